@@ -73,9 +73,7 @@ def test_a_file_cut_short_or_changed_anywhere(reader, files, capfd):
 
 
 @of_all
-@pytest.mark.parametrize(
-    "content", [b"", b"\0", b"PK\x03\x04 a zip", b"\x80\x02 a pickle", b"{}", b"\xff" * 99, b"\0" * 99], ids=repr
-)
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 a zip", b"{}", b"\xff" * 99], ids=repr)
 def test_files_of_something_else(reader, content, files):
     files[0].write_bytes(content)
     with pytest.raises(ValueError, match=f"^{re.escape(f'{files[0]} {NEITHER[reader]}')}"):

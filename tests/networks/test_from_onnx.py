@@ -8,7 +8,7 @@ import pytest
 import torch
 from hypothesis import given
 from networks.foreign import network, onnx
-from networks.modules import CONFIG, EVEN_KERNEL, VOLUMES, logits_of, module_of
+from networks.modules import CONFIG, EVEN_KERNEL, VOLUMES, branches, logits_of
 from networks.random_networks import random_models
 from networks.small import SMALL
 
@@ -34,7 +34,7 @@ def test_every_model_can_be_exported_and_read_again(tmp_path_factory, model):
 @EVEN_KERNEL
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_what_torch_exports_to_onnx_computes_the_same(tmp_path):
-    module, path = module_of("branches"), tmp_path / "net.onnx"
+    module, path = branches(), tmp_path / "net.onnx"
     torch.onnx.export(module.eval(), torch.tensor(VOLUMES[:1]), str(path), dynamo=False)
     model = load_model(path, config=CONFIG)
     assert model.classes == ("0", "1", "2", "3")
@@ -42,11 +42,7 @@ def test_what_torch_exports_to_onnx_computes_the_same(tmp_path):
     assert np.abs(found - logits_of(module)).max() <= 1e-5
 
 
-# -- node by node ------------------------------------------------------------------------------------------------
-
-
-def numbers(*shape, dtype=np.float32):
-    return np.random.default_rng(sum(shape)).uniform(0.2, 1.0, shape).astype(dtype)
+# -- node by node; of any form: test_random_networks.py ------------------------------------------------------------
 
 
 def node(op, inputs="x", output="y", **attributes):
@@ -89,7 +85,7 @@ def test_a_node_without_a_compiled_form_is_refused_by_name(tmp_path, nodes, cons
 def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
     """Here with a rule that is wrong: ReLU read as nothing."""
     nodes = [node("Flatten", "x", "f"), node("MatMul", "f w", "d"), node("Relu", "d", "r"), node("Flatten", "r")]
-    path = write_onnx(tmp_path / "m.onnx", nodes, {"w": numbers(60, 3) - np.float32(0.6)})
+    path = write_onnx(tmp_path / "m.onnx", nodes, {"w": np.float32(VOLUMES[0, 0, :9, :20].reshape(60, 3))})
     load_model(path, config=SMALL)
     monkeypatch.setitem(RULES, "Relu", RULES["Identity"])
     with pytest.raises(NotImplementedError, match=r"cannot be read as layers: its layers compute other numbers \(by"):

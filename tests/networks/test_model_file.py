@@ -110,24 +110,19 @@ def assert_refused(message, path, weights, config=WITH_REGRESSOR):
         load_model(path)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_each_array_has_its_shape(name, tmp_path):
+@pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])  # beyond float32
+def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
     """One side more, one axis more, one axis less, empty: of the layer itself, or of the next one, which reads it."""
-    shape = SHAPES[name]
+    shape, path = SHAPES[name], tmp_path / "m"
     wrong = [(*shape[:k], shape[k] + 1, *shape[k + 1 :]) for k in range(len(shape))]
     for other in [*wrong, (*shape, 1), shape[:-1], (0, *shape[1:])]:
         message = r"layer '\w+' \((conv|dense)\): .*"
         if (name, other) == ("regressor.heatmap.weight", (2, 7, 1, 1)):
             message = r"layer 'landmark' \(heatmap_centroid\): its input must be a heatmap \(1, H, W\), got \(2, 6, 5\)"
-        assert_refused(message, tmp_path / "m", changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
-
-
-@pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])  # beyond float32
-def test_each_array_is_finite(name, value, tmp_path):
-    values = np.zeros(SHAPES[name])
+        assert_refused(message, path, changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
+    values = np.zeros(shape)
     values.flat[-1] = value
-    weights = changed(WITH_REGRESSOR, **{name: values})
-    assert_refused(f"`{name}` must be finite numbers", tmp_path / "m", weights)
+    assert_refused(f"`{name}` must be finite numbers", path, changed(WITH_REGRESSOR, **{name: values}))
 
 
 def test_exactly_the_arrays_of_the_network(tmp_path):

@@ -10,6 +10,8 @@ from made import random_events
 
 from async_tnt import LeakyIntegrator, Processor, ReplayBufferFull
 
+BY_3 = CONFIG.replace(window_events=3)
+
 
 def test_decision_carries_logits_probabilities_and_label():
     processor = Processor(CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"])
@@ -58,14 +60,8 @@ def test_a_full_replay_buffer_warns_after_the_packet_is_processed():
         ({"start_us": -1}, r"`start_us` must be in \[0, 2\*\*62\), got -1"),
         ({"classes": "cat"}, "`classes` must be a sequence of names, got the single string 'cat'"),
         ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
-        (
-            {"hop_us": 5, "model": CONFIG.replace(window_events=3)},
-            "`hop_us` must not be given with window_events=3, got 5",
-        ),
-        (
-            {"start_us": 5, "model": CONFIG.replace(window_events=3)},
-            "`start_us` must not be given with window_events=3",
-        ),
+        ({"hop_us": 5, "model": BY_3}, "`hop_us` must not be given with window_events=3, got 5"),
+        ({"start_us": 5, "model": BY_3}, "`start_us` must not be given with window_events=3"),
         ({"classifier": 7}, "`classifier` must be callable, got int"),
         ({"classifier": None}, "`classifier` is missing: a TNTConfig alone cannot decide"),
         ({"model": "digits"}, "`model` must be a Model or a TNTConfig, got str; load_model"),
