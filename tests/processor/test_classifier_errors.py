@@ -53,14 +53,6 @@ def test_no_event_is_lost_or_absorbed_twice(settings, size):
     assert [key(d) for d in troubled.finish()] == [key(d) for d in untroubled.finish()]
 
 
-def test_a_decision_that_an_event_made_due_is_missed_where_it_fails():
-    processor = failing(1, every_events=2)
-    with pytest.raises(RuntimeError):
-        processor.push(at([0, 0]))
-    assert processor.push(at([1])) == []
-    assert summary(processor.push(at([1])))[0][2:] == (1, 4)
-
-
 def test_a_classifier_that_does_not_fit_is_refused_at_once():
     processor = Processor(random_model(CONFIG), every_events=1)
     other = CompiledClassifier(random_model(CONFIG.replace(bins=3)))

@@ -240,6 +240,14 @@ def test_another_activity_begins_as_on_a_new_stream(classifier, last, fires):
     assert bool(processor.push(at(last))) == fires
 
 
+def test_a_trigger_that_is_changed_in_midstream_looks_ahead(classifier):
+    processor = Processor(CONFIG, classifier=classifier)
+    processor.push(at(0, 450))
+    processor.every_us = 200  # 200 and 400 are over
+    assert processor.push(at(500)) == []
+    assert summary(processor.push(at(600))) == [("every_us", 0, 500, 3)]
+
+
 def test_no_events_no_decisions(classifier):
     """Time passes with events only."""
     triggers = {"every_us": 1, "every_events": 1, "confidence": 0.01, "activity": LeakyIntegrator(0.1, 1.0)}

@@ -1,7 +1,6 @@
 """Which decisions fall when: Processor against a plain oracle, for any cut of any stream."""
 
 import copy
-import itertools
 from functools import cache
 
 from deciding import uneven
@@ -84,47 +83,31 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
     assert (counts.dropped_late, counts.dropped_decided) == (oracle.dropped_late, oracle.dropped_decided)
 
 
+@settings(max_examples=2 * settings.default.max_examples)
 @given(
     events=nasty_streams((8, 8), 3500, 50, max_events=70),
     way=ways,
     windows=windows,
     triggers=triggers,
-    cuts=st.lists(st.integers(0, 40), min_size=1, max_size=6),
+    steps=st.lists(st.tuples(st.integers(0, 30), st.none() | change), max_size=8),
 )
-def test_any_triggers_any_windows_any_packets(events, way, windows, triggers, cuts):
-    """cuts : sizes of packets, over and over; 0: one event by `push_one`."""
-    oracle, processor = pair(*way, **windows, **triggers)
-    decisions, first, sizes = [], 0, itertools.cycle(cuts)
-    while first < len(events):
-        size = next(sizes)
-        decisions += (
-            processor.push(events[first : first + size]) if size else processor.push_one(*events[first].tolist())
-        )
-        first += size or 1
-    assert_equal(oracle, processor, decisions, oracle.push_all(events))
-
-
-@given(
-    events=nasty_streams((8, 8), 3500, 50, max_events=70),
-    way=ways,
-    windows=windows,
-    triggers=triggers,
-    changes=st.lists(st.tuples(st.integers(0, 30), change), min_size=1, max_size=6),
-    single=st.booleans(),
-)
-def test_settings_may_change_in_midstream(events, way, windows, triggers, changes, single):
-    """By the attributes, between packets; each applies from the next event on."""
+def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, triggers, steps):
+    """steps : size of a packet, 0: one event by `push_one`; a trigger that is changed after it, if any."""
     oracle, processor = pair(*way, **windows, **triggers)
     expected, decisions, first = [], [], 0
-    for size, (name, value) in [*changes, (len(events), ("every_us", None))]:
-        packet = events[first : first + size]
-        first += size
+    for size, changed in [*steps, (len(events), None)]:
+        packet = events[first : first + max(size, 1)]
+        first += len(packet)
         expected += oracle.push_all(packet)
-        for part in packet[:, None] if single else [packet]:
-            decisions += processor.push(part)
-        oracle.change(**{name: value})
-        setattr(processor, name, value)
-        assert getattr(processor, name) == value
+        if size:
+            decisions += processor.push(packet)
+        else:
+            decisions += [decision for event in packet.tolist() for decision in processor.push_one(*event)]
+        if changed:
+            name, value = changed
+            oracle.change(**{name: value})
+            setattr(processor, name, value)
+            assert getattr(processor, name) == value
     assert_equal(oracle, processor, decisions, expected)
 
 

@@ -143,3 +143,35 @@ def test_where_the_landmark_is_after_each_event_of_constant_flow(v, w, landmark)
             share /= c_ff + 1
             assert volume.flow == pytest.approx((v * c_ff / (c_ff + 1), w * c_ff / (c_ff + 1)), abs=1e-9)
         assert volume.landmark == pytest.approx((30 + v * k / 8 * share, 30 + w * k / 8 * share), abs=1e-9)
+
+
+# -- images: a window of 40 us from 10 us on ----------------------------------------------------------------------
+
+
+def image_of(events, **settings):
+    config = TNTConfig(sensor=(3, 2), window_us=40, transform="none", polarity="split", **settings)
+    return volume_of(config, *events, start_us=10).array
+
+
+def test_the_images_of_a_configuration_by_hand():
+    events = [(10, 0, 1, 1), (20, 2, 0, 0), (40, 2, 0, 0), (30, 2, 1, 1)]  # one comes late
+    settings = {"grid": (3, 2)}
+    on, off = image_of(events, representation="count", **settings)
+    assert on.tolist() == [[0, 0, 0], [1, 0, 1]] and off.tolist() == [[0, 0, 2], [0, 0, 0]]
+    n_on, t_on, n_off, t_off = image_of(events, representation="count_time", **settings)
+    assert np.array_equal(n_on, on) and np.array_equal(n_off, off)
+    assert t_on.tolist() == [[0, 0, 0], [0, 0, 0.5]] and t_off.tolist() == [[0, 0, 0.75], [0, 0, 0]]
+    assert image_of(events, representation="mean_time", **settings)[1].tolist() == [[0, 0, 0.5], [0, 0, 0]]
+    on, off = image_of(events, representation="time_surface", **settings)  # ages: 1, half and a quarter of the window
+    newest_on, newest_off = np.exp([-2.0, -1.0]), np.exp(-0.5)
+    np.testing.assert_allclose(on, [[0, 0, 0], [newest_on[0], 0, newest_on[1]]], rtol=1e-6)
+    np.testing.assert_allclose(off, [[0, 0, newest_off], [0, 0, 0]], rtol=1e-6)
+
+
+def test_on_a_larger_grid_an_event_is_shared_by_the_cells_around_it():
+    """A sensor of 3 pixels on a grid of 4: pixel 1 lies half way between columns 1 and 2."""
+    events = [(20, 1, 0, 1), (30, 0, 0, 1)]
+    settings = {"grid": (4, 2)}
+    n_on, t_on, *_ = image_of(events, representation="count_time", **settings)
+    assert n_on[0].tolist() == [1, 0.5, 0.5, 0] and t_on[0].tolist() == [0.5, 0.25, 0.25, 0]
+    assert image_of(events, representation="mean_time", **settings)[0, 0].tolist() == [0.5, 0.25, 0.25, 0]

@@ -4,8 +4,6 @@ import copy
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from made import random_events
 
 from async_tnt import ReplayBufferFull, TNTConfig, TNTVolume
@@ -92,30 +90,3 @@ def test_the_replay_buffer_grows_to_its_bound_and_loses_nothing():
         cut.update(part)
     assert whole.array.any() and cut.array.tobytes() == whole.array.tobytes()
     assert cut.counts == whole.counts and cut.counts.dropped_unstored == 0
-
-
-@given(
-    st.lists(st.one_of(st.integers(1, 400), st.sampled_from(["read", "open", "late"])), min_size=3, max_size=25),
-    st.sampled_from([(34, 34), (90, 70), (300, 200)]),
-    st.sampled_from(["running", "window", "regressor"]),
-    st.sampled_from(["signed", "split"]),
-    st.integers(0, 1000),
-)
-def test_a_used_volume_equals_a_fresh_one(steps, sensor, landmark, polarity, seed):
-    """Whatever was read and emptied before: large volumes are read and emptied only where events were."""
-    config = CONFIG.replace(sensor=sensor, grid=sensor, landmark=landmark, polarity=polarity)
-    regressor = {"regressor": brightest} if landmark == "regressor" else {}
-    used, fresh = (opened(config, 1000, **regressor) for _ in range(2))
-    for step in steps:
-        seed += 1
-        if step == "open":
-            used.open(used.start_us + 1000)
-            fresh = opened(config, used.start_us, **regressor)
-        elif step == "read":
-            assert used.landmark == fresh.landmark and np.array_equal(used.array, fresh.array)
-        elif step == "late":
-            used.update_one(used.start_us - 1, 3, 3, 1)
-        else:
-            events = random_events(step, seed=seed, duration_us=1000, start_us=used.start_us, sensor=sensor)
-            used.update(events), fresh.update(events)
-    assert np.array_equal(used.array, fresh.array)
