@@ -115,11 +115,7 @@ PROCESSORS = {
     for kind, name, compiled in (
         *itertools.product(["running"], SETTINGS, (True, False)),
         *((kind, name, True) for kind, name in OTHERS),
-        *(
-            ("of 60 events", name, name != "every_events")
-            for name, of in SETTINGS.items()
-            if not {"hop_us", "start_us"} & {*of}
-        ),
+        *(("of 60 events", name, name != "every_events") for name, of in SETTINGS.items() if not OF_A_DURATION & {*of}),
     )
 }
 ALL = VOLUMES | PROCESSORS

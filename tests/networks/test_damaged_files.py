@@ -118,22 +118,45 @@ DAMAGED = "holds a damaged model: "
 FOREIGN = "is not a model that this release can read: `format` must be 'async_tnt 2', got "
 
 
+def model_file(path, **changes):
+    return write_file(path, changed(), **changes)
+
+
+def onnx_file(path, **changes):
+    """The small classifier with other metadata under a valid checksum; None leaves a name out."""
+    made = onnx.ModelProto()
+    made.ParseFromString(ONNX)
+    metadata = {entry.key: entry.value for entry in made.metadata_props} | changes
+    del made.metadata_props[:]
+    onnx.helper.set_model_props(made, {key: value for key, value in metadata.items() if value is not None})
+    if metadata["sha256"] is not None:
+        seal(made)
+    path.write_bytes(made.SerializeToString())
+    return path
+
+
 @pytest.mark.parametrize(
-    "changes, message",
+    "write, changes, message",
     [
-        ({"config": None, "classes": None}, DAMAGED + "no config and no classes in its metadata"),
+        (model_file, {"config": None, "classes": None}, DAMAGED + "no config and no classes in its metadata"),
+        (model_file, {"config": "{}"}, DAMAGED + "layer 'conv1' (conv): its weight must have shape (2, 9, 3, 3) here"),
+        (model_file, {"sha256": 64 * "0"}, DAMAGED + "its checksum differs; copy or download it again"),
+        (model_file, {"format": "async_tnt 3"}, FOREIGN + "'async_tnt 3'"),
+        (onnx_file, {"format": "async_tnt 3"}, "is damaged: metadata `format` must be 'async_tnt 2', got 'async_tnt 3"),
+        (onnx_file, {"sha256": None}, "is damaged: no sha256 in its metadata"),
+        (onnx_file, {"config": '{"a\\nb": 1}'}, "is damaged: unknown configuration a b"),
         (
+            onnx_file,
             {"config": "{}"},
-            DAMAGED + "layer 'conv1' (conv): its weight must have shape (2, 9, 3, 3) here, got (2, 2, 3, 3)",
+            "is damaged: its configuration gives volumes of shape (9, 34, 34), its netw",
         ),
-        ({"sha256": 64 * "0"}, DAMAGED + "its checksum differs; copy or download it again"),
-        ({"format": "async_tnt 3"}, FOREIGN + "'async_tnt 3'"),
+        (onnx_file, {"classes": '["a", "b"]'}, "is damaged: it names 2 classes, its network gives 3 logits"),
     ],
 )
-def test_wrong_metadata_of_a_model(tmp_path, changes, message):
-    path = write_file(tmp_path / "m.st", changed(), **changes)
-    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} {message}')}$"):
-        load_model(path)
+def test_wrong_metadata(write, changes, message, files):
+    path = write(files[0], **changes)
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} {message}')}"):
+        (load_model if write is model_file else OnnxClassifier)(path)
 
 
 def test_tensors_of_other_programs_and_types(tmp_path):
@@ -145,45 +168,13 @@ def test_tensors_of_other_programs_and_types(tmp_path):
     save_tensors({"fc1.bias": torch.zeros(4, dtype=torch.bfloat16)}, path, {"format": FORMAT})
     with pytest.raises(ValueError, match=r"f (is not a readable .safetensors file|holds a damaged model): "):
         load_model(path)
-    for dtype in ("float64", "int32"):
-        write_file(path, changed(fc1__bias=np.zeros(4, dtype)))
-        with pytest.raises(ValueError, match=f"f holds a damaged model: `fc1.bias` must be float32, got {dtype}$"):
-            load_model(path)
+    write_file(path, changed(fc1__bias=np.zeros(4, "int32")))
+    with pytest.raises(ValueError, match=r"f holds a damaged model: `fc1.bias` must be float32, got int32$"):
+        load_model(path)
 
 
-# -- the metadata of ONNX files ----------------------------------------------------------------------------------
-
-
-def with_metadata(**changes):
-    """The small classifier with other metadata under a valid checksum; None leaves a name out."""
-    made = onnx.ModelProto()
-    made.ParseFromString(ONNX)
-    metadata = {entry.key: entry.value for entry in made.metadata_props} | changes
-    del made.metadata_props[:]
-    onnx.helper.set_model_props(made, {key: value for key, value in metadata.items() if value is not None})
-    if metadata["sha256"] is not None:
-        seal(made)
-    return made.SerializeToString()
-
-
-@pytest.mark.parametrize(
-    "changes, message",
-    [
-        ({"format": "async_tnt 3"}, "metadata `format` must be 'async_tnt 2', got 'async_tnt 3'"),
-        ({"sha256": None}, "no sha256 in its metadata"),
-        ({"config": '{"a\\nb": 1}'}, "unknown configuration a b"),
-        ({"config": "{}"}, "its configuration gives volumes of shape (9, 34, 34), its network takes (2, 6, 5)"),
-        ({"classes": '["a", "b"]'}, "it names 2 classes, its network gives 3 logits"),
-    ],
-)
-def test_wrong_metadata_of_an_onnx_file(changes, message, files):
-    files[0].write_bytes(with_metadata(**changes))
-    with pytest.raises(ValueError, match=f"^{re.escape(f'{files[0]} is damaged: {message}')}"):
-        OnnxClassifier(files[0])
-
-
-def test_onnx_files_of_other_programs_have_no_configuration():
-    foreign = network(metadata={"config": "{}", "classes": json.dumps(["a"])})
-    for content in (foreign, *(with_metadata(format=format) for format in (None, "", "pt", "async_tnt"))):
-        net = OnnxClassifier(content)
+def test_onnx_files_of_other_programs_have_no_configuration(files):
+    files[0].write_bytes(network(metadata={"config": "{}", "classes": json.dumps(["a"])}))
+    for path in (files[0], *(onnx_file(files[0], format=format) for format in (None, "", "pt", "async_tnt"))):
+        net = OnnxClassifier(path)
         assert (net.config, net.classes, net.exported) == (None, None, None)

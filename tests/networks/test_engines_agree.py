@@ -19,25 +19,22 @@ from async_tnt.sources.files.recording import sample_recordings
 SAMPLES = [str(sample_recordings()[digit]) for digit in (3, 7)]
 
 
-def engines(model):
-    return CompiledClassifier(model), OnnxClassifier(to_onnx(model)), TorchClassifier(torch_classifier(model))
-
-
-def assert_same_logits(volume, compiled, *others):
-    expected = compiled(volume)
-    for engine in others:
-        logits = engine(volume)
-        assert logits.dtype == np.float32 and logits.shape == expected.shape
-        assert np.abs(logits - expected).max() <= 1e-4 * max(1.0, np.abs(expected).max())
-        assert logits.argmax() == expected.argmax()
-
-
 @pytest.mark.parametrize("tested", NETWORKS, ids=str)
 def test_logits_are_the_same(tested):
-    classifiers, volume = engines(tested.model()), tested.volume()
+    model, volume = tested.model(), tested.volume()
+    compiled, *others = (
+        CompiledClassifier(model),
+        OnnxClassifier(to_onnx(model)),
+        TorchClassifier(torch_classifier(model)),
+    )
     for packet in [None, *np.split(random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000), 3)]:
         volume.update(packet)
-        assert_same_logits(volume.array, *classifiers)
+        expected = compiled(volume.array)
+        for engine in others:
+            logits = engine(volume.array)
+            assert logits.dtype == np.float32 and logits.shape == expected.shape
+            assert np.abs(logits - expected).max() <= 1e-4 * max(1.0, np.abs(expected).max())
+            assert logits.argmax() == expected.argmax()
     assert volume.array.any()
 
 
