@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
-from async_tnt import CompiledRegressor, Counts, Processor, TNTConfig, TNTVolume, stream
-from async_tnt.checking.reference import reference_kept, reference_pipeline, reference_volume
+from async_tnt import CompiledRegressor, Counts, Processor, TNTConfig, TNTVolume
+from async_tnt.checking.reference import reference_kept, reference_volume
 from async_tnt.networks.torch_modules import landmark_function
 
 CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
@@ -127,18 +127,3 @@ def test_by_hand():
     expected[3, 17:19, 18:20] = -0.25  # u = 3 / 1.5 + 16.5 = 18.5, v = 1.5 / 1.5 + 16.5 = 17.5
     assert np.abs(volume.array - expected).max() <= 1e-6
     assert volume.counts == Counts(received=2, kept=2)
-
-
-def test_decisions_of_a_processor_equal_the_torch_pipeline():
-    config = CONFIG.replace(polarity="split", sensor=(40, 34), grid=(34, 30), bins=5)
-    model = random_regressor_model(config, sharpness=10.0, seed=2)
-    pipeline = reference_pipeline(model)
-    events = random_events(700, seed=1, duration_us=3500, sensor=(20, 20), start_us=50)
-    decisions = list(stream(np.split(events, 14), model, hop_us=300, every_us=170))
-    for decision in decisions:
-        inside = events[events["t"] >= decision.window_start_us][: decision.events]
-        assert inside["t"][-1] == decision.time_us
-        expected = pipeline(inside, decision.window_start_us)
-        assert np.abs(decision.logits - expected).max() <= 1e-4
-        assert decision.index == expected.argmax()
-    assert len({decision.logits.tobytes() for decision in decisions}) > 10

@@ -122,29 +122,6 @@ def test_times_in_a_window_of_events_are_scaled_by_the_newest():
     assert not volume.array.any() and (volume.start_us, volume.n_events) == (201, 1)
 
 
-@pytest.mark.parametrize(("v", "w"), [(8, -16), (-24, 8)])
-@pytest.mark.parametrize("landmark", ["running", "line", "window"])
-def test_where_the_landmark_is_after_each_event_of_constant_flow(v, w, landmark):
-    """Eight instants, a whole number of pixels apart, so that no rounding to pixels hides the law; to 1e-9 px.
-
-    After instant k (f = k/8) the object is at v f. `running` trails by v f/2. `line` has found v C/(C + 1) of the
-    flow and lies v f/2 / (C + 1) beside the object's start, with C = C_ff = 5 k (k + 1) (k + 2) / 12 / 64.
-    The centroid of the window is at v f/2 as well, but for old events too, and that is what breaks it.
-    """
-    cross = np.array([(30, 30), (32, 30), (28, 30), (30, 32), (30, 28)])
-    volume = TNTVolume(TNTConfig(window_us=8_008, landmark=landmark, sensor=(61, 61), grid=(61, 61)))
-    volume.open(0)
-    for k in range(8):
-        x, y = (cross + np.array([v, w]) * k // 8).T
-        volume.update((np.full(5, 1_001 * k), x, y, np.ones(5, int)))
-        share = 0.5
-        if landmark == "line":
-            c_ff = 5 * k * (k + 1) * (k + 2) / 12 / 64
-            share /= c_ff + 1
-            assert volume.flow == pytest.approx((v * c_ff / (c_ff + 1), w * c_ff / (c_ff + 1)), abs=1e-9)
-        assert volume.landmark == pytest.approx((30 + v * k / 8 * share, 30 + w * k / 8 * share), abs=1e-9)
-
-
 # -- images: a window of 40 us from 10 us on ----------------------------------------------------------------------
 
 
