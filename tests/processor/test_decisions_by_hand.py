@@ -135,20 +135,6 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         (0, 1, 2, 3, 4, 1000),
         [("window", 0, 4, 5), ("end", 1000, 1000, 1)],
     ),
-    "overlapping windows continue by themselves": (
-        SURE | {"every_events": 1, "hop_us": 400},
-        (0, 410, 420, 430, 900, 1500),
-        [
-            ("every_events", 0, 0, 1),
-            ("every_events", 0, 410, 2),
-            ("confidence", 0, 420, 3),
-            ("confidence", 400, 430, 3),  # it holds 410 and 420, too, but is the oldest only at 430
-            ("every_events", 800, 900, 1),
-            ("every_events", 800, 1500, 2),
-            ("end", 800, 1500, 2),
-            ("end", 1200, 1500, 1),
-        ],
-    ),
     # -- activity
     "activity fires where it reaches the threshold": (  # 1, 1 + 1/e = 1.368, 1 + 1.368/e = 1.503; then from 0 again
         {"activity": LeakyIntegrator(1.37, 10.0)},

@@ -35,26 +35,20 @@ integrators = st.builds(
     leak_us=st.sampled_from([1.0, 30.0, 400.0, 5e4, float("inf")]),
     charge=st.sampled_from([1.0, 0.4, 2.5]),
 )
-triggers = st.fixed_dictionaries(
-    {
-        "every_us": st.sampled_from([None, None, 1, 77, 500, 1000, 3000]),
-        "every_events": st.sampled_from([None, None, 1, 2, 3, 30]),
-        "confidence": st.sampled_from([None, None, 0.4, 0.7, 0.95, 1.0]),
-        "activity": st.one_of(st.none(), integrators),
-    }
-)
+TRIGGERS = {
+    "every_us": st.sampled_from([None, None, 1, 77, 500, 1000, 3000]),
+    "every_events": st.sampled_from([None, None, 1, 2, 3, 30]),
+    "confidence": st.sampled_from([None, None, 0.4, 0.7, 0.95, 1.0]),
+    "activity": st.none() | integrators,
+}
+triggers = st.fixed_dictionaries(TRIGGERS)
+change = st.one_of(*(st.tuples(st.just(name), values) for name, values in TRIGGERS.items()))
 windows = st.fixed_dictionaries(
     {
         "hop_us": st.sampled_from([None, None, None, 1000, 999, 500, 250, 130]),
         "start_us": st.sampled_from([None, None, 0, 60, 300]),
         "late": st.sampled_from(["accept", "accept", "drop"]),
     }
-)
-change = st.one_of(
-    st.tuples(st.just("every_us"), st.sampled_from([None, 1, 77, 500])),
-    st.tuples(st.just("every_events"), st.sampled_from([None, 1, 2, 3])),
-    st.tuples(st.just("confidence"), st.sampled_from([None, 0.4, 0.7, 0.95])),
-    st.tuples(st.just("activity"), st.one_of(st.none(), integrators)),
 )
 ways = st.sampled_from(
     [(CONFIG, "callable"), *((config, "compiled") for config in (CONFIG, TNT, REPLAYED)), (BY_EVENTS[0], "callable")]
