@@ -1,4 +1,4 @@
-"""The compiled landmark network by hand. Against the torch reference: tests/volume/test_regressor.py."""
+"""The compiled landmark network by hand. Against the torch reference: test_volume_equals_reference.py."""
 
 import numpy as np
 import pytest

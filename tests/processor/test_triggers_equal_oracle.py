@@ -50,6 +50,10 @@ windows = st.fixed_dictionaries(
         "late": st.sampled_from(["accept", "accept", "drop"]),
     }
 )
+nasty = nasty_streams((8, 8), 3500, 50, max_events=70)
+long = st.builds(  # hundreds of events in a window, more decisions than one compiled call makes
+    random_events, st.just(1300), seed=st.integers(0, 99), duration_us=st.just(5200), sensor=st.just((8, 8))
+)
 ways = st.sampled_from(
     [(CONFIG, "callable"), *((config, "compiled") for config in (CONFIG, TNT, REPLAYED)), (BY_EVENTS[0], "callable")]
     + [(config, "compiled") for config in BY_EVENTS]
@@ -79,7 +83,7 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
 
 @settings(max_examples=2 * settings.default.max_examples)
 @given(
-    events=nasty_streams((8, 8), 3500, 50, max_events=70),
+    events=st.one_of(nasty, nasty, nasty, long),
     way=ways,
     windows=windows,
     triggers=triggers,
@@ -103,19 +107,3 @@ def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, 
             setattr(processor, name, value)
             assert getattr(processor, name) == value
     assert_equal(oracle, processor, decisions, expected)
-
-
-@settings(max_examples=settings.default.max_examples // 4)
-@given(
-    seed=st.integers(0, 1000),
-    way=ways,
-    hop_us=st.sampled_from([None, 400]),
-    triggers=triggers,
-    size=st.sampled_from([1, 50, 1300]),
-)
-def test_long_streams(seed, way, hop_us, triggers, size):
-    """Many windows, hundreds of events in each; more decisions than one compiled call makes."""
-    events = random_events(1300, seed=seed, duration_us=5200, sensor=(8, 8), start_us=7)
-    oracle, processor = pair(*way, hop_us=hop_us, **triggers)
-    decisions = [d for first in range(0, 1300, size) for d in processor.push(events[first : first + size])]
-    assert_equal(oracle, processor, decisions, oracle.push_all(events))

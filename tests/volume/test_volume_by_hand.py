@@ -122,6 +122,19 @@ def test_times_in_a_window_of_events_are_scaled_by_the_newest():
     assert not volume.array.any() and (volume.start_us, volume.n_events) == (201, 1)
 
 
+def test_a_regressors_landmark_is_the_centre():
+    """bins 5, t_max 2, window 1000: t = 500 has tau 1 and bin 2; t = 750 has tau 1.5 and bin 3."""
+    config = TNTConfig(sensor=(67, 34), grid=(34, 34), bins=5, window_us=1000, t_max=2.0, landmark="regressor")
+    volume = TNTVolume(config, regressor=lambda raw: (10.5, 8.5))
+    volume.open(0)
+    volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))  # in grid pixels (10.5, 9), (13.5, 10)
+    expected = np.zeros((5, 34, 34), np.float32)
+    expected[2, 17, 16:18] = 0.5  # u = 0 / 1 + 16.5, v = 0.5 / 1 + 16.5
+    expected[3, 17:19, 18:20] = -0.25  # u = 3 / 1.5 + 16.5 = 18.5, v = 1.5 / 1.5 + 16.5 = 17.5
+    assert np.abs(volume.array - expected).max() <= 1e-6
+    assert (volume.counts.received, volume.counts.kept) == (2, 2)
+
+
 # -- images: a window of 40 us from 10 us on ----------------------------------------------------------------------
 
 
