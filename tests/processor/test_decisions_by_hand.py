@@ -71,16 +71,11 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         {"every_us": 200},
         (100, 150, 350, 360, 900, 1250),
         [
-            ("every_us", 100, 150, 2),  # at 300
+            ("every_us", 100, 150, 2),  # at 300, without the event that shows the time
             ("every_us", 100, 360, 4),  # at 500; at 700 nothing new
             ("window", 100, 900, 5),  # at 900 the fifth event is new, but shows up at 1100 with the window's end
             ("end", 1100, 1250, 1),
         ],
-    ),
-    "every_us decides without the event that shows the time": (
-        {"every_us": 200},
-        (0, 199, 200),
-        [("every_us", 0, 199, 2), ("end", 0, 200, 3)],
     ),
     "every_events counts within the window": (
         {"every_events": 2},
