@@ -107,7 +107,7 @@ def test_what_cannot_be_done_is_one_line(words, message, refused, tmp_path):
         "export --out m.onnx",
         "train --out m.safetensors",
         "evaluate digits",
-        "mask",
+        "mask --out m.npy",
         "plot --out p.png",
         "view --out v.rrd",
         "bench --model",

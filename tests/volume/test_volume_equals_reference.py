@@ -5,12 +5,13 @@ That packets do not matter is a law of tests/test_laws.py.
 
 import numpy as np
 import pytest
+import tnt_reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_regressor_model
 
 from async_tnt import CompiledRegressor, TNTConfig, TNTVolume
-from async_tnt.checking.reference import reference_kept, reference_landmark, reference_volume
+from async_tnt.checking.reference import reference_landmark, reference_volume
 from async_tnt.networks.torch_modules import landmark_function
 
 CONFIGS = [
@@ -33,6 +34,19 @@ SHAPES = [  # sensor, grid, bins, window_us, t_max
     ((2, 2), (2, 2), 1, 1, 8.0),
 ]
 STARTS = [0, 123_456_789, 1_700_000_000_000_000]
+
+
+def reference_kept(events, config, start_us, landmark):
+    return tnt_reference.tnt_coordinates(
+        *(events[field] for field in "txy"),
+        start_us=start_us,
+        window_us=tnt_reference.until_newest(events["t"], start_us) if config.window_events else config.window_us,
+        sensor=config.sensor,
+        grid=config.grid,
+        t_max=config.t_max,
+        landmark=config.landmark if landmark is None else landmark,
+        remove_flow=config.remove_flow,
+    ).kept
 
 
 def opened(config, start_us=0):
