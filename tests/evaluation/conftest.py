@@ -28,18 +28,23 @@ def dask_cluster(n_workers):
 
 
 @pytest.fixture(scope="module")
-def two_workers():
-    """For each module: on a busy machine Dask may not replace a worker that a test has ended for minutes."""
-    with dask_cluster(2) as cluster:
-        yield cluster
+def clusters():
+    """The newest one is in use."""
+    started = []
+    yield started
+    for cluster in started:
+        cluster.close()
 
 
 @pytest.fixture
-def cluster(two_workers, monkeypatch):
-    """Address of a scheduler, once both its workers are there: a test before may have ended some."""
+def cluster(clusters, monkeypatch):
+    """Address of a scheduler with two workers: another one if a test has ended some of them, which Dask may never
+    replace on a busy machine."""
     monkeypatch.setattr(processes, "CONNECT_S", 120.0)
-    until(lambda: len(two_workers.scheduler.workers) == 2)
-    return two_workers.scheduler_address
+    if not clusters or len(clusters[-1].scheduler.workers) < 2:
+        clusters.append(dask_cluster(2))
+    until(lambda: len(clusters[-1].scheduler.workers) == 2)
+    return clusters[-1].scheduler_address
 
 
 @pytest.fixture
