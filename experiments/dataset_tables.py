@@ -1,8 +1,7 @@
-"""The tables of the field's data sets: N-CARS, representations compared, and what the command does without options."""
+"""The tables of the field's data sets: N-CARS, and representations compared."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -100,20 +99,3 @@ def representations() -> str:
     times = [f"{ms} ms" for ms in EQUAL_MS]
     head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]
     return f"{table(head, rows)}\n\nCosts: {about_machine(*measured)}"
-
-
-def without_options() -> str:
-    """What the command reaches by itself on each data set: mean over its networks, and their standard deviation."""
-    rows = []
-    for name in ("cars", "nmnist", "poker"):
-        report = results(name)
-        bare = report["recipes"]["bare"]
-        parts = [summary([test[share] for test in bare["tests"]]) for share in ("window_accuracy", "accuracy")]
-        chosen = Counter(network.get("chosen") for network in bare["networks"])
-        words = "; ".join(f"{volume} ({n})" for volume, n in chosen.most_common())
-        tests = bare["tests"][0]
-        counts = f"{tests['windows']:,} / {tests['recordings']:,}"
-        row = [report["title"], f"`{bare['command']}`", str(len(bare["tests"])), counts, *map(cell, parts), words]
-        rows.append(row)
-    head = ["", "command", "networks", "windows / recordings tested", "windows right", "recordings right", "chosen"]
-    return table(head, rows)

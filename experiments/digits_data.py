@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,6 @@ LAYOUT = "expected N-MNIST's layout, Train/<digit>/*.bin and Test/<digit>/*.bin"
 def read_nmnist_folder(
     folder: str | os.PathLike[str],
     *,
-    skip_damaged: bool = False,
     per_digit: int | None = None,
     progress: Callable[..., Bar] = no_progress,
 ) -> Recordings:
@@ -42,7 +40,6 @@ def read_nmnist_folder(
     Parameters
     ----------
     folder : the folder that holds the digits' folders, such as N-MNIST's Train.
-    skip_damaged : leave damaged files out, with a warning each, instead of raising an error.
     per_digit : read only the first `per_digit` recordings of each digit, by name.
 
     Raises
@@ -62,14 +59,7 @@ def read_nmnist_folder(
     with progress(len(paths), "reading") as bar:
         for label, path in paths:
             bar.update()
-            try:
-                events.append(read_nmnist(path))
-            except ValueError as error:
-                if not skip_damaged:
-                    raise ValueError(f"{error} Or leave damaged files out (`skip_damaged`).") from None
-                bar.clear()
-                warnings.warn(f"left out: {error}", stacklevel=2)
-                continue
+            events.append(read_nmnist(path))
             labels.append(label)
             names.append(f"{path.parent.name}/{path.name}")
     return Recordings.from_events(events, labels, names)

@@ -1,25 +1,23 @@
 """Early decisions: how accurate are they, how soon are they made, and how often was the network evaluated?
 
-    python -m experiments.early [FOLDER] [--recordings N] [--json FILE] [--picture FILE]
+    python -m experiments.early [--nmnist FOLDER] [--recordings N] [--json FILE] [--picture FILE]
 
-Streams real recordings, FOLDER/<digit>/*.bin in N-MNIST's format (default: nmnist/Test in $TNT_DATA), through the
-bundled model, one window a saccade, with one setting of `Processor` after the other, and counts each window's early
-decision: the first that a trigger makes, or with `confidence` the one that closes the window. A window without one
-counts with its decision at the end. A measurement: nothing is set by it.
+Streams N-MNIST's test recordings, FOLDER/Test/<digit>/*.bin (default: nmnist/ in $TNT_DATA), through the bundled
+model, one window a saccade, with one setting of `Processor` after the other, and counts each window's early decision:
+the first that a trigger makes, or with `confidence` the one that closes the window. A window without one counts with
+its decision at the end. A measurement: nothing is set by it.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.views.figure_style import OFF, ON, TEXT, axes_at, headline, new_figure, note
 from experiments.measure_early import measure_early, n_settings
-from experiments.script_options import exit_with, report_of, script_parser, write_outputs
+from experiments.script_options import add_folder, data_folder, exit_with, report_of, script_parser, write_outputs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,18 +132,10 @@ def _lay_axes(left: Any, right: Any, window_ms: float) -> None:
         axes.set_axisbelow(True)
 
 
-def default_folder() -> Path:
-    """N-MNIST's test part in $TNT_DATA."""
-    root = os.environ.get("TNT_DATA")
-    if not root:
-        raise ValueError("no recordings: give FOLDER, or set TNT_DATA to the folder with nmnist/")
-    return Path(root) / "nmnist" / "Test"
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked."""
     parser = script_parser("early", __doc__, f"{QUICK} recordings", draws=True)
-    parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER")
+    add_folder(parser, "--nmnist", "with Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     parser.add_argument("--recordings", type=int, metavar="N", help="number of recordings, the same for each digit")
     cores = available_cores()
     parser.add_argument("--workers", type=int, default=cores, metavar="N", help="processes (default: one per core)")
@@ -155,9 +145,10 @@ def main(argv: list[str] | None = None) -> int:
             parser.error(f"--{name} must be at least 1, got {value}")
 
     def measure() -> dict[str, Any]:
+        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
         with progress(n_settings(), "settings") as bar:
             n = QUICK if args.quick else args.recordings
-            return measure_early(args.folder or default_folder(), n, workers=args.workers, each=bar.update)
+            return measure_early(nmnist / "Test", n, workers=args.workers, each=bar.update)
 
     try:
         report = report_of(args, measure)

@@ -7,7 +7,6 @@ MODEL has a landmark network: async-tnt train DATASET --volume transform=tnt,lan
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +32,7 @@ from async_tnt.views.figure_subject import Window
 from async_tnt.views.figure_window import colour_limit, draw_slice
 from async_tnt.volume import TNTVolume
 from experiments.figure_script import run
+from experiments.script_options import exit_with
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,8 +123,8 @@ def _mark(axes: Any, x: list[float], y: list[float], marker: str, colour: str, l
 
 
 def main(argv: list[str] | None = None) -> int:
-    return run(__doc__, lambda windows: draw_heatmap(*windows), argv)
+    return run("figure_heatmap", __doc__, draw_heatmap, argv)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with(main)

@@ -8,7 +8,6 @@ Two windows of one recording (the first ones, or those of --windows), or one of 
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +34,7 @@ from async_tnt.views.figure_window import (
     transform_words,
 )
 from experiments.figure_script import flow_of, grid_xy, run
+from experiments.script_options import exit_with
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,8 +148,8 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
 
 
 def main(argv: list[str] | None = None) -> int:
-    return run(__doc__, lambda windows: draw_motions(*windows), argv, n_windows=2)
+    return run("figure_motions", __doc__, draw_motions, argv, n_windows=2)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with(main)

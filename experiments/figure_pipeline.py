@@ -5,7 +5,6 @@ python -m experiments.figure_pipeline 3 --picture docs/images/pipeline.png
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +33,7 @@ from async_tnt.views.figure_style import (
 from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 from async_tnt.views.figure_window import colour_limit, draw_raw, draw_slice, draw_transformed, layers_of
 from experiments.figure_script import grid_xy, run
+from experiments.script_options import exit_with
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -253,8 +253,8 @@ def _draw_answer(axes: Any, model: Model, decision: Decision) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    return run(__doc__, lambda windows: draw_pipeline(*windows), argv)
+    return run("figure_pipeline", __doc__, draw_pipeline, argv)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    exit_with(main)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,31 +13,29 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.views.figure_style import check_picture, save, styled
 from async_tnt.views.figure_subject import Subject, Window
 from async_tnt.volume import TNTVolume
+from experiments.script_options import plain_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def run(
-    description: str | None, draw: Callable[[list[Window]], Figure], argv: list[str] | None, n_windows: int = 1
+    name: str, description: str | None, draw: Callable[..., Figure], argv: list[str] | None, n_windows: int = 1
 ) -> int:
     """Draw windows of recordings, with the configuration of a model, into a file. Returns the exit code.
 
     draw : given `n_windows` windows.
     """
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = plain_parser(name, description)
     parser.add_argument("files", nargs="*", default=["3"], help="recordings, or digits of bundled ones (default: 3)")
     parser.add_argument("--model", default="digits", help="a bundled model or a file (default: %(default)s)")
     parser.add_argument("--windows", type=int, nargs="+", help="numbers, counted from 1 (default: each file's first)")
     parser.add_argument("--picture", type=Path, required=True, metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--dpi", type=int, default=150)
     args = parser.parse_args(argv)
-    try:
-        check_picture(args.picture)
-        with styled():
-            save(draw(windows_of(args.files, args.model, args.windows, n_windows)), args.picture, args.dpi)
-    except (ImportError, OSError, ValueError) as error:
-        parser.error(str(error))
+    check_picture(args.picture)
+    with styled():
+        save(draw(*windows_of(args.files, args.model, args.windows, n_windows)), args.picture, args.dpi)
     return 0
 
 

@@ -141,7 +141,7 @@ def labelled(folder: Path, n: int | None) -> list[tuple[int, np.ndarray]]:
         paths = [of_digit[: -(-n // 10)] for of_digit in paths]
     found = [(digit, path) for digit, of_digit in enumerate(paths) for path in of_digit]
     if not found:
-        raise ValueError(f"no recordings {folder}/<digit>/*.bin: FOLDER or $TNT_DATA must name the place")
+        raise ValueError(f"no recordings {folder}/<digit>/*.bin: --nmnist or $TNT_DATA must name the place")
     return [(digit, open_recording(path).read()) for digit, path in found]
 
 

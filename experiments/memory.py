@@ -1,9 +1,9 @@
 """Does memory grow during a long stream? Resident memory after the first million events and at the end.
 
-    python -m experiments.memory [--events 100000000] [--limit-mb 4] [--json]
+    python -m experiments.memory [--events 100000000] [--limit-mb 4]
 
 Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand), packets come as
-structured arrays, columns and single events. Exit code 1 if memory grew by more than the limit.
+structured arrays, columns and single events. Prints one JSON object. Exit code 1 if memory grew by more than the limit.
 """
 
 from __future__ import annotations
@@ -63,7 +63,6 @@ def main(argv: list[str] | None = None) -> int:
     parser = plain_parser("memory", __doc__)
     parser.add_argument("--events", type=int, default=100_000_000, metavar="N", help="(default: 100 million)")
     parser.add_argument("--limit-mb", type=float, default=4.0, metavar="MB", help="growth allowed (default: 4)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     args = parser.parse_args(argv)
     if args.events <= FIRST:
         parser.error(f"--events must be more than the first {FIRST:,}, got {args.events:,}")
@@ -101,13 +100,7 @@ def main(argv: list[str] | None = None) -> int:
         "grown_mb": round(grown_mb, 2),
         "limit_mb": args.limit_mb,
     }
-    if args.json:
-        print(json.dumps(result))
-    else:
-        print(
-            f"{n_events:,} events, {n_decisions:,} decisions in {result['seconds']} s; resident memory "
-            f"{first_mb:.1f} MB after the first million, {last_mb:.1f} MB at the end: {grown_mb:+.2f} MB"
-        )
+    print(json.dumps(result))
     return int(grown_mb > args.limit_mb)
 
 

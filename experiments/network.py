@@ -1,6 +1,6 @@
 """Events over loopback, from another process: how late are datagrams, are any lost, and what happens under overload?
 
-    python -m experiments.network [--seconds 60] [--rate 1000000] [--overload 10] [--pings 2000] [--json]
+    python -m experiments.network [--seconds 60] [--rate 1000000] [--overload 10] [--pings 2000]
 
 Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a `UdpSource`, and one whose
 `Processor` decides on each: from just before `send` to the bytes, the packet, or the decision in hand. The plain socket
@@ -14,8 +14,8 @@ Overload. The same at `--overload` times the rate, for a tenth of the seconds, t
 in datagrams that fit Ethernet, in the largest possible, and in small ones to a consumer that sleeps 20 ms after each
 packet and therefore must skip. The counters must add up to what was sent.
 
-Exit code 1 if under load a datagram is missing, or if the sender fell short of the rate by more than
-1 %; or if under overload the counters do not add up, or a decision was later than a second.
+Prints one JSON object. Exit code 1 if under load a datagram is missing, or if the sender fell short of the rate by more
+than 1 %; or if under overload the counters do not add up, or a decision was later than a second.
 """
 
 from __future__ import annotations
@@ -249,28 +249,6 @@ def wrong_with_overload(result: dict[str, Any]) -> list[str]:
     return wrong
 
 
-def text_of(result: dict[str, Any]) -> str:
-    """The report as text."""
-    lines = []
-    pings = result["latency_us"]
-    for way in WAYS:
-        lines.append(f"{way:>16}: {pings[way]['median']:6.0f} us median, {pings[way]['p99']:6.0f} us 99 %")
-    added = pings["packet_adds"]
-    lines.append(f"added by UdpSource: {added['median']:.0f} us median, {added['p99']:.0f} us 99 %")
-    for load in (result["load"], *result["overload"]):
-        sent, delay = load["sent"], load["delay_us"]
-        slow = f", to a consumer that sleeps {1e3 * load['slow_s']:.0f} ms a packet" if load["slow_s"] else ""
-        lines.append(
-            f"{load['rate_wanted']:,.0f} events/s wanted in datagrams of {load['datagram_events']}{slow}: "
-            f"{sent['events']:,} sent in {sent['seconds']:.1f} s ({sent['events_per_s']:,}/s), "
-            f"{load['received']['events']:,} received; datagrams missing {load['datagrams_missing']:,}, "
-            f"events skipped {load['events_skipped']:,}; "
-            f"{load['decisions']:,} decisions, {delay['median']:.0f} us late (median; 99 %: {delay['p99']:.0f}; "
-            f"max: {delay['max']:.0f}); {load['cpu_share']:.0%} of a core"
-        )
-    return "\n".join([*lines, *(f"WRONG: {what}" for what in result["wrong"])])
-
-
 def main(argv: list[str] | None = None) -> int:
     """Receive, decide, judge."""
     parser = plain_parser("network", __doc__)
@@ -281,7 +259,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--buffer-bytes", type=int, default=1 << 22, metavar="N", help="of the system, under load (default: 4 MiB)"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
     if args.task:
@@ -304,7 +281,9 @@ def main(argv: list[str] | None = None) -> int:
     result["wrong"] = wrong_with_load(result["load"])
     for overload in result["overload"]:
         result["wrong"] += wrong_with_overload(overload)
-    print(json.dumps(result) if args.json else text_of(result))
+    print(json.dumps(result))
+    for what in result["wrong"]:
+        print(f"WRONG: {what}", file=sys.stderr)
     return int(bool(result["wrong"]))
 
 

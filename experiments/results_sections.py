@@ -162,33 +162,25 @@ SECTIONS = (
         "experiments.peers --json experiments/results/peers.json",
         {
             streams.splat: "Beside the peers",
-            streams.large_packets: "Against a new window of one large packet",
             streams.volumes: "By the size of a packet (`experiments.volumes`)",
         },
     ),
     Section(
         "Memory",
         "",
-        "experiments.memory --json > experiments/results/memory.json",
+        "experiments.memory > experiments/results/memory.json",
         {streams.memory: "Growth of a long stream"},
     ),
     Section(
         "Cars",
         CARS,
-        "experiments.datasets cars N-CARS --json experiments/results/cars.json --picture docs/images/cars.png",
+        "experiments.cars N-CARS --json experiments/results/cars.json --picture docs/images/cars.png",
         {
             datasets.cars: "Accuracy on the test part by the time since the first event",
             datasets.cars_confidence: "What a level of confidence costs, looked at every 2 ms; *right of all*: windows "
             "that do not reach it are decided at their ends",
         },
         picture="cars",
-    ),
-    Section(
-        "Data sets without options",
-        "POKER-DVS has four suits with twelve recordings each to train on and five to test: this shows only that the "
-        "command works. N-MNIST's is not the official test part.",
-        "experiments.datasets nmnist N-MNIST --json experiments/results/nmnist.json",
-        {datasets.without_options: "What `async-tnt train` reached when it chose by the held-out recordings"},
     ),
     Section(
         "Which input",
@@ -255,7 +247,6 @@ SECTIONS = (
         "experiments.thesis_table --nmnist N-MNIST --simulated moving-mnist --rows motions",
         {
             thesis.resynthesis: "Accuracy",
-            thesis.resynthesis_worst: "The motion that each network knows least",
             thesis.resynthesis_match: "How well the recorded motion is matched",
         },
     ),
@@ -275,7 +266,7 @@ SECTIONS = (
         "Two processes, UDP on loopback, datagrams of 100 events, 1300 bytes. Latency from just before `send`; the "
         "plain socket's time is the system's. Delays count from the time an event was due at the sender. Received = "
         "pushed + skipped.",
-        "experiments.network --seconds 60 --json > experiments/results/network.json",
+        "experiments.network --seconds 60 > experiments/results/network.json",
         {
             streams.udp_machine: "Machine",
             streams.udp_latency: "Latency",

@@ -13,7 +13,6 @@ from typing import Any, NoReturn
 
 from async_tnt.checks import printable
 from async_tnt.files import check_writable, write_text
-from async_tnt.training.settings import PRECISIONS
 from async_tnt.views.figure_style import check_picture, save, styled
 from experiments.bench_interleaved import WorkDiffers
 
@@ -121,15 +120,6 @@ def _print_line(message: str) -> None:
 
 def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:
     parser.add_argument(option, type=Path, metavar="FOLDER", help=text)
-
-
-def add_precision(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--precision",
-        choices=PRECISIONS,
-        default="float32",
-        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
-    )
 
 
 def data_folder(given: Path | None, name: str, option: str, *, alternative: str = "") -> Path:

@@ -94,17 +94,6 @@ def volumes() -> str:
     return table(["", *("{} x {}".format(*v["grid"]) for v in grids)], rows)
 
 
-def large_packets() -> str:
-    """A new window's volume of one large packet: peers relative to async_tnt."""
-    large = [r for r in results("peers")["results"] if r["events_a_packet"] != 1300]
-    head = ["one packet", *("{} x {}, ".format(*r["grid"]) + f"{r['events_a_packet']:,} events" for r in large)]
-    rows = [
-        [f"{peer} / async_tnt", *(short(r["rows"][name]["times_ours_fresh"]) for r in large)]
-        for name, peer in PEERS.items()
-    ]
-    return table(head, rows)
-
-
 def splat() -> str:
     """Events into a volume, beside the peers: packets of 1300 and whole windows."""
     found = _by_packet()

@@ -58,13 +58,11 @@ class RealFolder:
     folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
     validation : share of the training recordings that is held out.
     per_digit : only the first `per_digit` recordings of each digit in each folder; None for all.
-    skip_damaged : leave damaged recordings out, with a warning each, instead of stopping.
     """
 
     folder: Path
     validation: float = 0.1
     per_digit: int | None = None
-    skip_damaged: bool = False
 
     @lru_cache(maxsize=1)  # noqa: B019  (frozen, and one is enough)
     def read(self) -> RealData:
@@ -75,10 +73,7 @@ class RealFolder:
         FileNotFoundError : a folder is missing.
         ValueError : a damaged file; the message names it.
         """
-        train, test = (
-            read_nmnist_folder(self.folder / name, per_digit=self.per_digit, skip_damaged=self.skip_damaged)
-            for name in ("Train", "Test")
-        )
+        train, test = (read_nmnist_folder(self.folder / name, per_digit=self.per_digit) for name in ("Train", "Test"))
         learned, held_out = split_recordings(train, self.validation, np.random.default_rng(VALIDATION_SEED))
         official = (len(train), len(test)) == OFFICIAL
         return RealData(

@@ -160,7 +160,6 @@ def _motions() -> Iterator[Row]:
     for name, title, config, motions, trained_on in (
         ("raw-motions", "raw + re-synthesis", INPUTS["raw"], MotionSettings(), ("all", "1")),
         ("running-motions", "`running` + re-synthesis", INPUTS["running"], MotionSettings(), ("all", "1")),
-        ("raw-shared", "raw + re-synthesis, shared path", INPUTS["raw"], MotionSettings(shared_path=True), ("1",)),
         ("raw-moved", "raw, re-synthesis only", INPUTS["raw"], MotionSettings(recorded=0.0), ("confounded",)),
         ("raw-confounded", "raw", INPUTS["raw"], None, ("confounded",)),
     ):
@@ -210,7 +209,6 @@ DIFFERENCES = (
     *((f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running", "regressor")),
     *((f"{name}-translated", "raw-translated") for name in ("window", *IMAGES)),
     ("running-motions", "raw-motions"),
-    ("raw-shared", "raw-motions"),
     ("raw-moved", "raw-confounded"),
 )
 """Pairs of rows whose difference in accuracy is looked at: (row, against)."""

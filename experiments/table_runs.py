@@ -158,8 +158,9 @@ def motions_of(
         return None
     training, held_out = (trained_on(windows, on) for windows in (data.training, data.held_out))
     motions = motions.for_epochs(settings.n_epochs(len(training)))
-    folder = folder / (f"motions-{on}-shared" if motions.shared_path else f"motions-{on}")
-    return resynthesize(training, held_out, config, motions, folder, workers=workers, progress=progress)
+    return resynthesize(
+        training, held_out, config, motions, folder / f"motions-{on}", workers=workers, progress=progress
+    )
 
 
 def _tests(name: str, data: RealData, simulated: dict[str, Path]) -> Iterator[tuple[str, Windows]]:

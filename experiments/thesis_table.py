@@ -17,7 +17,7 @@ from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
-from experiments.script_options import add_folder, add_precision, data_folder, exit_with, plain_parser
+from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 from experiments.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
 
 if TYPE_CHECKING:
@@ -71,11 +71,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "30 motions is first made in --out",
     )
     add_folder(data, "--mnist", "MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)")
-    data.add_argument(
-        "--skip-damaged",
-        action="store_true",
-        help="leave damaged recordings out, with a warning each, instead of stopping",
-    )
     what = parser.add_argument_group("what to train")
     what.add_argument(
         "--rows",
@@ -108,7 +103,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="steps of the optimizer for each network (default: each row's, see --list)",
     )
     how.add_argument("--batch", type=positive_int, default=64, metavar="N", help="windows per step (default: 64)")
-    add_precision(how)
     how.add_argument(
         "--workers",
         type=positive_int,
@@ -155,13 +149,13 @@ def main(argv: list[str] | None = None) -> int:
     per_digit = 8 if args.smoke else None
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     # now, so that a missing or damaged file shows before anything is trained
-    real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit, args.skip_damaged)
+    real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit)
     data = real.read()
     args.out.mkdir(parents=True, exist_ok=True)
     simulated = _by_name(args.simulated or [_simulate(args, args.out / "simulated")])
     descriptions = {name: _set_description(folder, data) for name, folder in simulated.items()}
     note(*_listed(runs, args.iterations))
-    settings = TrainSettings(iterations=args.iterations, batch=args.batch, precision=args.precision)
+    settings = TrainSettings(iterations=args.iterations, batch=args.batch)
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     started = time.monotonic()
     results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
@@ -171,7 +165,7 @@ def main(argv: list[str] | None = None) -> int:
             "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST",
             args,
             add_arguments,
-            leave_out=("json", "workers", "skip_damaged"),
+            leave_out=("json", "workers"),
         ),
         "data": {**data.description, "simulated": descriptions},
         "rows": {
@@ -184,7 +178,7 @@ def main(argv: list[str] | None = None) -> int:
             }
             for name in table
         },
-        "settings": {"batch": args.batch, "precision": args.precision},
+        "settings": {"batch": args.batch},
         "seeds": list(dict.fromkeys(run.seed for run in runs)),
         "machine": machine() | {"torch": version("torch")},
         "table": table,

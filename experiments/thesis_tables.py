@@ -139,18 +139,6 @@ def resynthesis() -> str:
     return markdown_table(_accuracies(), "motions")
 
 
-def resynthesis_worst() -> str:
-    """The motion of the simulated set that each network knows least, mean over seeds."""
-    rows = []
-    for name, columns in _accuracies().items():
-        for column in columns:
-            if name in ROWS and ROWS[name].group == "motions" and column.endswith("/sim"):
-                motions = {motion: part["mean"] for motion, part in columns[column]["per_motion"].items()}
-                worst = min(motions, key=lambda motion: motions[motion])
-                rows.append([ROWS[name].title, column, worst, short(motions[worst])])
-    return table(["", "", "worst motion", "accuracy"], rows)
-
-
 def resynthesis_match() -> str:
     """How well the recorded motion is matched, and how many paths were found."""
     motions = results("table")["rows"]["raw-motions"]["motions"]["1"]

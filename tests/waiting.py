@@ -1,8 +1,11 @@
-"""Wait for a sign from another thread, task or process, for as long as a busy machine may take."""
+"""Wait for a sign from another thread, task or process, for as long as a busy machine may take; read in both ways."""
 
+import asyncio
 import threading
 import time
 from contextlib import contextmanager
+
+import pytest
 
 PATIENCE_S = 600
 
@@ -23,3 +26,19 @@ def meanwhile(function, *args):
     yield thread
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
+
+
+def in_a_loop(source):
+    with source:
+        return list(source)
+
+
+def in_a_task(source):
+    async def run():
+        async with source:
+            return [packet async for packet in source]
+
+    return asyncio.run(run())
+
+
+in_both_ways = pytest.mark.parametrize("read", [in_a_loop, in_a_task])

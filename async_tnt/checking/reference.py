@@ -37,16 +37,6 @@ def reference_volume(
     return tnt_reference.tnt_volume(*columns, **(settings | _transform(config, landmark))).numpy()
 
 
-def reference_kept(
-    events: np.ndarray, config: TNTConfig, start_us: int, landmark: Landmark | None = None
-) -> np.ndarray:
-    """Which events the transform keeps: bool, shape (N,). `landmark` as for `reference_volume`."""
-    import tnt_reference
-
-    settings = _window(events, config, start_us) | _transform(config, landmark)
-    return tnt_reference.tnt_coordinates(*(events[field] for field in "txy"), **settings).kept.numpy()
-
-
 def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> Landmark:
     """The landmark of the newest event, in grid pixels; not for landmark "regressor"."""
     import tnt_reference

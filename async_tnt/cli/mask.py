@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,7 @@ of shape (height, width), True where a pixel is hot:
 
 A pixel is hot when it has --factor times more events than the 4th busiest of the 24 pixels around it and than the mean
 pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also if none is found: the mask
-then leaves nothing out. Without --out, an existing mask.npy is not overwritten.
+then leaves nothing out.
 """
 
 
@@ -44,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE",
-        help="the mask, a .npy file, overwritten if it exists (default: mask.npy, never overwritten)",
+        required=True,
+        help="the mask, a .npy file, overwritten if it exists",
     )
     parser.add_argument(
         "--sensor",
@@ -63,12 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    if args.out is None:
-        args.out = Path("mask.npy")
-        if os.path.lexists(args.out):
-            raise FileExistsError(
-                f"{args.out} exists already: --out {args.out} overwrites it, --out FILE writes another file"
-            )
     check_writable(args.out, (".npy",))
     counts = _count(args.files, args.sensor)
     n_events = int(counts.sum())

@@ -49,7 +49,6 @@ def calibrate(
     reconstruction: Reconstruction,
     windows: Sequence[Columns],
     seed: int,
-    known: Sequence[MotionPath | None] | None = None,
 ) -> Calibration:
     """Calibrate on some windows.
 
@@ -58,7 +57,6 @@ def calibrate(
     reconstruction : of windows of their sensor and length.
     windows : of recordings; a hundred are enough.
     seed : of the simulation.
-    known : the path of each window, where paths are shared.
 
     Raises
     ------
@@ -66,7 +64,7 @@ def calibrate(
     """
     model = reconstruction.model
     measured = measure_pixels(windows, model.sensor, model.window_us)
-    paths, images, recorded = _reconstruct(reconstruction, windows, measured, known)
+    paths, images, recorded = _reconstruct(reconstruction, windows, measured)
     target = describe(recorded, model.sensor)
     candidates = []
     for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
@@ -98,10 +96,9 @@ def _reconstruct(
     reconstruction: Reconstruction,
     windows: Sequence[Columns],
     pixels: MeasuredPixels,
-    known: Sequence[MotionPath | None] | None,
 ) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
     """Path, image and recorded events of those windows whose path is found."""
-    found = reconstruction(windows, pixels, known)
+    found = reconstruction(windows, pixels)
     moving = [(path, image, structured(one)) for (path, image), one in zip(found, windows, strict=True) if image]
     if not moving:
         raise ValueError(

@@ -93,17 +93,6 @@ class PathFinder:
             paths.append(self._path(one, positions, evidence, self._margin(scores), n))
         return paths
 
-    def find_shared(self, band: np.ndarray, n_events: Sequence[int]) -> MotionPath:
-        """The one path of N windows that all move alike; events, evidence and margin are those of all together."""
-        scores = self.scores(band).sum(0)
-        positions, evidence = self.refine(band, self.dictionary[int(scores.argmax())])
-        explained = float(np.mean([self.model.explained(one, positions) for one in band]))
-        return MotionPath(positions * self.model.cell, evidence, self._margin(scores), explained, sum(n_events))
-
-    def of_window(self, path: MotionPath, band: np.ndarray, n_events: int) -> MotionPath:
-        """A path that is known, with what it explains of one window, (F, K)."""
-        return self._path(band, path.positions / self.model.cell, path.evidence, path.margin, n_events)
-
     def scores(self, band: np.ndarray) -> np.ndarray:
         """Evidence of each path of the dictionary for each of N windows, (N, D)."""
         table, freedom = self._table

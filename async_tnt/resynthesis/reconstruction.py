@@ -114,13 +114,8 @@ class Reconstruction:
         self.model = MovingImage(sensor, window_us)
         self._finder = PathFinder(self.model)
 
-    def shared_path(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> MotionPath:
-        """The path of `windows` that all move alike, with measured `pixels`."""
-        band = np.concatenate([self.model.band_of(spectra) for _, spectra in self._batches(windows, pixels)])
-        return self._finder.find_shared(band, [len(t) for t, _, _, _ in windows])
-
     def __call__(
-        self, windows: Sequence[Columns], pixels: MeasuredPixels, known: Sequence[MotionPath | None] | None = None
+        self, windows: Sequence[Columns], pixels: MeasuredPixels
     ) -> Iterator[tuple[MotionPath, MovedImage | None]]:
         """Path of each window, and its image where the path may be relied on.
 
@@ -128,18 +123,11 @@ class Reconstruction:
         ----------
         windows : t, x, y, p of each.
         pixels : measured on recordings.
-        known : the path of each window, where it is known; the others are found from the window's own events alone.
         """
         for first, spectra in self._batches(windows, pixels):
             band = self.model.band_of(spectra)
             n_events = [len(t) for t, _, _, _ in windows[first : first + BATCH]]
-            given = [None] * len(band) if known is None else known[first : first + BATCH]
-            unknown = [i for i, path in enumerate(given) if path is None]
-            found = iter(self._finder.find(band[unknown], [n_events[i] for i in unknown]))
-            paths = [
-                next(found) if path is None else self._finder.of_window(path, one, n)
-                for path, one, n in zip(given, band, n_events, strict=True)
-            ]
+            paths = self._finder.find(band, n_events)
             moving = np.flatnonzero([path.found for path in paths])
             positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2) / self.model.cell
             images = dict(zip(moving, find_images(self.model, spectra[moving], positions), strict=True))

@@ -32,13 +32,11 @@ class MotionSettings:
     Parameters
     ----------
     variations : other motions of each window; epochs take turns.
-    shared_path : windows that start at the same time of their recordings moved alike, and share one path.
     recorded : share of the windows that an epoch shows as they were recorded.
     seed : of the motions and the simulation.
     """
 
     variations: int = 32
-    shared_path: bool = False
     recorded: float = 0.25
     seed: int = 0
 

@@ -27,7 +27,7 @@ from async_tnt.files import write_text
 from async_tnt.progress import Bar, no_progress
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
 from async_tnt.resynthesis.moving_image import N_FRAMES
-from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels, measure_pixels
+from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels
 from async_tnt.resynthesis.reconstruction import N_PICTURES, shares
 from async_tnt.training.moved_windows import (
     Motions,
@@ -42,8 +42,8 @@ from async_tnt.training.windows import Windows
 from async_tnt.views.figure_resynthesis import ResynthesizedWindow
 
 MANIFEST = "motions.json"
-N_CALIBRATION, N_SHARED = 128, 200
-"""Windows that pixels are calibrated on, and that a shared path is found from."""
+N_CALIBRATION = 128
+"""Windows that pixels are calibrated on."""
 MOST_WINDOWS, MOST_EVENTS = 500, 300_000
 """Of a file, as recorded: their variations are in memory together."""
 PARTS = ("training", "held-out")
@@ -100,11 +100,9 @@ def resynthesize(
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     if missing or not manifest.exists():
         reconstruction = Reconstruction(config.sensor, config.window_us)
-        shared = _shared_paths(training, reconstruction, settings)
         some = np.sort(np.random.default_rng(settings.seed).permutation(len(training))[:N_CALIBRATION])
         columns = [training.events(i, config.window_us) for i in some]
-        known = [shared.get(int(start)) for start in training.start_us[some]]
-        calibration = calibrate(reconstruction, columns, settings.seed, known)
+        calibration = calibrate(reconstruction, columns, settings.seed)
         content = {
             "made_from": made_from,
             "pixels": asdict(calibration.pixels),
@@ -112,7 +110,7 @@ def resynthesize(
             "match": calibration.match,
         }
         write_text(manifest, json.dumps(content, indent=1) + "\n")
-        job = partial(_move, config=config, calibration=calibration, shared=shared, masked=masked, seed=settings.seed)
+        job = partial(_move, config=config, calibration=calibration, masked=masked, seed=settings.seed)
         n_all, n_missing = (sum(len(chunk.windows) for chunk in some) for some in (chunks, missing))
         with (
             progress(n_all, "re-synthesizing motions", done=n_all - n_missing) as bar,
@@ -130,7 +128,6 @@ class _Chunk:
     part: str
     first: int
     windows: Windows
-    starts_us: np.ndarray
     window_us: int
     variations: int
     folder: Path
@@ -151,22 +148,8 @@ def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variat
     chunks = []
     for first in range(0, len(windows), step):
         some = windows[first : first + step]
-        chunks.append(_Chunk(part, first, some, some.start_us, config.window_us, variations, folder))
+        chunks.append(_Chunk(part, first, some, config.window_us, variations, folder))
     return chunks
-
-
-def _shared_paths(windows: Windows, reconstruction: Reconstruction, settings: MotionSettings) -> dict[int, MotionPath]:
-    """Start -> the path of the windows that start then; empty where each has its own."""
-    if not settings.shared_path:
-        return {}
-    rng = np.random.default_rng(settings.seed)
-    sensor, window_us = reconstruction.model.sensor, reconstruction.model.window_us
-    paths = {}
-    for start in np.unique(windows.start_us):
-        some = rng.permutation(np.flatnonzero(windows.start_us == start))[:N_SHARED]
-        columns = [windows.events(i, window_us) for i in some]
-        paths[int(start)] = reconstruction.shared_path(columns, measure_pixels(columns, sensor, window_us))
-    return paths
 
 
 def _move(
@@ -174,7 +157,6 @@ def _move(
     *,
     config: TNTConfig,
     calibration: Calibration,
-    shared: dict[int, MotionPath],
     masked: np.ndarray | None,
     seed: int,
 ) -> int:
@@ -182,10 +164,9 @@ def _move(
     windows = chunk.windows
     reconstruction = Reconstruction(config.sensor, config.window_us)
     columns = [windows.events(i, config.window_us) for i in range(len(windows))]
-    known = [shared.get(int(start)) for start in chunk.starts_us]
     moved: list[list[np.ndarray]] = [[np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)]
     paths = []
-    for i, (path, image) in enumerate(reconstruction(columns, calibration.pixels.measured, known)):
+    for i, (path, image) in enumerate(reconstruction(columns, calibration.pixels.measured)):
         paths.append(path)
         if image is None:
             continue

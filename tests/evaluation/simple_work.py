@@ -11,16 +11,6 @@ def twice(number):
     return 2 * number
 
 
-def n_events_of(path):
-    from async_tnt import open_recording
-
-    return open_recording(path).n_events
-
-
-def unpicklable(number):
-    return lambda: number
-
-
 class OddError(Exception):
     """It can be pickled but not unpickled."""
 

@@ -17,37 +17,25 @@ from async_tnt.evaluation.early import decision_at
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize(("workers", "number"), [(1, signal.SIGKILL), (2, signal.SIGTERM)], ids=str)
-def test_ended_in_the_middle_the_same_command_resumes(workers, number, samples, tmp_path, program):
+def test_ended_in_the_middle_the_same_command_resumes(samples, tmp_path, program):
     folder, out = shutil.copytree(samples, tmp_path / "set", copy_function=shutil.copy2), tmp_path / "r.jsonl"
     shutil.copy2(samples / "4" / "00.bin", folder / "9" / "zz.bin")  # evaluating it takes until the signal
     code = (
         "import sys; from evaluation.made_work import evaluate_or_sleep; from async_tnt.cli import evaluate, main\n"
         "evaluate.evaluate_recording = evaluate_or_sleep; sys.exit(main())"
     )
-    words = "evaluate", "digits", folder, "--json", "--out"
-    with started("-c", code, *words, out, "--workers", workers) as process:
+    words = "evaluate", "digits", folder, "--json"
+    with started("-c", code, *words, "--out", out, "--workers", 2) as process:
         until(lambda: process.poll() is not None or (out.exists() and out.read_bytes().count(b"\n") >= 20))
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         printed, message = process.communicate()
     assert printed == "" and out.read_bytes().count(b"\n") == 20
-    if number == signal.SIGKILL:
-        assert process.returncode == -number and "Traceback" not in message
-    else:
-        line = r"async-tnt: interrupted: (19|20) of 21 recordings are done; the same command resumes\n$"
-        assert process.returncode == 128 + number and re.search(line, message)  # the 20th may not be counted
-    code, printed, message = program(*words, out)
+    line = r"async-tnt: interrupted: (19|20) of 21 recordings are done; the same command resumes\n$"
+    assert process.returncode == 128 + signal.SIGTERM and re.search(line, message)  # the 20th may not be counted
+    code, printed, message = program(*words, "--out", out)
     assert code == 0 and f"{out}: 20 of 21 recordings are done, resuming" in message
-    assert printed == program(*words, tmp_path / "plain.jsonl")[1]
+    assert printed == program(*words, "--out", tmp_path / "plain.jsonl")[1] == program(*words)[1]
     assert out.read_bytes() == (tmp_path / "plain.jsonl").read_bytes()
-
-
-def test_evaluate_reports_the_same_with_a_file_and_without(samples, tmp_path, program):
-    lines = tmp_path / "r.jsonl"
-    places = ("--workers", 2), ("--out", lines), ("--out", lines)
-    words = "evaluate", "digits", samples
-    expected, *others = (json.loads(program(*words, "--json", *place)[1]) for place in ((), *places))
-    assert others == [expected] * len(places) and expected["recordings"] == 20
 
 
 def test_run_writes_the_decisions_that_run_prints(samples, tmp_path, program):
@@ -79,11 +67,6 @@ def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(s
     assert second.startswith("22 recordings streamed now, ")
     errors = {r["recording"]: r["error"] for r in map(json.loads, out.read_text().splitlines()) if r["error"]}
     assert errors.keys() == {str(torn), str(empty)} and "not a readable NumPy file" in errors[str(torn)]
-    words = "evaluate", "digits", folder, "--json", "--out", tmp_path / "e.jsonl"
-    code, printed, _ = program(*words)
-    report = json.loads(printed)
-    assert code == 0 and report["recordings"] == 20 and len(report["skipped"]) == 2
-    assert program(*words, "--strict")[0] == 2
     torn.unlink()
     shutil.copy(samples / "4" / "00.bin", empty)
     code, printed, message = program("run", folder, "--out", out)
@@ -108,15 +91,9 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     Model(model.config, model.weights, model.classes, {"other": "record"}).save(tmp_path / "m.safetensors")
     assert program(*words)[0] == 0  # the training record changes no decision
     weights = {**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(1)}
-    layers = [{**layer, "op": layer["op"].replace("average", "max")} for layer in model.layers["classifier"]]
-    for other in (
-        Model(model.config, weights, model.classes),
-        Model(model.config, model.weights, model.classes, network={"classifier": layers}),
-    ):
-        other.save(tmp_path / "m.safetensors")
-        code, _, message = program(*words)
-        assert code == 2 and "was made with another model, window, trigger, engine" in message
-        assert message.count("\n") == 1
+    Model(model.config, weights, model.classes).save(tmp_path / "m.safetensors")
+    code, _, message = program(*words)
+    assert code == 2 and "was made with another model, window, trigger, engine" in message
     assert program(*words, "--restart")[0] == 0
 
 

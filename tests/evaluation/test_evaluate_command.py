@@ -2,12 +2,16 @@
 
 import json
 
+import deciding
 import numpy as np
 import pytest
-from made import random_model
+from hypothesis import example, given
+from hypothesis import strategies as st
+from made import events_of, random_model
 from training.gestures import bar, write, write_set
 
 from async_tnt import Model, Processor, TNTConfig
+from async_tnt.evaluation.early import FiringProcessor
 from async_tnt.sources.files.recording import open_recording
 
 CLASSES = ("flat", "slanted", "upright")
@@ -40,43 +44,44 @@ def dataset(tmp_path_factory):
     return folder
 
 
-def windows_by_hand(dataset):
-    """(recording, label, start, events) of each window."""
+def decided_by_hand(model, start_us, events):
+    """A plain decision: by a new Processor without triggers."""
+    processor = Processor(model, start_us=start_us)
+    processor.push(events)
+    return processor.fire()
+
+
+@pytest.fixture(scope="module")
+def windows(model, dataset):
+    """(recording, label, start, events, decisions at each fiftieth that brought events) of each window."""
+    found = []
     for path in sorted(dataset.glob("Test/*/*")):
         events = open_recording(path).read()
-        since = events["t"] - events["t"][0]
-        for window in np.unique(since // 60_000):
-            yield (
-                path,
-                CLASSES.index(path.parent.name),
-                int(events["t"][0] + 60_000 * window),
-                events[since // 60_000 == window],
-            )
+        since = (events["t"] - events["t"][0]) // 60_000
+        for k in np.unique(since):
+            start_us, inside = int(events["t"][0] + 60_000 * k), events[since == k]
+            sizes = np.unique(np.searchsorted(inside["t"], start_us + 1_200 * np.arange(1, 51)))
+            decisions = [decided_by_hand(model, start_us, inside[:n]) for n in sizes if n > 0]
+            found.append((path, CLASSES.index(path.parent.name), start_us, inside, decisions))
+    return found
 
 
-def count_by_hand(model, dataset):
-    """Every number from plain decisions: a Processor for each window of each recording, and no triggers."""
-    by_recording, by_window = np.zeros((3, 3), int), np.zeros((3, 3), int)
-    right, decided, totals = np.zeros(10), np.zeros(10), {}
-    for path, label, start_us, inside in windows_by_hand(dataset):
-        for k in range(10):
-            processor = Processor(model, start_us=start_us)
-            processor.push(inside[inside["t"] < start_us + 6_000 * (k + 1)])
-            decision = processor.fire()
-            decided[k] += decision.events > 0
-            right[k] += decision.events > 0 and decision.index == label
-        totals[path, label] = totals.get((path, label), 0) + decision.probabilities
-        by_window[label, decision.index] += 1
-    for (_, label), total in totals.items():
-        by_recording[label, total.argmax()] += 1
-    return by_recording, by_window, right / by_window.sum(), decided / by_window.sum()
-
-
-def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, program):
+def test_the_numbers_are_those_of_an_independent_count(saved, dataset, windows, program):
     code, printed, err = program("evaluate", saved, dataset, "--json")
     report = json.loads(printed)
-    assert code == 0 and err == "" and report["classes"] == list(CLASSES)
-    by_recording, by_window, right, decided = count_by_hand(model, dataset)
+    assert (code, err) == (0, "")
+    by_recording, by_window, totals = np.zeros((3, 3), int), np.zeros((3, 3), int), {}
+    right, decided = np.zeros(10), np.zeros(10)
+    for path, label, start_us, _, decisions in windows:
+        for k in range(10):
+            for decision in [d for d in decisions if d.time_us < start_us + 6_000 * (k + 1)][-1:]:
+                decided[k] += 1 / len(windows)
+                right[k] += (decision.index == label) / len(windows)
+        totals[path, label] = totals.get((path, label), 0) + decisions[-1].probabilities
+        by_window[label, decisions[-1].index] += 1
+    for (_, label), total in totals.items():
+        by_recording[label, total.argmax()] += 1
+    assert report["classes"] == list(CLASSES)
     assert len(np.unique(by_window.argmax(1))) > 1 or (by_window > 0).sum() > 3  # decisions vary
     np.testing.assert_array_equal(report["confusion"], by_recording)
     np.testing.assert_array_equal(report["window_confusion"], by_window)
@@ -92,38 +97,18 @@ def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, pr
     assert report["events"] == 11 * 1500 and report["decisions"] >= report["windows"]
 
 
-def decide_by_hand(model, start_us, events):
-    """A window's decisions at each fiftieth of it that brought events."""
-    processor = Processor(model, start_us=start_us)
-    decisions, n = [], 0
-    for k in range(50):
-        until = int(np.searchsorted(events["t"], start_us + 1_200 * (k + 1)))
-        processor.push(events[n:until])
-        if until > n:
-            decisions.append(processor.fire())
-        n = until
-    return decisions
-
-
-def decide_first(model, start_us, events):
-    processor = Processor(model, start_us=start_us)
-    processor.push(events)
-    return processor.fire().index
-
-
-def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset, program):
+def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset, windows, program):
     report = json.loads(program("evaluate", saved, dataset, "--json")[1])
-    windows = [window[1:] for window in windows_by_hand(dataset)]
     rows = report["accuracy_against_events"]
     assert [row["events"] for row in rows] == [10, 20, 50, 100, 200, 500, 1000, 2000]  # none has 2,000
     for row in rows:
         n = row["events"]
-        right = [decide_first(model, start_us, events[:n]) == label for label, start_us, events in windows]
+        right = [decided_by_hand(model, start, events[:n]).index == label for _, label, start, events, _ in windows]
         assert row["accuracy"] == pytest.approx(np.mean(right))
-        assert row["reached"] == pytest.approx(np.mean([len(events) >= n for _, _, events in windows]))
+        assert row["reached"] == pytest.approx(np.mean([len(events) >= n for *_, events, _ in windows]))
     assert rows[0]["reached"] > 0 and rows[-1]["reached"] == 0
     assert len({row["accuracy"] for row in rows}) > 1
-    windows = [(label, decide_by_hand(model, start_us, events)) for label, start_us, events in windows]
+    windows = [(label, decisions) for _, label, *_, decisions in windows]
     assert [row["level"] for row in report["confidence"]] == [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
     for row in report["confidence"]:
         first = [(label, next((d for d in window if d.probability >= row["level"]), None)) for label, window in windows]
@@ -141,41 +126,34 @@ def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset
         assert (row["median_ms"], row["p90_ms"]) == pytest.approx((np.median(ms), np.quantile(ms, 0.9)))
     decided = [row["decided"] for row in report["confidence"]]
     assert decided[0] == 1 and decided[2] > 0 and decided[-1] == 0
-    at_tenths = [
-        (d.probability, d.index == label)
-        for label, window in windows
-        for moment in range(6_000, 66_000, 6_000)
-        for d in [d for d in window if d.time_us - d.window_start_us < moment][-1:]
-    ]
-    assert sum(row["decisions"] for row in report["calibration"]) == len(at_tenths)
-    error = 0.0
-    for row in report["calibration"]:
-        tenth = int(row["probability"] * 10)
-        some = [(p, right) for p, right in at_tenths if min(int(p * 10), 9) == tenth]
-        mean, share = np.mean([p for p, _ in some]), np.mean([right for _, right in some])
-        assert (row["decisions"], row["probability"], row["accuracy"]) == pytest.approx((len(some), mean, share))
-        error += len(some) / len(at_tenths) * abs(mean - share)
-    assert report["calibration_error"] == pytest.approx(error) and error > 0
 
 
-def test_windows_that_begin_at_the_same_moment_are_counted_apart(model, program, tmp_path):
+@given(
+    times=st.lists(st.integers(0, 5000), min_size=1, max_size=130).map(sorted),
+    cuts=st.lists(st.integers(0, 130), max_size=5),
+)
+@example(times=list(range(60)), cuts=[5, 33])
+def test_every_window_is_decided_after_so_many_events_however_the_stream_is_cut(times, cuts):
+    stream = FiringProcessor(Processor(deciding.CONFIG, classifier=deciding.total_and_size))
+    packets = np.split(events_of(*deciding.at(times)), sorted(cuts))
+    fired = [decision for packet in packets for decision in stream.push(packet) if decision.trigger == "fire"]
+    window = (np.array(times) - times[0]) // 1000
+    counts = [(k, count) for k in range(6) for count in (10, 20, 50, 100) if (window == k).sum() >= count]
+    assert [(d.window_start_us, d.events) for d in fired] == [(times[0] + 1000 * k, count) for k, count in counts]
+
+
+def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(model, program, tmp_path):
+    """Two may begin at the same moment."""
     of_events = Model(model.config.replace(window_events=10), model.weights, CLASSES)
     events = bar("flat", 0)[:200]
     events["t"][80:120] = events["t"][80]
     write(tmp_path / "set" / "Test" / "flat" / "a.npy", events)
-    printed = program("evaluate", of_events.save(tmp_path / "m.safetensors"), tmp_path / "set", "--json")[1]
-    report = json.loads(printed)
-    assert report["windows"] == report["decisions"] == 20
-
-
-def test_windows_of_events_have_no_accuracy_against_time(model, dataset, program, tmp_path):
-    of_events = Model(model.config.replace(window_events=700), model.weights, CLASSES)
-    words = "evaluate", of_events.save(tmp_path / "m.safetensors"), dataset
+    words = "evaluate", of_events.save(tmp_path / "m.safetensors"), tmp_path / "set"
     report = json.loads(program(*words, "--json")[1])
-    assert (report["windows"], report["decisions"]) == (33, 33)  # of 1,500 events
+    assert report["windows"] == report["decisions"] == 20
     assert all(report[name] == [] for name in ("accuracy_against_time", "accuracy_against_events", "confidence"))
-    code, printed, err = program(*words, "--picture", tmp_path / "c.png")
-    assert (code, err) == (0, "") and "33 windows" in printed and "ms into the window" not in printed
+    code, printed, err = program(*words)
+    assert (code, err) == (0, "") and "20 windows" in printed and "ms into the window" not in printed
 
 
 def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, dataset, program, tmp_path):
@@ -190,7 +168,6 @@ def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, datase
     axes = draw_confusion(np.array([[90, 10], [0, 2]]), ["left", "right"], "mine").axes[0]
     np.testing.assert_allclose(axes.images[0].get_array(), [[0.9, 0.1], [0, 1]])  # shares of the row
     assert [text.get_text() for text in axes.texts] == ["90", "10", "2"]
-    assert (axes.get_ylabel(), axes.get_xlabel()) == ("true", "decided")
 
 
 def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, program):

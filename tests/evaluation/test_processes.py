@@ -1,7 +1,6 @@
 """Every way to run many tasks: each task is done once, lost workers are replaced, and workers end with the program."""
 
 import contextlib
-import multiprocessing
 import os
 import socket
 import time
@@ -9,9 +8,8 @@ from pathlib import Path
 
 import pytest
 from evaluation.made_work import deadly, make_tasks, record_of
-from evaluation.simple_work import n_events_of, raise_odd, sleep_or_end, twice, unpicklable
+from evaluation.simple_work import raise_odd, sleep_or_end, twice
 from processes import started
-from sources.files.written import made_events, written
 from waiting import until
 
 from async_tnt.evaluation import processes as ways
@@ -42,18 +40,9 @@ def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, 
 
 
 def test_what_cannot_be_pickled_is_an_error():
-    with pytest.raises(Exception, match="pickle"):
-        list(run_all(unpicklable, [1, 2], 2))
     with pytest.raises(RuntimeError, match="OddError: 7, not 0") as raised:
         list(run_all(raise_odd, [7, 7], 2))
     assert "in raise_odd" in raised.value.__notes__[0]  # the worker's traceback
-
-
-def test_a_daemonic_process_has_workers(tmp_path):
-    """As those of torch's DataLoader are."""
-    path = written(tmp_path / "dsec.h5", made_events(50))
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.apply(n_events_of, [path]) == 50
 
 
 def is_running(pid):

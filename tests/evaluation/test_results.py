@@ -7,11 +7,9 @@ from functools import partial
 
 import pytest
 from evaluation.made_work import JOB, make_tasks, record_of
-from full_disk import TOO_LARGE, full_after
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from async_tnt.evaluation.job import Job
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.results import Progress, ResultFile, collect
 
@@ -119,18 +117,6 @@ def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished
     assert progress.gone == 2 and [r["recording"] for r in records] == sorted(NAMES[2:])
 
 
-def test_other_settings_are_refused_without_restart(finished, tasks, tmp_path):
-    other = make_tasks(tmp_path / "set", NAMES, Job("run", "digits", "compiled", {"every_us": 1}, "b" * 64))
-    before = finished.read_bytes()
-    expected = r"made with another model, .* or selection of pixels, settings \w{12} \(now \w{12}\)"
-    with pytest.raises(ValueError, match=f"was {expected}: give the same again"):
-        collected_to(finished, other)
-    assert finished.read_bytes() == before
-    collected_to(finished, tasks)
-    _, progress = collected_to(finished, other, restart=True)
-    assert progress.done == len(NAMES) and finished.read_bytes() != before
-
-
 def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp_path):
     unfinished = finished.with_stem("unfinished")
     with pytest.raises(Stopped):
@@ -164,16 +150,6 @@ def test_two_programs_at_once_are_refused(unfinished):
     with ResultFile(unfinished, JOB), pytest.raises(OSError, match=r"r\.\w+: another program is writing it"):
         ResultFile(unfinished, JOB)
     ResultFile(unfinished, JOB).close()
-
-
-@pytest.mark.skipif(os.name == "nt", reason="a limit of POSIX")
-def test_where_the_disk_is_full_the_error_names_the_file_and_whole_lines_stay(tasks, tmp_path):
-    out = tmp_path / "r.jsonl"
-    with full_after(1000), pytest.raises(OSError, match=rf"{TOO_LARGE}: '.*r\.jsonl'"):
-        collected_to(out, tasks)
-    with ResultFile(out, JOB) as file:
-        assert 0 < len(file.versions) < len(tasks)
-    assert [record["recording"] for record in collected_to(out, tasks)[0]] == sorted(NAMES)
 
 
 def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):

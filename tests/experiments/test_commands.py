@@ -17,9 +17,7 @@ import experiments
 from async_tnt import TNTConfig, load_model
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.sources.files.nmnist import write_nmnist
-from experiments import decisions, edges, peers
-from experiments import measure_touched as touched
-from experiments.bench_moments import bench_recordings, windows_of
+from experiments import decisions, edges
 from experiments.mnist import load_mnist
 from experiments.page_parts import RESULTS
 
@@ -36,14 +34,6 @@ def test_every_command_has_help_and_stands_in_the_list(name, capsys):
         importlib.import_module(f"experiments.{name}").main(["--help"])
     assert capsys.readouterr().out.startswith(f"usage: python -m experiments.{name} ")
     assert f"`python -m experiments.{name}" in (Path(experiments.__file__).parent / "README.md").read_text()
-
-
-def test_unequal_volumes_stop_the_comparison_of_peers(monkeypatch):
-    pytest.importorskip("torch", reason="torch is not installed")
-    right = peers.dsec_volume
-    monkeypatch.setattr(peers, "dsec_volume", lambda *columns: right(*columns) * 1.01)
-    with pytest.raises(RuntimeError, match=r"must make the same volume as ours .*'dsec_torch': 0\.01"):
-        peers.compare((34, 34), 1300, 1, rounds=1)
 
 
 @pytest.fixture(scope="module")
@@ -70,16 +60,6 @@ def test_the_recorded_run_was_a_full_one_of_this_script(quick):
     assert {k: recorded["settings"][k] for k in decisions.FULL} == decisions.FULL and not recorded["settings"]["quick"]
     assert recorded["left_out"] == {"network": {}, "end_to_end": {}}
     assert recorded["work"] == quick[0]["work"]
-
-
-def test_more_new_events_touch_more_and_the_whole_network_by_hand():
-    windows = [w for events in bench_recordings(DIGITS.config)[:3] for w in windows_of(events, DIGITS.config.window_us)]
-    found = touched.bench_touched(DIGITS, windows, moments=40)
-    multiplications = [found[n]["multiplications"] for n in ("1", "10", "100", "1300", "whole")]
-    assert multiplications == sorted(multiplications) and multiplications[0] < multiplications[-1] / 5
-    for n in ("1", "10", "100", "1300"):
-        assert 0 < found[n]["cells"] < found["whole"]["cells"] and 0 < found[n]["conv1"] < found["whole"]["conv1"]
-    assert multiplications[-1] == 4 * 289 * 9 * 9 * 16 + 4 * 64 * 9 * 16 * 32 + 64 * 32 * 64 + 64 * 10
 
 
 def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
@@ -120,12 +100,12 @@ def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
 
 def test_decisions_that_differ_from_the_dense_network_end_the_measurement(monkeypatch):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
-    from experiments import datasets
+    from experiments import cars
 
     model = random_model(TNTConfig(grid=(8, 8), sensor=(8, 8)), classes=2)
     recordings = [random_events(30, seed=k, duration_us=9_000, sensor=(8, 8)) for k in range(2)]
-    assert datasets._compare_with_dense(model, recordings) == 60
+    assert cars._compare_with_dense(model, recordings) == 60
     other = np.array([1, 2], np.float32)
-    monkeypatch.setattr(datasets, "CompiledClassifier", lambda model: lambda volume: other)
-    with pytest.raises(datasets.WorkDiffers, match="event 1 of a window"):
-        datasets._compare_with_dense(model, recordings)
+    monkeypatch.setattr(cars, "CompiledClassifier", lambda model: lambda volume: other)
+    with pytest.raises(cars.WorkDiffers, match="event 1 of a window"):
+        cars._compare_with_dense(model, recordings)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from async_tnt import CompiledClassifier, Decision, LeakyIntegrator, Processor, load_model
+from async_tnt import CompiledClassifier, Decision, Processor, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from experiments import measure_early as early
 
@@ -23,7 +23,6 @@ def decision(time_us, trigger, index=3, events=10):
 
 EVERY_20_MS, SURE, SURE_EVERY_MS = {"every_us": 20_000}, {"confidence": 0.9}, {"confidence": 0.9, "every_us": 1000}
 AT_EVENTS = [decision(1234, "every_events", 4), decision(1300, "every_events"), decision(9000, "end")]
-AT_ACTIVITY = [decision(1234, "activity", 4), decision(1300, "activity"), decision(9000, "end")]
 
 
 @pytest.mark.parametrize(
@@ -37,11 +36,9 @@ AT_ACTIVITY = [decision(1234, "activity", 4), decision(1300, "activity"), decisi
         (SURE_EVERY_MS, [decision(900, "every_us", 1), decision(104_000, "window")], True, 105.0, False, 2, 2),
         # alone it asks at every event, and once more at the end
         (SURE, [decision(31_234, "confidence", events=245)], True, 31.234, True, 245, 245),
-        (SURE, [decision(104_000, "window", 7, events=1400)], False, 105.0, False, 1401, 1401),
         (SURE, [decision(104_000, "end", 7, events=1400)], False, 105.0, False, 1401, 1401),
         # events count from their own time
         ({"every_events": 10}, AT_EVENTS, False, 1.234, True, 1, 3),
-        ({"activity": LeakyIntegrator(9, 100)}, AT_ACTIVITY, False, 1.234, True, 1, 3),
     ],
 )
 def test_the_early_decision_by_hand(settings, decisions, right, ms, by_trigger, until, evaluations):

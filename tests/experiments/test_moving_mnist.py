@@ -1,11 +1,8 @@
-"""N-MOVING-MNIST's command: what it writes and prints, its errors, and that it resumes when stopped at any moment."""
+"""N-MOVING-MNIST's command: what it writes and prints."""
 
 import json
-from pathlib import Path
 
 import pytest
-
-from experiments.moving_mnist_set import build
 
 ALONG = "ON - OFF centroid, along the motion"
 
@@ -44,26 +41,3 @@ def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simul
     one.rename(one.with_name("60024.bin"))  # numbered on from the training images, and shows another digit
     code, _, err = simulate("--digits", 8, "--out", out, "--motions", "bell", "--nmnist", nmnist)
     assert code == 2 and "60024.bin: MNIST's test image 24, which it should show, is another digit" in err
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--mnist", "nowhere"], "no folder nowhere; give --mnist FOLDER"),
-        (["--mnist", "damaged"], "t10k-images-idx3-ubyte.gz: damaged gzip file"),
-        (["--digits", "25"], "`digits` must be at most 24"),
-        (["--nmnist", "damaged"], "no N-MNIST recordings; expected"),
-        (["--out", "file"], "file is not a folder; expected a folder to write to"),
-        (["--out", "made", "--digits", "1"], "set.json: made with other parameters: kind is 'nmnist', requested 'cons"),
-    ],
-)
-def test_errors_are_one_line_and_exit_code_2(simulate, mnist, tmp_path, monkeypatch, options, message):
-    monkeypatch.chdir(tmp_path)
-    Path("file").touch()
-    Path("damaged").mkdir()
-    for path in mnist.glob("t10k*"):
-        Path("damaged", path.name).write_bytes(path.read_bytes()[:-20])
-    build(mnist, "made", digits=1, kind="nmnist", workers=1, frame_us=50_000.0)
-    code, printed, err = simulate(*options)
-    assert code == 2 and printed == "" and err.startswith("moving_mnist: ") and err.count("\n") == 1
-    assert message in err and not (tmp_path / "set").exists()

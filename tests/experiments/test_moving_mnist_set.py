@@ -5,7 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-from small_sets import idx_bytes
 
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.trajectories import ConstantVelocity
@@ -74,19 +73,13 @@ def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, mad
     assert kept == set(times) - {missing.name, cut.name, flipped.name, f"{missing.name}.part"}
 
 
-def test_a_set_of_other_parameters_shards_or_images_is_refused_and_left_alone(mnist, made, tmp_path):
-    """As when someone copies files between folders, or loses set.json."""
+def test_a_set_of_other_parameters_or_without_its_manifest_is_refused_and_left_alone(mnist, made, tmp_path):
     before = files_of(made.folder)
     with pytest.raises(ValueError, match=r"set\.json: made with other .*: seed is 0, requested 1\. Give the same, or "):
         build(mnist, made.folder, **QUICK | {"seed": 1})
     (tmp_path / made.shards[0].name).write_bytes(made.shards[0].read_bytes())
     with pytest.raises(ValueError, match=r"shards without set\.json, which says how they were made"):
         build(mnist, tmp_path, **QUICK | {"seed": 3})
-    other = shutil.copytree(mnist, tmp_path / "mnist")
-    images, _ = load_mnist(mnist, "test")
-    (other / "t10k-images-idx3-ubyte.gz").write_bytes(idx_bytes(255 - images))
-    with pytest.raises(ValueError, match="made with other parameters: mnist_sha256"):
-        build(other, made.folder, **QUICK)
     assert files_of(made.folder) == before
 
 
@@ -101,25 +94,10 @@ def test_open_set_gives_what_build_gave(made):
     assert 104_900 < max(int(shard.t.max()) for shard in made) < 105_000
 
 
-def test_an_incomplete_set_is_refused_with_the_command_to_resume(made, copied):
-    for path in made.shards[10:13]:
-        (copied / path.name).unlink()
-    command = f"python -m experiments.moving_mnist --mnist MNIST --out {copied} --split test "
-    command += "--motions constant --digits 5 --seed 0"
-    with pytest.raises(ValueError, match=f"3 of 90 shards are missing. Resume with: {command}"):
-        open_set(copied)
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda _: [],
-        lambda content: content | {"shards": ["../elsewhere", *content["shards"][1:]]},
-    ],
-)
-def test_a_damaged_manifest_is_refused_in_one_line(made, tmp_path, damage):
-    content = json.dumps(damage(json.loads((made.folder / "set.json").read_text())))
-    for text in (content, content[:-1]):
+def test_a_damaged_manifest_is_refused_in_one_line(made, tmp_path):
+    content = json.loads((made.folder / "set.json").read_text())
+    elsewhere = json.dumps(content | {"shards": ["../elsewhere", *content["shards"][1:]]})
+    for text in (elsewhere, elsewhere[:-1], "[]"):
         (tmp_path / "set.json").write_text(text)
         with pytest.raises(ValueError, match=r"set\.json: damaged, or not a set of this release: ") as caught:
             open_set(tmp_path)

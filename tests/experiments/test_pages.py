@@ -57,25 +57,6 @@ def test_a_difference_is_claimed_only_where_its_interval_does_not_hold_zero(low,
     assert thesis_tables.difference_in_words(found) == words
 
 
-def test_accuracies_in_sentences_are_those_of_the_table():
-    table = tables.results("table")["table"]
-    names = [f"{name}-translated" for name in ("raw", "running", "raw-unsigned", "running-unsigned", "line-unsigned")]
-    expected = [f"{table[name]['1/all']['mean']:.3f}" for name in (*names, "raw-motions")]
-    readme = (pages.ROOT / "README.md").read_text(encoding="utf-8")
-    sentence = readme.split("<!-- unseen_motion -->")[1].split("<!-- end -->")[0]
-    assert [f"0{number}" for number in re.findall(r"\.\d{3}", sentence) if number != ".397"] == expected
-
-
-def test_simulated_motions_are_tested_on_all_images():
-    for name in ("table", "table_sets"):
-        report = tables.results(name)
-        for columns in report["table"].values():
-            for column, part in columns.items():
-                about = report["data"]["simulated"].get(column.split("/")[1])
-                if about is not None:
-                    assert part["windows"] == about["motions"] * about["images_tested_on"], (name, column)
-
-
 def test_statements_of_the_results_page_hold():
     """Sentences that no table makes."""
     decisions, early = tables.results("decisions"), tables.results("early")

@@ -4,7 +4,7 @@ classes, with views and with results that nobody reads. Each can be made again f
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -71,21 +71,12 @@ class RandomModule(nn.Module):
         return values[-1]
 
 
-@dataclass
-class Recipe:
-    """A module, and which of the things that may be refused are in it."""
-
-    module: nn.Module
-    kinds: set[str] = field(default_factory=set)
-
-
 class _Builder:
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
         torch.manual_seed(seed)
         self.parts: list[nn.Module] = []
         self.steps: list[Step] = []
-        self.kinds: set[str] = set()
         self.wild = seed % 3 == 0  # a third of the modules: in place, hooks, own classes, shared and functional layers
         self.shapes = [SHAPE]
 
@@ -98,14 +89,11 @@ class _Builder:
     def part(self, module: nn.Module):
         """A call of a layer, kept in the module."""
         if self.chance(0.06):
-            self.kinds.add("hook")
             hook = self.pick(lambda m, i, o: o.clamp(max=2.0), lambda m, i, o: None)
             module.register_forward_hook(hook)
         elif self.chance(0.03):
-            self.kinds.add("hook")
             module.register_forward_pre_hook(lambda m, i: (i[0].clamp(-6, 6),))
         elif self.chance(0.02):
-            self.kinds.add("hook")  # a forward of its own, like a hook
             module.forward = lambda x, own=module.forward: own(x) * 1.5
         self.parts.append(module)
         return self.call(len(self.parts) - 1)
@@ -168,7 +156,6 @@ class _Builder:
                 lambda: lambda m, x: scale_(x),
             ]
         if self.chance(0.12):
-            self.kinds.add("own")
             choices = [
                 lambda: self.part(ReLU(inplace)),
                 lambda: self.part(Plain()),
@@ -181,8 +168,6 @@ class _Builder:
         groups = self.pick(1, 1, channels)
         filters = groups * self.pick(1, 2, 3)
         conv = self.pick(nn.Conv2d, nn.Conv2d, Conv2d if self.chance(0.1) else nn.Conv2d)
-        if conv is Conv2d:
-            self.kinds.add("own")
         kernel, stride = self.pick(1, 2, 3, (3, 2)), self.pick(1, 1, 2)
         padding = self.pick(0, 1, "same") if stride == 1 else self.pick(0, 1)
         ceil = self.pick(False, False, True)
@@ -274,7 +259,7 @@ def _imul(x, y):
     return x
 
 
-def random_module(seed: int) -> Recipe:
+def random_module(seed: int) -> RandomModule:
     """Volumes (1, *SHAPE) to logits (1, N_CLASSES), in most cases."""
     builder = _Builder(seed)
     for _ in range(builder.rng.integers(1, 8)):
@@ -302,4 +287,4 @@ def random_module(seed: int) -> Recipe:
             continue
         builder.add(run, source)
     builder.head()
-    return Recipe(RandomModule(builder.steps, builder.parts).eval(), builder.kinds)
+    return RandomModule(builder.steps, builder.parts).eval()

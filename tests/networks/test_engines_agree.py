@@ -10,7 +10,7 @@ from made import random_events, random_regressor_model
 from networks.cases import NETWORKS
 from networks.foreign import network
 
-from async_tnt import CompiledClassifier, TNTConfig
+from async_tnt import CompiledClassifier, load_model
 from async_tnt.networks import OnnxClassifier, TorchClassifier, to_onnx
 from async_tnt.networks.engines import choose_engine
 from async_tnt.networks.torch_modules import torch_classifier
@@ -19,25 +19,22 @@ from async_tnt.sources.files.recording import sample_recordings
 SAMPLES = [str(sample_recordings()[digit]) for digit in (3, 7)]
 
 
-def engines(model):
-    return CompiledClassifier(model), OnnxClassifier(to_onnx(model)), TorchClassifier(torch_classifier(model))
-
-
-def assert_same_logits(volume, compiled, *others):
-    expected = compiled(volume)
-    for engine in others:
-        logits = engine(volume)
-        assert logits.dtype == np.float32 and logits.shape == expected.shape
-        assert np.abs(logits - expected).max() <= 1e-4 * max(1.0, np.abs(expected).max())
-        assert logits.argmax() == expected.argmax()
-
-
 @pytest.mark.parametrize("tested", NETWORKS, ids=str)
 def test_logits_are_the_same(tested):
-    classifiers, volume = engines(tested.model()), tested.volume()
+    model, volume = tested.model(), tested.volume()
+    compiled, *others = (
+        CompiledClassifier(model),
+        OnnxClassifier(to_onnx(model)),
+        TorchClassifier(torch_classifier(model)),
+    )
     for packet in [None, *np.split(random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000), 3)]:
         volume.update(packet)
-        assert_same_logits(volume.array, *classifiers)
+        expected = compiled(volume.array)
+        for engine in others:
+            logits = engine(volume.array)
+            assert logits.dtype == np.float32 and logits.shape == expected.shape
+            assert np.abs(logits - expected).max() <= 1e-4 * max(1.0, np.abs(expected).max())
+            assert logits.argmax() == expected.argmax()
     assert volume.array.any()
 
 
@@ -45,14 +42,11 @@ def test_logits_are_the_same(tested):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A model with a landmark network, and what `async-tnt export` makes of the bundled one."""
-    from async_tnt.cli import main
-
-    folder = tmp_path_factory.mktemp("engines")
-    random_regressor_model(TNTConfig(landmark="regressor"), seed=2).save(folder / "m.safetensors")
-    assert main(["export", "digits", "--out", f"{folder}/digits.ONNX"]) == 0
-    return folder
+def exported(tmp_path_factory):
+    """What `async-tnt export` makes of the bundled model."""
+    path = tmp_path_factory.mktemp("engines") / "digits.ONNX"
+    path.write_bytes(to_onnx(load_model("digits")).SerializeToString())
+    return path
 
 
 def decisions(program, *words):
@@ -62,17 +56,21 @@ def decisions(program, *words):
     return [row | {"latency_us": None, "probability": None} for row in rows]
 
 
-@pytest.mark.parametrize("model, tolerance", [("digits", 1e-5), ("{}/m.safetensors", 1e-3)])
-def test_every_engine_decides_the_same(program, folder, model, tolerance):
-    model = model.format(folder)
-    expected = decisions(program, "--model", model)
-    exported = [(f"{folder}/digits.ONNX", "onnx")] if model == "digits" else []
-    for name, engine in ((model, "onnx"), (model, "torch"), *exported):
-        found = decisions(program, "--model", name, "--engine", engine)
-        assert len(found) == len(expected) > 20
+def test_every_engine_decides_the_same(program, exported, tmp_path):
+    """Also with a landmark network, which is always the compiled one."""
+    with_landmark = random_regressor_model(seed=2).save(tmp_path / "m.safetensors")
+    for model, of, engine in (
+        ("digits", "digits", "onnx"),
+        ("digits", "digits", "torch"),
+        (exported, "digits", "onnx"),
+        (with_landmark, with_landmark, "onnx"),
+        (with_landmark, with_landmark, "torch"),
+    ):
+        expected = decisions(program, "--model", of)
+        found = decisions(program, "--model", model, "--engine", engine)
+        assert len(expected) > 20
         for ours, theirs in zip(found, expected, strict=True):
-            probabilities = pytest.approx(theirs["probabilities"], abs=tolerance)
-            assert ours == theirs | {"probabilities": probabilities}
+            assert ours == theirs | {"probabilities": pytest.approx(theirs["probabilities"], abs=1e-3)}
 
 
 def assert_one_line(program, message, *words, command="run"):
@@ -80,8 +78,8 @@ def assert_one_line(program, message, *words, command="run"):
     assert (code, printed, error.count("\n")) == (2, "", 1) and error.startswith(f"async-tnt: {message}")
 
 
-def test_files_that_do_not_belong_here_give_one_line(program, folder, tmp_path):
-    m, foreign = folder / "digits.ONNX", tmp_path / "foreign.onnx"
+def test_files_that_do_not_belong_here_give_one_line(program, exported, tmp_path):
+    m, foreign = exported, tmp_path / "foreign.onnx"
     foreign.write_bytes(network())
     no_config = f"{foreign}: an ONNX network without a configuration of this package, "
     assert_one_line(program, no_config, "--model", foreign)
@@ -100,7 +98,7 @@ def test_files_that_do_not_belong_here_give_one_line(program, folder, tmp_path):
         ("torch", "torch", "engine torch runs the reference network, which needs torch"),
     ],
 )
-def test_missing_packages_give_one_line(missing, engine, message, monkeypatch, program, folder):
+def test_missing_packages_give_one_line(missing, engine, message, monkeypatch, program, exported):
     for name in list(sys.modules):
         if name.startswith(("async_tnt.training", "async_tnt.checking.reference")):
             monkeypatch.delitem(sys.modules, name)
@@ -109,4 +107,4 @@ def test_missing_packages_give_one_line(missing, engine, message, monkeypatch, p
     assert (code, out) == (2, "")
     assert re.fullmatch(rf"async-tnt: {message}: pip install 'async_tnt\[\w+\]' \(.*\)\n", error)
     if missing == "onnx":  # which writes; onnxruntime runs
-        assert program("run", SAMPLES[0], "--model", folder / "digits.ONNX")[0] == 0
+        assert program("run", SAMPLES[0], "--model", exported)[0] == 0

@@ -93,14 +93,10 @@ LOUD = 7, 7  # an event here overflows; elsewhere events hardly count
 
 
 def overflowing(**settings) -> list[Processor]:
-    """A place of the image has weights of 1e38, which an event there makes infinite; on both paths."""
-    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(2, 2, 3)).weights.items()}
-    weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
-    weights["fc1.weight"][:2, 3] = 1e38  # of filter 0 the lower right
-    weights["fc1.weight"][2, 0] = 1  # the upper left
-    weights["fc2.weight"][0] = [1e38, 0, 0]
-    weights["fc2.weight"][1, 2] = 0.01
-    weights["fc2.bias"][:] = 0.1, 0.2
+    """An event at the lower right makes a logit infinite; on both paths."""
+    weights = dict(by_hand().weights)
+    weights["fc1.weight"] = np.array([[0.001, 0, 0, 3e38]])
+    weights["fc2.weight"] = np.array([[20], [-1]])
     model = Model(CONFIG, weights, ("a", "b"))
     general = Processor(CONFIG, classifier=CompiledClassifier(model).__call__, classes=["a", "b"], **settings)
     return [Processor(model, **settings), general]

@@ -2,54 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from made import random_events
 from networks.cases import NETWORKS
-from networks.random_networks import CONFIG, random_models
 
-from async_tnt import CompiledClassifier, TNTVolume
-from async_tnt.networks.graph import VOLUME
+from async_tnt import CompiledClassifier
 
 RAW = NETWORKS[8]
-
-
-def reached(before: np.ndarray, after: np.ndarray, layer) -> int:
-    """How many places of a convolution or pooling see a place that differs; maps (H, W, C)."""
-    top, left, bottom, right = layer["padding"]
-    differs = np.pad((before != after).any(axis=2), ((top, bottom), (left, right)))
-    (kernel_y, kernel_x), (stride_y, stride_x) = layer["kernel"], layer["stride"]
-    dilation_y, dilation_x = layer.get("dilation", (1, 1))
-    rows = (differs.shape[0] - (kernel_y - 1) * dilation_y - 1) // stride_y + 1
-    columns = (differs.shape[1] - (kernel_x - 1) * dilation_x - 1) // stride_x + 1
-    seen = np.zeros((rows, columns), bool)
-    for i, j in np.ndindex(kernel_y, kernel_x):
-        y, x = i * dilation_y, j * dilation_x
-        seen |= differs[y : y + stride_y * rows : stride_y, x : x + stride_x * columns : stride_x][:rows, :columns]
-    return int(seen.sum())
-
-
-@given(random_models(), st.integers(0, 1000), st.sampled_from([1, 2, 5, 30]))
-def test_the_first_layer_computes_what_the_changed_cells_reach(model, seed, n):
-    """At most 1.5 times that: where three quarters of the places have changed, all are computed."""
-    first = model.layers["classifier"][0]
-    if "kernel" not in first or first["inputs"] != [VOLUME]:
-        return
-    network, volume = CompiledClassifier(model), TNTVolume(model.config)
-    if network.work[0][0].layer != first["name"]:
-        return  # no layer reads it
-    events = random_events(40 + n, seed=seed, duration_us=900, sensor=CONFIG.sensor)
-    volume.open(0)
-    volume.update(events[:40])
-    network.refresh(volume)
-    before = volume.array.copy()
-    volume.update(events[40:])
-    network.refresh(volume)
-    computed = [n for step, n in network.work if step.layer == first["name"]][-1]
-    n_reached = reached(before.transpose(1, 2, 0), volume.array.transpose(1, 2, 0), first)
-    assert computed <= 1.5 * n_reached
 
 
 def test_one_event_in_the_thesis_network():

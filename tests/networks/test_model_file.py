@@ -15,7 +15,6 @@ from hypothesis import given
 from networks.random_networks import random_models
 from networks.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_file
 from safetensors import safe_open
-from safetensors.numpy import load_file
 
 from async_tnt import CompiledClassifier, Model, bundled_models, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
@@ -32,14 +31,24 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
         assert CompiledClassifier(loaded)(volume).tobytes() == CompiledClassifier(model)(volume).tobytes()
 
 
-def test_extreme_weights_names_and_records_come_back(tmp_path):
+def test_extreme_weights_names_and_records_come_back_from_a_plain_safetensors_file(tmp_path):
     special = np.array([np.finfo("f4").max, np.finfo("f4").tiny, 1e-45, -0.0], np.float32)
     record = {"data": "N-MNIST", "Genauigkeit": [0.5, 1, None, True], "nested": {"猫": "\n\"'\\\0"}}
     assert Model(SMALL, changed(), [0, 1, 2]).classes == ("0", "1", "2")
     model = Model(SMALL, changed(fc1__bias=special), ["Ölbaum", "", "猫 🐈"], record)
     assert model.classes == ("Ölbaum", "", "猫 🐈")
-    assert_same(load_model(model.save(tmp_path / "ein Modell.safetensors")), model)
-    pytest.importorskip("onnx")
+    assert repr(model) == "Model(3 classes, 9x8 -> 2x6x5, 2 conv, 2 dense, 126 weights)"
+    path = model.save(tmp_path / "ein Modell")
+    assert path == tmp_path / "ein Modell" and os.listdir(tmp_path) == ["ein Modell"]
+    assert_same(load_model(path), model)
+    with safe_open(path, "numpy") as file:
+        assert {name: file.get_tensor(name).tobytes() for name in file.keys()} == {  # noqa: SIM118
+            name: w.tobytes() for name, w in model.weights.items()
+        }
+        metadata = file.metadata()
+    assert metadata.keys() == {"format", "config", "classes", "record", "network", "sha256"}
+    parts = [json.loads(metadata[name]) for name in ("config", "classes", "record")]
+    assert parts == [SMALL.to_dict(), list(model.classes), record]
     exported = OnnxClassifier(to_onnx(model)).exported
     assert (exported.config, exported.classes, exported.record) == (SMALL, model.classes, record)
 
@@ -56,20 +65,6 @@ def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
         np.testing.assert_array_equal(values, weights[name])
 
 
-def test_the_file_is_plain_safetensors(tmp_path):
-    model = small_model()
-    path = model.save(tmp_path / "m")
-    assert path == tmp_path / "m" and os.listdir(tmp_path) == ["m"]
-    arrays = load_file(path)
-    assert {name: w.tobytes() for name, w in arrays.items()} == {name: w.tobytes() for name, w in model.weights.items()}
-    assert repr(model) == "Model(3 classes, 9x8 -> 2x6x5, 2 conv, 2 dense, 126 weights)"
-    with safe_open(path, "numpy") as file:
-        metadata = file.metadata()
-    assert metadata.keys() == {"format", "config", "classes", "record", "network", "sha256"}
-    parts = [json.loads(metadata[name]) for name in ("config", "classes", "record")]
-    assert parts == [SMALL.to_dict(), list(model.classes), {"made": True}]
-
-
 def test_what_cannot_be_saved_leaves_nothing(tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(OSError, match="folder"):
@@ -79,22 +74,15 @@ def test_what_cannot_be_saved_leaves_nothing(tmp_path):
     assert os.listdir(tmp_path) == ["folder"] and os.listdir(tmp_path / "folder") == []
 
 
-@pytest.mark.parametrize("name", ["nonsense", "", "no\0name"])
-def test_an_unknown_name_lists_the_bundled_ones(name, tmp_path, monkeypatch):
+def test_what_is_no_model_file_lists_the_bundled_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert list(bundled_models()) == sorted(set(bundled_models())) and load_model("digits").classes[3] == "3"
-    names = ", ".join(bundled_models())
-    message = rf"^no model file {re.escape(str(Path(name)))}, and no bundled model of that name \(bundled: {names}\)$"
-    with pytest.raises(FileNotFoundError, match=message):
-        load_model(name)
-
-
-def test_only_a_regular_file_is_a_model(tmp_path):
-    os.mkfifo(tmp_path / "fifo")
-    (tmp_path / "link").symlink_to(tmp_path / "fifo")
-    for path in (tmp_path, tmp_path / "fifo", tmp_path / "link", "/dev/zero", "/dev/null"):
-        with pytest.raises(FileNotFoundError, match=f"^no model file {path}, "):
-            load_model(path)
+    os.mkfifo("fifo")
+    Path("link").symlink_to("fifo")
+    known = f"and no bundled model of that name (bundled: {', '.join(bundled_models())})"
+    for name in ("nonsense", "", "no\0name", tmp_path, "fifo", "link", "/dev/zero", "/dev/null"):
+        with pytest.raises(FileNotFoundError, match=f"^{re.escape(f'no model file {Path(name)}, {known}')}$"):
+            load_model(name)
 
 
 SHAPES = {name: w.shape for name, w in small_model(config=WITH_REGRESSOR).weights.items()}
@@ -110,24 +98,19 @@ def assert_refused(message, path, weights, config=WITH_REGRESSOR):
         load_model(path)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_each_array_has_its_shape(name, tmp_path):
+@pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])  # beyond float32
+def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
     """One side more, one axis more, one axis less, empty: of the layer itself, or of the next one, which reads it."""
-    shape = SHAPES[name]
+    shape, path = SHAPES[name], tmp_path / "m"
     wrong = [(*shape[:k], shape[k] + 1, *shape[k + 1 :]) for k in range(len(shape))]
     for other in [*wrong, (*shape, 1), shape[:-1], (0, *shape[1:])]:
         message = r"layer '\w+' \((conv|dense)\): .*"
         if (name, other) == ("regressor.heatmap.weight", (2, 7, 1, 1)):
             message = r"layer 'landmark' \(heatmap_centroid\): its input must be a heatmap \(1, H, W\), got \(2, 6, 5\)"
-        assert_refused(message, tmp_path / "m", changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
-
-
-@pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])  # beyond float32
-def test_each_array_is_finite(name, value, tmp_path):
-    values = np.zeros(SHAPES[name])
+        assert_refused(message, path, changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
+    values = np.zeros(shape)
     values.flat[-1] = value
-    weights = changed(WITH_REGRESSOR, **{name: values})
-    assert_refused(f"`{name}` must be finite numbers", tmp_path / "m", weights)
+    assert_refused(f"`{name}` must be finite numbers", path, changed(WITH_REGRESSOR, **{name: values}))
 
 
 def test_exactly_the_arrays_of_the_network(tmp_path):
@@ -144,21 +127,21 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
     assert small_model(config=WITH_REGRESSOR.replace(transform="none")).weights.keys() == plain.keys()
 
 
-NAMES = "`classes` must be a tuple or list of names, got "
-
-
 @pytest.mark.parametrize(
-    "classes, record, error, message",
+    "changes, error, message",
     [
-        (("a", "b"), {}, ValueError, "the network must compute 2 logits, one for each class, got (3,)"),
-        ((), {}, ValueError, "`classes` must hold at least one name"),
-        (("a", "b", "a"), {}, ValueError, "`classes` must have different names, got ('a', 'b', 'a')"),
-        ("abc", {}, TypeError, NAMES + "'abc'"),
-        (CLASSES, None, TypeError, "`record` must be a mapping, got None"),
+        ({"classes": ("a", "b")}, ValueError, "the network must compute 2 logits, one for each class, got (3,)"),
+        ({"classes": ()}, ValueError, "`classes` must hold at least one name"),
+        ({"classes": ("a", "b", "a")}, ValueError, "`classes` must have different names, got ('a', 'b', 'a')"),
+        ({"classes": "abc"}, TypeError, "`classes` must be a tuple or list of names, got 'abc'"),
+        ({"record": None}, TypeError, "`record` must be a mapping, got None"),
+        (
+            {"weights": changed(fc1__bias=np.zeros(4, complex))},
+            TypeError,
+            "`fc1.bias` must be an array of numbers, ",
+        ),
     ],
 )
-def test_wrong_classes_and_records(classes, record, error, message):
-    with pytest.raises(error, match=f"^{re.escape(message)}$"):
-        Model(SMALL, changed(), classes, record)
-    with pytest.raises(TypeError, match=r"^`fc1.bias` must be an array of numbers, got complex128$"):
-        Model(SMALL, changed(fc1__bias=np.zeros(4, complex)), CLASSES)
+def test_wrong_classes_records_and_weights(changes, error, message):
+    with pytest.raises(error, match=f"^{re.escape(message)}"):
+        Model(**{"config": SMALL, "weights": changed(), "classes": CLASSES, **changes})

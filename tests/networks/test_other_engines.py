@@ -51,20 +51,6 @@ def test_any_form_of_a_network_takes_any_float_volume_and_its_answers_share_no_m
         assert not np.array_equal(net(2 * VOLUME), kept) and np.array_equal(first, kept)
 
 
-# -- ONNX -------------------------------------------------------------------------------------------------
-
-
-def test_what_is_no_network_or_no_volume_of_it(tmp_path):
-    with pytest.raises(TypeError, match=r"`path_or_bytes` must be a path, bytes or an onnx\.ModelProto, got int"):
-        OnnxClassifier(5)
-    with pytest.raises(FileNotFoundError, match=r"^no file .*nothing\.onnx$"):
-        OnnxClassifier(tmp_path / "nothing.onnx")
-    with pytest.raises(ValueError, match=f"^{re.escape(str(tmp_path))} is not a readable ONNX network: "):
-        OnnxClassifier(tmp_path)
-    with pytest.raises(ValueError, match=r"^`volume` must have shape \(2, 6, 5\), got \(1, 2, 6, 5\)$"):
-        OnnxClassifier(network())(VOLUME[None])
-
-
 def test_sides_left_open_need_a_shape():
     pool = [node("GlobalAveragePool", ["image"], ["scores"])]
     content = network(pool, inputs=[("image", (1, 2, "height", "width"))], outputs=[("scores", (1, 2, 1, 1))])
@@ -80,35 +66,29 @@ def test_sides_left_open_need_a_shape():
             OnnxClassifier(content, shape=shape)
 
 
-RELU = [node("Relu", ["image"], ["scores"])]
+MAPS = (1, 2, 6, 5)
 TWO_INPUTS = [node("Flatten", ["a"], ["fa"]), node("Flatten", ["b"], ["fb"]), node("Add", ["fa", "fb"], ["scores"])]
 TWO_OUTPUTS = [node("Relu", ["image"], ["one"]), node("Abs", ["image"], ["two"])]
-MAPS = (1, 2, 6, 5)
-WRONG = {
-    "two inputs": (
+WRONG = [
+    (
         network(TWO_INPUTS, inputs=[("a", MAPS), ("b", MAPS)], outputs=[("scores", (1, 60))]),
         "must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of them; "
         "got 'a' tensor(float) (1, 2, 6, 5), 'b' tensor(float) (1, 2, 6, 5)",
     ),
-    "two outputs": (
+    (
         network(TWO_OUTPUTS, outputs=[("one", MAPS), ("two", MAPS)]),
         "must have one output, logits (1, n_classes), tensor(float); got 'one' tensor(float) (1, 2, 6, 5), 'two' ",
     ),
-    "a batch of 8": (
-        network(inputs=[("image", (8, 2, 6, 5))], outputs=[("scores", (8, 3))]),
-        "got 'image' tensor(float) (8, 2, 6, 5)",
-    ),
-    "float64": (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
-    "a map": (
-        network(RELU, outputs=[("scores", MAPS)]),
+    (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
+    (
+        network([node("Relu", ["image"], ["scores"])], outputs=[("scores", MAPS)]),
         "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)",
     ),
-}
+]
 
 
-@pytest.mark.parametrize("what", WRONG)
-def test_a_network_that_is_not_a_classifier_of_volumes(what, tmp_path, capfd):
-    content, message = WRONG[what]
+@pytest.mark.parametrize("content, message", WRONG, ids=["two inputs", "two outputs", "float64", "a map"])
+def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_path, capfd):
     path = tmp_path / "{what} 100%.onnx"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=rf"^{re.escape(str(path))}: the network('s)? .*{re.escape(message)}"):
@@ -118,10 +98,31 @@ def test_a_network_that_is_not_a_classifier_of_volumes(what, tmp_path, capfd):
     assert capfd.readouterr() == ("", "")  # onnxruntime prints nothing by itself
 
 
-def test_threads_reach_onnxruntime():
-    options = OnnxClassifier(network(), threads=3)._session.get_session_options()
-    assert (options.intra_op_num_threads, options.inter_op_num_threads) == (3, 3)
-    assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+@pytest.mark.parametrize(
+    "call, error, message",
+    [
+        (lambda: OnnxClassifier(5), TypeError, "`path_or_bytes` must be a path, bytes or an onnx.ModelProto, got int"),
+        (lambda: OnnxClassifier("no.onnx"), FileNotFoundError, "no file no.onnx"),
+        (lambda: OnnxClassifier("."), ValueError, ". is not a readable ONNX network: "),
+        (lambda: OnnxClassifier(network())(VOLUME[None]), ValueError, "`volume` must have shape (2, 6, 5), got (1, 2"),
+        (lambda: OnnxClassifier(network(), threads=0), ValueError, "`threads` must be at least 1, got 0"),
+        (lambda: TorchClassifier(len, threads=0), ValueError, "`threads` must be at least 1, got 0"),
+        (lambda: TorchClassifier(5), TypeError, "`module` must be callable, got int"),
+        (
+            lambda: TorchClassifier(lambda v: v)(VOLUME),
+            ValueError,
+            "the module must return logits (1, n_classes), ",
+        ),
+        (
+            lambda: TorchClassifier(lambda v: (v, 1))(VOLUME),
+            TypeError,
+            "the module must return a tensor of logits, ",
+        ),
+    ],
+)
+def test_what_is_no_network_no_volume_and_no_logits(call, error, message):
+    with pytest.raises(error, match=f"^{re.escape(message)}"):
+        call()
 
 
 def test_copies_and_pickles_open_the_network_again(tmp_path):
@@ -134,64 +135,32 @@ def test_copies_and_pickles_open_the_network_again(tmp_path):
             assert (duplicate.threads, duplicate.config, duplicate.classes) == (2, net.config, net.classes)
 
 
-# -- torch ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_bare_module_as_a_classifier_says_how_it_is_passed():
-    """One that takes arrays is fine as it is."""
-
-    class OfArrays(torch.nn.Module):
-        def forward(self, volume):
-            return MODULE(torch.tensor(volume)[None]).detach()
-
     for bare in (MODULE, torch.jit.trace(MODULE, torch.zeros(1, 2, 6, 5))):
         message = r"a torch module is wrapped, TorchClassifier\(module\), or compiled"
         with pytest.raises(TypeError, match=message) as raised:
             Processor(CONFIG, classifier=bare).fire()
         assert raised.value.__cause__ is not None and "\n" not in str(raised.value)
-    assert Processor(CONFIG, classifier=OfArrays()).fire().logits.shape == (3,)
 
 
-def test_eval_and_inference_mode():
-    seen = []
+def test_a_module_runs_in_eval_and_inference_mode_on_a_volume_of_its_own():
+    """It may work in place, and keep its input."""
+    seen, kept = [], []
 
-    class Watching(torch.nn.Module):
+    class Greedy(torch.nn.Module):
         def forward(self, volume):
             seen.append((self.training, torch.is_inference_mode_enabled(), tuple(volume.shape), volume.dtype))
-            return volume.sum().reshape(1, 1)
+            kept.append(volume)
+            return volume.mul_(-1).flatten(1)[:, :3]
 
-    net = torch.nn.Sequential(Watching(), torch.nn.Dropout(0.9)).train()
-    assert np.isclose(TorchClassifier(net)(VOLUME), VOLUME.sum(), atol=1e-4).all()
-    assert seen == [(False, True, (1, 2, 6, 5), torch.float32)] and not net.training
-    assert not torch.is_inference_mode_enabled()
-
-
-def test_a_module_that_works_in_place_or_keeps_its_input_does_not_touch_the_window():
-    kept = []
-
-    def greedy(volume):
-        kept.append(volume)
-        return volume.mul_(-1).flatten(1)[:, :3]
-
-    processor = Processor(CONFIG, classifier=TorchClassifier(greedy))
-    processor.push(random_events(300, sensor=(5, 6), duration_us=900))
-    before = processor.volume().copy()
-    processor.fire()
-    assert before.any() and np.array_equal(processor.volume(), before)
-    first = kept[0].clone()
-    processor.push(random_events(300, sensor=(5, 6), duration_us=900, start_us=90, seed=1))
-    processor.fire()
-    assert torch.equal(kept[0], first) and not torch.equal(kept[1], first)
-
-
-def test_wrong_answers_and_settings():
-    for call, error, message in (
-        (lambda: TorchClassifier(lambda v: v)(VOLUME), ValueError, r"must return logits \(1, n_classes\), got shape"),
-        (lambda: TorchClassifier(lambda v: (v, 1))(VOLUME), TypeError, "must return a tensor of logits, got tuple"),
-        (lambda: TorchClassifier(len, threads=0), ValueError, r"^`threads` must be at least 1, got 0$"),
-        (lambda: OnnxClassifier(network(), threads=0), ValueError, r"^`threads` must be at least 1, got 0$"),
-        (lambda: TorchClassifier(5), TypeError, r"^`module` must be callable, got int$"),
-    ):
-        with pytest.raises(error, match=message):
-            call()
+    module = torch.nn.Sequential(Greedy(), torch.nn.Dropout(0.9)).train()
+    processor = Processor(CONFIG, classifier=TorchClassifier(module))
+    for start_us in (0, 90):
+        processor.push(random_events(300, seed=start_us, sensor=(5, 6), duration_us=900, start_us=start_us))
+        before = processor.volume().copy()
+        assert np.array_equal(processor.fire().logits, -before.ravel()[:3])
+        assert before.any() and np.array_equal(processor.volume(), before)
+        assert torch.equal(kept[-1][0], torch.tensor(-before))
+    assert seen == [(False, True, (1, 2, 6, 5), torch.float32)] * 2 and not module.training
+    assert not torch.equal(*kept) and not torch.is_inference_mode_enabled()

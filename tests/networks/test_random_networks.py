@@ -48,7 +48,7 @@ def test_a_module_that_is_accepted_is_right():
     assert OF_MODULES.shape == random_modules.SHAPE
     accepted, classes = 0, [str(k) for k in range(random_modules.N_CLASSES)]
     for seed in range(CASES):
-        module = random_modules.random_module(seed).module
+        module = random_modules.random_module(seed)
         before = copy.deepcopy(module)
         try:
             model = Model.from_torch(module, OF_MODULES, classes)

@@ -2,9 +2,9 @@
 
 import pytest
 from deciding import CONFIG, at, key, summary, total_and_size
-from made import random_events, random_model
+from made import random_events
 
-from async_tnt import CompiledClassifier, LeakyIntegrator, Processor
+from async_tnt import LeakyIntegrator, Processor
 
 SETTINGS = [
     {},
@@ -51,27 +51,6 @@ def test_no_event_is_lost_or_absorbed_twice(settings, size):
         if size == 1 and not {"every_events", "activity"} & set(settings):  # those are decided after the event
             assert decisions == expected != []
     assert [key(d) for d in troubled.finish()] == [key(d) for d in untroubled.finish()]
-
-
-def test_a_decision_that_an_event_made_due_is_missed_where_it_fails():
-    processor = failing(1, every_events=2)
-    with pytest.raises(RuntimeError):
-        processor.push(at([0, 0]))
-    assert processor.push(at([1])) == []
-    assert summary(processor.push(at([1])))[0][2:] == (1, 4)
-
-
-def test_a_classifier_that_does_not_fit_is_refused_at_once():
-    processor = Processor(random_model(CONFIG), every_events=1)
-    other = CompiledClassifier(random_model(CONFIG.replace(bins=3)))
-    before = processor.classifier
-    with pytest.raises(
-        ValueError, match=r"^`classifier` must take volumes of shape \(9, 34, 34\), got one for \(3, 34, 34\)$"
-    ):
-        processor.classifier = other
-    with pytest.raises(TypeError, match=r"^`classifier` must be callable, got int$"):
-        processor.classifier = 5
-    assert processor.classifier is before and len(processor.push(at([0, 1]))) == 2
 
 
 @pytest.mark.parametrize("retry", [lambda p: p.push([]), lambda p: p.finish(), lambda p: p.push(at([9]))])

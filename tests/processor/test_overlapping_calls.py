@@ -1,7 +1,6 @@
 """Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a crash."""
 
 import threading
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -14,77 +13,64 @@ from async_tnt.networks import OnnxClassifier, to_onnx
 
 REFUSED = r"^a {} was called while another call on it is running, in another thread or further up in this one; use one"
 MODEL = random_model(CONFIG)
+EVENTS = random_events(40, seed=1, duration_us=2500)
 
 
 class Held:
-    """A call that waits in the middle, and events or a volume whose reading is such a middle."""
+    """Events or a volume whose reading waits, so that a call stays in its middle until `go_on`."""
 
-    def __init__(self, values=None):
+    def __init__(self, values):
         self.begun, self.go_on, self.values = threading.Event(), threading.Event(), values
-
-    def wait(self):
-        self.begun.set()
-        assert self.go_on.wait(PATIENCE_S)
+        self.shape = np.shape(values)
 
     def numpy(self):  # of events
-        self.wait()
+        self.begun.set()
+        assert self.go_on.wait(PATIENCE_S)
         return self.values
 
     def __array__(self, dtype=None, copy=None):  # of a volume
         return self.numpy()
 
-    shape = property(lambda self: self.values.shape)
 
-    @contextmanager
-    def during(self, function, *args):
-        """The block runs while the function waits; the list yielded holds its answer afterwards."""
-        answer = []
-        with meanwhile(lambda: answer.append(function(*args))):
-            assert self.begun.wait(PATIENCE_S)
-            try:
-                yield answer
-            finally:
-                self.go_on.set()
-
-
-def set_to(name, value):
-    return lambda processor: setattr(processor, name, value)
+def assert_refused_during(function, values, others, name):
+    """While `function` reads these values, which it is given, the other calls are refused; its answer."""
+    held, answer = Held(values), []
+    with meanwhile(lambda: answer.append(function(held))):
+        assert held.begun.wait(PATIENCE_S)
+        try:
+            for other in others:
+                with pytest.raises(RuntimeError, match=REFUSED.format(name)):
+                    other()
+        finally:
+            held.go_on.set()
+    return answer[0]
 
 
-CALLS = {
-    "push": lambda processor: processor.push(at([5, 6])),
-    "push a tuple": lambda processor: processor.push((5, 1, 1, 1)),
-    "push_one": lambda processor: processor.push_one(5, 1, 1, 1),
-    "fire": Processor.fire,
-    "finish": Processor.finish,
-    "reset": Processor.reset,
-    "volume": Processor.volume,
-    "confidence": set_to("confidence", 0.5),
-    "classifier": set_to("classifier", total_and_size),
-}
+CALLS = [
+    lambda processor: processor.push(at([5, 6])),
+    lambda processor: processor.push((5, 1, 1, 1)),
+    lambda processor: processor.push_one(5, 1, 1, 1),
+    Processor.fire,
+    Processor.finish,
+    Processor.reset,
+    Processor.volume,
+    lambda processor: setattr(processor, "confidence", 0.5),
+    lambda processor: setattr(processor, "classifier", total_and_size),
+]
 
 
-@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
 @pytest.mark.parametrize("landmark, settings", [("running", {}), ("running", {"every_events": 2}), ("window", {})])
-def test_a_call_during_a_push_is_refused_and_changes_nothing(call, landmark, settings):
-    config, held = CONFIG.replace(landmark=landmark), Held()
-
-    def classifier(volume):
-        held.wait()
-        return total_and_size(volume)
-
-    events = random_events(40, seed=1, duration_us=2500)
-    untroubled = Processor(config, classifier=total_and_size, **settings)
-    processor = Processor(config, classifier=classifier, **settings)
-    with held.during(processor.push, events) as decided, pytest.raises(RuntimeError, match=REFUSED.format("Processor")):
-        call(processor)
-    expected = untroubled.push(events)
-    assert [key(d) for d in decided[0]] == [key(d) for d in expected] != []
+def test_calls_during_a_push_are_refused_and_change_nothing(landmark, settings):
+    config = CONFIG.replace(landmark=landmark)
+    processor, untroubled = (Processor(config, classifier=total_and_size, **settings) for _ in range(2))
+    others = [lambda call=call: call(processor) for call in CALLS]
+    decided, expected = assert_refused_during(processor.push, EVENTS, others, "Processor"), untroubled.push(EVENTS)
+    assert [key(d) for d in decided] == [key(d) for d in expected] != []
     assert processor.counts == untroubled.counts
     assert [key(d) for d in processor.finish()] == [key(d) for d in untroubled.finish()]
 
 
-@pytest.mark.parametrize("call", [Processor.fire, CALLS["push"]])
+@pytest.mark.parametrize("call", CALLS)
 def test_a_classifier_that_calls_its_own_processor_is_refused(call):
     """Reading numbers is fine. Once the error has passed, the processor is free."""
     seen = []
@@ -102,40 +88,26 @@ def test_a_classifier_that_calls_its_own_processor_is_refused(call):
 
 
 @pytest.mark.parametrize(
-    "network, names",
-    [
-        (CompiledClassifier(MODEL), ["refresh", "__call__", "push"]),
-        (CompiledRegressor(random_regressor_model()), ["__call__"]),
-        (OnnxClassifier(to_onnx(MODEL)), ["__call__"]),
-    ],
-    ids=lambda value: type(value).__name__,
+    "network",
+    [CompiledClassifier(MODEL), CompiledRegressor(random_regressor_model()), OnnxClassifier(to_onnx(MODEL))],
+    ids=lambda network: type(network).__name__,
 )
-def test_a_network_shared_by_two_threads_refuses_the_second_call(network, names):
-    held = Held(np.ones(network.shape, np.float32))
-    volume = TNTVolume(CONFIG)
-    calls = {
-        "refresh": lambda: network.refresh(volume),
-        "__call__": lambda: network(held.values),
-        "push": lambda: Processor(CONFIG, classifier=network, every_events=1).push(at([5, 6])),
-    }
-    expected = network(held.values)
-    with held.during(network, held) as answer:
-        for name in names:
-            with pytest.raises(RuntimeError, match=REFUSED.format(type(network).__name__)):
-                calls[name]()
-    assert np.array_equal(answer[0], expected) and np.array_equal(network(held.values), expected)
+def test_a_network_shared_by_two_threads_refuses_the_second_call(network):
+    volume = np.ones(network.shape, np.float32)
+    others = [lambda: network(volume)]
+    if isinstance(network, CompiledClassifier):
+        others += [
+            lambda: network.refresh(TNTVolume(CONFIG)),
+            lambda: Processor(CONFIG, classifier=network, every_events=1).push(at([5, 6])),
+        ]
+    expected = network(volume)
+    assert np.array_equal(assert_refused_during(network, volume, others, type(network).__name__), expected)
+    assert np.array_equal(network(volume), expected)
 
 
 def test_a_volume_and_a_filter_refuse_events_while_they_read_others():
-    events = random_events(40, seed=1, duration_us=2500)
     volume, chosen = TNTVolume(CONFIG), PixelFilter(CONFIG.sensor)
-    for name, update, others in (
-        ("TNTVolume", volume.update, [lambda: volume.update(events), lambda: volume.update_one(5000, 1, 1, 1)]),
-        ("PixelFilter", chosen, [lambda: chosen(events)]),
-    ):
-        held = Held(events)
-        with held.during(update, held):
-            for other in others:
-                with pytest.raises(RuntimeError, match=REFUSED.format(name)):
-                    other()
+    others = [lambda: volume.update(EVENTS), lambda: volume.update_one(5000, 1, 1, 1)]
+    assert_refused_during(volume.update, EVENTS, others, "TNTVolume")
+    assert_refused_during(chosen, EVENTS, [lambda: chosen(EVENTS)], "PixelFilter")
     assert volume.counts.received == chosen.counts.received == 40

@@ -6,9 +6,11 @@ import re
 import numpy as np
 import pytest
 from deciding import CONFIG, at, total_and_size
-from made import random_events
+from made import random_events, random_model
 
-from async_tnt import LeakyIntegrator, Processor, ReplayBufferFull
+from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, ReplayBufferFull
+
+BY_3 = CONFIG.replace(window_events=3)
 
 
 def test_decision_carries_logits_probabilities_and_label():
@@ -58,15 +60,8 @@ def test_a_full_replay_buffer_warns_after_the_packet_is_processed():
         ({"start_us": -1}, r"`start_us` must be in \[0, 2\*\*62\), got -1"),
         ({"classes": "cat"}, "`classes` must be a sequence of names, got the single string 'cat'"),
         ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
-        (
-            {"hop_us": 5, "model": CONFIG.replace(window_events=3)},
-            "`hop_us` must not be given with window_events=3, got 5",
-        ),
-        (
-            {"start_us": 5, "model": CONFIG.replace(window_events=3)},
-            "`start_us` must not be given with window_events=3",
-        ),
-        ({"classifier": 7}, "`classifier` must be callable, got int"),
+        ({"hop_us": 5, "model": BY_3}, "`hop_us` must not be given with window_events=3, got 5"),
+        ({"start_us": 5, "model": BY_3}, "`start_us` must not be given with window_events=3"),
         ({"classifier": None}, "`classifier` is missing: a TNTConfig alone cannot decide"),
         ({"model": "digits"}, "`model` must be a Model or a TNTConfig, got str; load_model"),
     ],
@@ -76,7 +71,8 @@ def test_bad_settings(settings, message):
         Processor(**({"model": CONFIG, "classifier": total_and_size} | settings))
 
 
-BAD_TRIGGERS = [
+OTHER_SHAPE = CompiledClassifier(random_model(CONFIG.replace(bins=3)))
+CHANGEABLE = [
     ("every_us", 0, ValueError, "`every_us` must be at least 1, got 0"),
     ("every_us", True, TypeError, "`every_us` must be a whole number, got True"),
     ("every_events", 1.0, TypeError, "`every_events` must be a whole number, got 1.0"),
@@ -84,15 +80,23 @@ BAD_TRIGGERS = [
     ("confidence", math.nan, ValueError, "`confidence` must be a probability in (0, 1], got nan"),
     ("confidence", "high", TypeError, "`confidence` must be a number, got 'high'"),
     ("activity", 5, TypeError, "`activity` must be a LeakyIntegrator(threshold, leak_us), got 5"),
+    ("classifier", 7, TypeError, "`classifier` must be callable, got int"),
+    (
+        "classifier",
+        OTHER_SHAPE,
+        ValueError,
+        "`classifier` must take volumes of shape (9, 34, 34), got one for (3, 34, 34)",
+    ),
 ]
 
 
-@pytest.mark.parametrize("name, value, error, message", BAD_TRIGGERS)
-def test_bad_triggers_are_refused_and_change_nothing(name, value, error, message):
-    with pytest.raises(error, match=f"^{re.escape(message)}$"):
-        Processor(CONFIG, classifier=total_and_size, **{name: value})
+@pytest.mark.parametrize("name, value, error, message", CHANGEABLE)
+def test_bad_changes_are_refused_and_change_nothing(name, value, error, message):
     good = {"every_us": 70, "every_events": 5, "confidence": 0.999, "activity": LeakyIntegrator(3.0, 500.0)}
-    processor = Processor(CONFIG, classifier=total_and_size, **good)
+    good["classifier"] = total_and_size
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        Processor(CONFIG, **good | {name: value})
+    processor = Processor(CONFIG, **good)
     with pytest.raises(error, match=f"^{re.escape(message)}$"):
         setattr(processor, name, value)
     assert {name: getattr(processor, name) for name in good} == good

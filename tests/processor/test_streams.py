@@ -93,12 +93,6 @@ def test_nanoseconds_read_as_microseconds_are_warned_of_once(settings):
     assert len(warned) == 1 and warned[0].filename == __file__
 
 
-@pytest.mark.parametrize(
-    "events, config, settings",
-    [
-        (SPARSE, MODEL.config.replace(window_events=2), {}),  # so many are wanted
-        (SPARSE, MODEL.config, {"confidence": 0.01}),  # windows that the first event decides
-    ],
-)
-def test_other_small_windows_are_no_reason_to_warn(events, config, settings):
-    assert list(stream([events], random_model(config), **settings))  # warnings are errors in these tests
+def test_other_small_windows_are_no_reason_to_warn():  # warnings are errors in these tests
+    assert list(stream([SPARSE], random_model(MODEL.config.replace(window_events=2))))  # so many are wanted
+    assert list(stream([SPARSE], MODEL, confidence=0.01))  # windows that the first event decides

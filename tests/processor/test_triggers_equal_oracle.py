@@ -1,7 +1,6 @@
 """Which decisions fall when: Processor against a plain oracle, for any cut of any stream."""
 
 import copy
-import itertools
 from functools import cache
 
 from deciding import uneven
@@ -36,14 +35,14 @@ integrators = st.builds(
     leak_us=st.sampled_from([1.0, 30.0, 400.0, 5e4, float("inf")]),
     charge=st.sampled_from([1.0, 0.4, 2.5]),
 )
-triggers = st.fixed_dictionaries(
-    {
-        "every_us": st.sampled_from([None, None, 1, 77, 500, 1000, 3000]),
-        "every_events": st.sampled_from([None, None, 1, 2, 3, 30]),
-        "confidence": st.sampled_from([None, None, 0.4, 0.7, 0.95, 1.0]),
-        "activity": st.one_of(st.none(), integrators),
-    }
-)
+TRIGGERS = {
+    "every_us": st.sampled_from([None, None, 1, 77, 500, 1000, 3000]),
+    "every_events": st.sampled_from([None, None, 1, 2, 3, 30]),
+    "confidence": st.sampled_from([None, None, 0.4, 0.7, 0.95, 1.0]),
+    "activity": st.none() | integrators,
+}
+triggers = st.fixed_dictionaries(TRIGGERS)
+change = st.one_of(*(st.tuples(st.just(name), values) for name, values in TRIGGERS.items()))
 windows = st.fixed_dictionaries(
     {
         "hop_us": st.sampled_from([None, None, None, 1000, 999, 500, 250, 130]),
@@ -51,11 +50,9 @@ windows = st.fixed_dictionaries(
         "late": st.sampled_from(["accept", "accept", "drop"]),
     }
 )
-change = st.one_of(
-    st.tuples(st.just("every_us"), st.sampled_from([None, 1, 77, 500])),
-    st.tuples(st.just("every_events"), st.sampled_from([None, 1, 2, 3])),
-    st.tuples(st.just("confidence"), st.sampled_from([None, 0.4, 0.7, 0.95])),
-    st.tuples(st.just("activity"), st.one_of(st.none(), integrators)),
+nasty = nasty_streams((8, 8), 3500, 50, max_events=70)
+long = st.builds(  # hundreds of events in a window, more decisions than one compiled call makes
+    random_events, st.just(1300), seed=st.integers(0, 99), duration_us=st.just(5200), sensor=st.just((8, 8))
 )
 ways = st.sampled_from(
     [(CONFIG, "callable"), *((config, "compiled") for config in (CONFIG, TNT, REPLAYED)), (BY_EVENTS[0], "callable")]
@@ -84,61 +81,29 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
     assert (counts.dropped_late, counts.dropped_decided) == (oracle.dropped_late, oracle.dropped_decided)
 
 
+@settings(max_examples=2 * settings.default.max_examples)
 @given(
-    events=nasty_streams((8, 8), 3500, 50, max_events=70),
+    events=st.one_of(nasty, nasty, nasty, long),
     way=ways,
     windows=windows,
     triggers=triggers,
-    cuts=st.lists(st.integers(0, 40), min_size=1, max_size=6),
+    steps=st.lists(st.tuples(st.integers(0, 30), st.none() | change), max_size=8),
 )
-def test_any_triggers_any_windows_any_packets(events, way, windows, triggers, cuts):
-    """cuts : sizes of packets, over and over; 0: one event by `push_one`."""
-    oracle, processor = pair(*way, **windows, **triggers)
-    decisions, first, sizes = [], 0, itertools.cycle(cuts)
-    while first < len(events):
-        size = next(sizes)
-        decisions += (
-            processor.push(events[first : first + size]) if size else processor.push_one(*events[first].tolist())
-        )
-        first += size or 1
-    assert_equal(oracle, processor, decisions, oracle.push_all(events))
-
-
-@given(
-    events=nasty_streams((8, 8), 3500, 50, max_events=70),
-    way=ways,
-    windows=windows,
-    triggers=triggers,
-    changes=st.lists(st.tuples(st.integers(0, 30), change), min_size=1, max_size=6),
-    single=st.booleans(),
-)
-def test_settings_may_change_in_midstream(events, way, windows, triggers, changes, single):
-    """By the attributes, between packets; each applies from the next event on."""
+def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, triggers, steps):
+    """steps : size of a packet, 0: one event by `push_one`; a trigger that is changed after it, if any."""
     oracle, processor = pair(*way, **windows, **triggers)
     expected, decisions, first = [], [], 0
-    for size, (name, value) in [*changes, (len(events), ("every_us", None))]:
-        packet = events[first : first + size]
-        first += size
+    for size, changed in [*steps, (len(events), None)]:
+        packet = events[first : first + max(size, 1)]
+        first += len(packet)
         expected += oracle.push_all(packet)
-        for part in packet[:, None] if single else [packet]:
-            decisions += processor.push(part)
-        oracle.change(**{name: value})
-        setattr(processor, name, value)
-        assert getattr(processor, name) == value
+        if size:
+            decisions += processor.push(packet)
+        else:
+            decisions += [decision for event in packet.tolist() for decision in processor.push_one(*event)]
+        if changed:
+            name, value = changed
+            oracle.change(**{name: value})
+            setattr(processor, name, value)
+            assert getattr(processor, name) == value
     assert_equal(oracle, processor, decisions, expected)
-
-
-@settings(max_examples=settings.default.max_examples // 4)
-@given(
-    seed=st.integers(0, 1000),
-    way=ways,
-    hop_us=st.sampled_from([None, 400]),
-    triggers=triggers,
-    size=st.sampled_from([1, 50, 1300]),
-)
-def test_long_streams(seed, way, hop_us, triggers, size):
-    """Many windows, hundreds of events in each; more decisions than one compiled call makes."""
-    events = random_events(1300, seed=seed, duration_us=5200, sensor=(8, 8), start_us=7)
-    oracle, processor = pair(*way, hop_us=hop_us, **triggers)
-    decisions = [d for first in range(0, 1300, size) for d in processor.push(events[first : first + size])]
-    assert_equal(oracle, processor, decisions, oracle.push_all(events))

@@ -7,9 +7,7 @@ import json
 import pytest
 from made import random_model
 
-from async_tnt import Processor, TNTConfig, load_model
-from async_tnt.checking.agreement import streams_for
-from async_tnt.cli.bench import COUNTS, _decision_us
+from async_tnt import TNTConfig, load_model
 
 CONFIGS = {
     "another sensor": {"sensor": (40, 30), "grid": (20, 16)},
@@ -31,6 +29,8 @@ def test_the_report_has_machine_model_and_every_figure(program):
     check(report)
     assert code == 0 and report["machine"]["cpu"] and report["machine"]["numba"]
     assert report["model"] == {"name": "digits", "config": load_model("digits").config.to_dict(), "classes": 10}
+    text = program("bench", "--quick")[1]
+    assert "model digits: 34 x 34 pixels, landmark running; bundled samples" in text and "1,300 new events " in text
 
 
 @pytest.mark.parametrize("settings", CONFIGS.values(), ids=CONFIGS)
@@ -40,29 +40,3 @@ def test_any_model_is_measured(settings, tmp_path, program):
     report = json.loads(text)
     check(report)
     assert code == 0 and report["events_from"] == ("made streams" if "sensor" in settings else "bundled samples")
-
-
-def test_a_decision_is_timed_so_many_events_after_the_one_before(monkeypatch):
-    calls = []
-    push, fire = Processor.push, Processor.fire
-    monkeypatch.setattr(Processor, "push", lambda self, events: calls.append(len(events)) or push(self, events))
-    monkeypatch.setattr(Processor, "fire", lambda self: calls.append("fire") or fire(self))
-    model = load_model("digits")
-    taken = list(_decision_us(model, streams_for(model.config)[0][:2], 100, moments=5))
-    assert len(taken) == 8 and len(calls) == 4 * len(taken)  # the first of five would have no decision before
-    assert calls[1::4] == calls[3::4] == ["fire"] * 8 and calls[2::4] == [100] * 8
-
-
-def test_text_names_the_figures(program):
-    code, text, _ = program("bench", "--quick")
-    assert code == 0
-    for words in ("model digits: 34 x 34 pixels, landmark running; bundled samples", "ns an event into the volume"):
-        assert words in text
-    for words in ("1 new event ", "100 new events ", "1,300 new events ", "decisions a second, one after every event"):
-        assert words in text
-    assert all(full > quick for full, quick in COUNTS.values())
-
-
-def test_a_model_that_is_not_there_is_named(program):
-    code, _, err = program("bench", "--model", "no_such_model")
-    assert code == 2 and "no model file no_such_model" in err

@@ -4,10 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from made import random_model
 
-from async_tnt import Model, Processor, TNTConfig, load_model
-from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_masks import PackedMask, save_mask
@@ -43,7 +40,7 @@ def write(path, events, sensor):
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
-    """Samples as they are, with hot pixels, and with these somewhere on a larger camera; masks; models for others."""
+    """Samples as they are, with hot pixels, and with these somewhere on a larger camera; masks."""
     folder = tmp_path_factory.mktemp("sets")
     for digit, path in sample_recordings().items():
         events, name = open_recording(path).read(), f"{digit}/a.npz"
@@ -54,12 +51,6 @@ def sets(tmp_path_factory):
         write(folder / "large" / name, with_hot_pixels(events, CORNER), CAMERA)
     save_mask(folder / "hot.npy", hot_mask(SIZE))
     save_mask(folder / "large.npy", hot_mask(CAMERA, CORNER))
-    (folder / "bin" / "0").mkdir(parents=True)
-    write_nmnist(folder / "bin" / "0" / "a.bin", EVENTS)  # whose file does not say that the camera has 60x48
-    save_mask(folder / "bin.npy", np.fromfunction(lambda y, x: (x == 12) & (y == 10), (48, 60)))
-    for name, sensor in (("whole", (60, 48)), ("part", (30, 30))):
-        model = random_model(TNTConfig(sensor=sensor), classes=3, seed=1)
-        Model(model.config, model.weights, ("0", "1", "2")).save(folder / f"{name}.safetensors")
     return folder
 
 
@@ -109,58 +100,6 @@ def test_counts_and_report_say_what_was_left_out(sets, program):
     assert json.loads(program(*words)[1])["pixels"] == {"roi": "40,20,34,34", "crop": True, "mask": mask}
 
 
-# -- archives ------------------------------------------------------------------------------------------------------
-
-
-def test_another_selection_is_another_job(sets, tmp_path, program):
-    out, mask = tmp_path / "r.jsonl", tmp_path / "m.npy"
-    given = "run", sets / "hot", "--out", out
-    save_mask(mask, hot_mask(SIZE))
-    assert program(*given, "--mask", mask)[0] == 0
-    before = out.read_bytes()
-    code, printed, _ = program(*given, "--mask", sets / "hot.npy")
-    assert code == 0 and "streamed now" not in printed and out.read_bytes() == before
-    save_mask(mask, ~hot_mask(SIZE))
-    for others in (("--mask", mask), ("--mask", sets / "hot.npy", "--roi", "0,0,33,34")):
-        code, _, message = program(*given, *others)
-        assert code == 2 and f"{out} was made with another model" in message and message.count("\n") == 1
-    assert out.read_bytes() == before
-
-
-# -- whose camera it is ----------------------------------------------------------------------------------------------
-
-
-def test_a_bin_is_of_the_camera_that_the_model_or_a_mask_names(sets, program):
-    path, whole, part = sets / "bin" / "0" / "a.bin", sets / "whole.safetensors", sets / "part.safetensors"
-    roi, mask = (5, 4, 30, 30), sets / "bin.npy"
-    for model, pixel_filter, options in (
-        (whole, PixelFilter((60, 48)), ()),
-        (part, PixelFilter((60, 48), roi, crop=True, mask=mask), ("--roi", "5,4,30,30", "--crop", "--mask", mask)),
-    ):
-        processor = Processor(load_model(model))
-        expected = processor.push(pixel_filter(EVENTS)) + processor.finish()
-        lines = program("run", path, "--model", model, "--json", *options)[1].splitlines()
-        got = [(d["label"], d["events"]) for d in map(json.loads, lines)]
-        assert got == [(d.label, d.events) for d in expected]
-
-
-def test_an_event_off_the_camera_names_the_source_of_its_size(tmp_path, program):
-    path, mask = tmp_path / "a.csv", tmp_path / "m.npy"
-    path.write_text("t,x,y,p\n0,3,5,1\n1,99,90,1\n")
-    save_mask(mask, np.zeros((95, 95), bool))
-    part = ("--roi", "0,0,34,34", "--crop")
-    for options, side, source in (
-        ((*part, "--sensor", "60x60"), 60, "--sensor says 60x60 pixels"),
-        ((*part, "--mask", mask), 95, f"{mask} is a mask of 95x95 pixels"),
-        ((), 34, "the model is for 34x34 pixels; train one for this camera"),
-    ):
-        code, _, message = program("run", path, *options)
-        assert code == 2 and f"{path}: `x` must be in [0, {side}), got 99 at event 1; {source}" in message
-
-
-# -- messages ------------------------------------------------------------------------------------------------------
-
-
 @of_all_commands
 def test_a_recording_of_which_nothing_is_left_says_why(command, tmp_path, program):
     events = np.array([(1, 3, 3, 1), (2, 30, 30, 1), (3, 4, 3, 1)], EVENTS.dtype)
@@ -170,25 +109,3 @@ def test_a_recording_of_which_nothing_is_left_says_why(command, tmp_path, progra
     code, _, message = program(*words, "--roi", "0,0,20,20", "--mask", tmp_path / "mask.npy")
     name = "0/a.npz" if command == "evaluate" else path
     assert code == 2 and f"{name}: no events are left: 1 outside of the region, 2 of masked pixels\n" in message
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ("--crop", "--crop belongs to --roi"),
-        ("--sensor 36x34", "--sensor says 36x34 pixels, but the model is for 34x34; train one for this camera"),
-        ("--roi 0,0,20,20 --crop", "is for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34"),
-        ("--roi 0,0,34,34 --crop --sensor 40x30", "must lie on the sensor of 40x30 pixels"),
-        ("--mask torn.npy", "torn.npy: not a mask, a .npy file as `async-tnt mask` writes: not a readable NumPy file"),
-        ("--mask LARGE", "large.npy is a mask of 100x80 pixels, but the model is for 34x34; train one"),
-        ("--roi 0,0,34,34 --crop --mask LARGE --sensor 90x80", "given as 90x80 (--sensor)"),
-    ],
-)
-def test_wrong_options_are_one_line(options, text, sets, tmp_path, program, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "torn.npy").write_bytes((sets / "hot.npy").read_bytes()[:90])
-    options = [sets / "large.npy" if word == "LARGE" else word for word in options.split()]
-    for words in ("run", SAMPLE), ("run", SAMPLE, "--out", "r.jsonl"), ("evaluate", "digits", sets / "hot"):
-        code, printed, message = program(*words, *options)
-        assert code == 2 and text in message and message.count("\n") == 1 and printed == "", message
-        assert not list(tmp_path.glob("r.*"))

@@ -86,16 +86,3 @@ def test_late_and_unordered_events_are_reported(tmp_path, program):
     path.write_text("t,x,y,p\n0,1,1,1\n10,2,2,0\n5,3,3,1\n")
     message = f"async-tnt: {path}: 1 of 3 events are older than an earlier one (see --late)\n"
     assert program("run", path)[::2] == (0, message)
-
-
-def test_digits_on_some_real_recordings(data):
-    """Every tenth test recording; all of them: docs/results.md."""
-    processor = Processor(load_model("digits"), start_us=0)
-    right = []
-    for digit in range(10):
-        for path in sorted((data / "nmnist" / "Test" / str(digit)).glob("*.bin"))[::10]:
-            processor.reset()
-            events = open_recording(path).read()
-            decisions = processor.push(events[events["t"] < 315_000]) + processor.finish()
-            right += [decision.label == str(digit) for decision in decisions]
-    assert len(right) == 300 and np.mean(right) >= 0.95

@@ -60,16 +60,12 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
         ("check --prefixes x", "argument --prefixes: "),
         ("view --speed 0", "argument --speed: must be a positive number, got '0'"),
         ("run --confidence 0", "argument --confidence: must be a probability in (0, 1], got '0'"),
-        ("run --confidence nan", "argument --confidence: must be a probability in (0, 1], got 'nan'"),
         ("run --activity 60:0", "must be two positive numbers, events:microseconds, such as 60:4000, got '60:0'"),
-        ("run --activity nan:5", "must be two positive numbers, events:microseconds, such as 60:4000, got 'nan:5'"),
         ("train x --seed -1", "argument --seed: must be a whole number of at least 0, got '-1'"),
         ("train x --epochs 0", "argument --epochs: must be at least 1, got 0"),
         ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
         ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
         ("run --every-us " + "9" * 5000, "argument --every-us: must be a whole number, got '999"),
-        ("run --every-us -" + "9" * 4000, "argument --every-us: must be at least 1, got -999"),
-        ("train x --seed " + "9" * 5000, "argument --seed: must be a whole number of at least 0, got '999"),
         ("plot events --grid " + "9" * 5000 + "x2", "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999"),
     ],
     ids=lambda text: text[:40],
@@ -85,6 +81,10 @@ def test_bad_usage_refers_to_help(words, message, refused):
         ("view udp://127.0.0.1:3333 --speed 2", "--speed belongs to recordings; a camera or the network has a"),
         ("run --every-events 1" + "0" * 400, "must be below 2**62, got 1"),
         ("run SAMPLE --latest 5", "--latest belongs to a camera or the network"),
+        ("run SAMPLE --crop", "--crop belongs to --roi"),
+        ("run SAMPLE --sensor 36x34", "--sensor says 36x34 pixels, but the model is for 34x34; train one for this"),
+        ("run SAMPLE --roi 0,0,20,20 --crop", "for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34"),
+        ("bench --model no_such_model", "no model file no_such_model"),
         ("run --model digitz", "no model file digitz, and no bundled model of that name (bundled: digits)"),
         ("run udp://127.0.0.1", "expected udp://HOST:PORT"),
         ("run udp://127.0.0.1:5?format=jpeg", "format"),
@@ -107,7 +107,7 @@ def test_what_cannot_be_done_is_one_line(words, message, refused, tmp_path):
         "export --out m.onnx",
         "train --out m.safetensors",
         "evaluate digits",
-        "mask",
+        "mask --out m.npy",
         "plot --out p.png",
         "view --out v.rrd",
         "bench --model",
@@ -120,9 +120,7 @@ def test_an_error_is_one_line_whatever_the_name(words, refused, tmp_path, monkey
     assert "no\\n\\x1b[31mwhere" in refused(*words.split(), "no\n\x1b[31mwhere")
 
 
-@pytest.mark.parametrize("allocate", [np.empty, bytearray])
-def test_memory_that_is_not_there_is_one_line(allocate, refused, monkeypatch):
-    """Of more than any machine addresses; NumPy says for what, Python nothing at all."""
-    monkeypatch.setattr(run, "main", lambda args: allocate(1 << 57))
-    about = " Unable to allocate 1.00 EiB for an array" if allocate is np.empty else "\n"
-    assert refused("run", SAMPLE).startswith(f"async-tnt: not enough memory.{about}")
+def test_memory_that_is_not_there_is_one_line(refused, monkeypatch):
+    """Of more than any machine addresses."""
+    monkeypatch.setattr(run, "main", lambda args: np.empty(1 << 57))
+    assert refused("run", SAMPLE).startswith("async-tnt: not enough memory. Unable to allocate 1.00 EiB for an array")

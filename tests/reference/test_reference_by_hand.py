@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from tnt_reference import event_volume, fitted_flow, hats, landmark, tnt_coordinates, tnt_volume
+from tnt_reference import event_volume, fitted_flow, hats, landmark, tnt_volume
 
 # 9 bins in 800 us: bin position = TNT time = t / 100. Centre of a 5 x 5 grid: (2, 2).
 SQUARE = dict(start_us=0, window_us=800, sensor=(5, 5), grid=(5, 5))
@@ -14,101 +14,39 @@ def cells(volume):
     return {tuple(i.tolist()): pytest.approx(volume[tuple(i)].item()) for i in volume.nonzero()}
 
 
-def one(volume, t, x, y, p=1, **options):
-    return cells(volume(t=[t], x=[x], y=[y], p=[p], **{**SQUARE, **options}))
+TNT = {"landmark": "center"}
+GIVEN = {(2, y, x): 0.25 for y in (2, 3) for x in (2, 3)}  # u = (4 - 3)/2 + 2 = 2.5, v = (2 - 1)/2 + 2 = 2.5
+ONE_EVENT = [  # t, x, y, settings of a transform or None, cells
+    (0, 1, 3, None, {(0, 3, 1): 1.0}),  # the window's start: first bin
+    (250, 1, 3, None, {(2, 3, 1): 0.5, (3, 3, 1): 0.5}),  # between bins
+    (301, 1, 3, None, {(3, 3, 1): 0.99, (4, 3, 1): 0.01}),
+    (800, 1, 3, None, {(8, 3, 1): 1.0}),  # t == end: exactly the last bin
+    (-1, 1, 3, None, {}),
+    (200, 4, 0, TNT, {(2, 1, 3): 1.0}),  # u = (4 - 2)/2 + 2 = 3, v = (0 - 2)/2 + 2 = 1
+    (100, 4, 0, TNT, {(1, 0, 4): 1.0}),  # u = 4 = W - 1, v = 0: on the border, kept
+    (99, 4, 2, TNT, {}),  # u = 2/0.99 + 2 > 4: off the right border
+    (50, 2, 2, TNT, {(0, 2, 2): 0.5, (1, 2, 2): 0.5}),  # the landmark itself stays, however early
+    (0, 2, 2, TNT, {}),  # tau = 0
+    (800, 4, 2, TNT, {(8, 2, 2): 0.75, (8, 2, 3): 0.25}),  # t == end: u = 2/8 + 2
+    (400, 3, 2, TNT | {"t_max": 2, "bins": 3}, {(1, 2, 3): 1.0}),  # tau = 2 * 400/800 = 1; b = 1
+    (200, 4, 2, {"landmark": (3, 1)}, GIVEN),
+    (200, 4, 2, {"landmark": torch.tensor([[3.0, 1.0]])}, GIVEN),
+]
 
 
-@pytest.mark.parametrize(
-    "t, expected",
-    [
-        (0, {(0, 3, 1): 1.0}),  # the window's start: first bin
-        (250, {(2, 3, 1): 0.5, (3, 3, 1): 0.5}),  # between bins
-        (300, {(3, 3, 1): 1.0}),  # on a bin: no share for its neighbours
-        (301, {(3, 3, 1): 0.99, (4, 3, 1): 0.01}),
-        (799, {(7, 3, 1): 0.01, (8, 3, 1): 0.99}),
-        (800, {(8, 3, 1): 1.0}),  # t == end: exactly the last bin
-        (-1, {}),
-    ],
-)
-def test_an_event_lies_between_two_bins(t, expected):
-    assert one(event_volume, t, x=1, y=3) == expected
+@pytest.mark.parametrize("t, x, y, transform, expected", ONE_EVENT)
+def test_one_event(t, x, y, transform, expected):
+    volume = event_volume if transform is None else tnt_volume
+    assert cells(volume([t], [x], [y], [1], **SQUARE, **transform or {})) == expected
 
 
-@pytest.mark.parametrize("x, y", [(0, 0), (4, 0), (0, 4), (4, 4)])
-def test_corner_pixels_stay_in_their_corner(x, y):
-    assert one(event_volume, 400, x, y, p=0) == {(4, y, x): -1.0}
-
-
-def test_a_larger_sensor_maps_corner_to_corner():
-    larger = dict(sensor=(9, 5), grid=(5, 3))
-    assert one(event_volume, 100, 8, 4, **larger) == {(1, 2, 4): 1.0}
-    # x_g = 3 * 4 / 8 = 1.5,  y_g = 1 * 2 / 4 = 0.5
-    quarter = {(1, y, x): -0.25 for y in (0, 1) for x in (1, 2)}
-    assert one(event_volume, 100, 3, 1, p=0, **larger) == quarter
-
-
-def test_eight_cells():
+def test_eight_cells_and_polarities():
     # b = 1.5; x_g = 2 * 4 / 5 = 1.6; y_g = 4 * 4 / 5 = 3.2
-    volume = one(event_volume, 150, 2, 4, sensor=(6, 6))
+    event = dict(t=[150], x=[2], y=[4], p=[0], **SQUARE | {"sensor": (6, 6)})
     k_x, k_y = {1: 0.4, 2: 0.6}, {3: 0.8, 4: 0.2}
-    assert volume == {(b, y, x): 0.5 * k_y[y] * k_x[x] for b in (1, 2) for y in k_y for x in k_x}
-
-
-def test_polarities():
-    two = dict(t=[100, 100, 100], x=[1, 1, 2], y=[0, 0, 3], p=[1, 0, 0], **SQUARE)
-    assert cells(event_volume(**two)) == {(1, 3, 2): -1.0}  # ON and OFF on one pixel cancel
-    assert cells(event_volume(**two, polarity="unsigned")) == {(1, 0, 1): 2.0, (1, 3, 2): 1.0}
-    split = event_volume(**two, polarity="split")
-    assert split.shape == (18, 5, 5)
-    assert cells(split) == {(1, 0, 1): 1.0, (9 + 1, 0, 1): 1.0, (9 + 1, 3, 2): 1.0}
-
-
-@pytest.mark.parametrize(
-    "t, x, y, expected",
-    [
-        (200, 4, 0, {(2, 1, 3): 1.0}),  # u = (4 - 2)/2 + 2 = 3, v = (0 - 2)/2 + 2 = 1
-        (100, 4, 0, {(1, 0, 4): 1.0}),  # u = 4 = W - 1, v = 0: on the border, kept
-        (99, 4, 2, {}),  # u = 2/0.99 + 2 > 4: off the right border
-        (99, 2, 0, {}),
-        (50, 2, 2, {(0, 2, 2): 0.5, (1, 2, 2): 0.5}),  # the landmark itself stays, however early
-        (0, 2, 2, {}),  # tau = 0
-        (800, 4, 2, {(8, 2, 2): 0.75, (8, 2, 3): 0.25}),  # t == end: u = 2/8 + 2
-    ],
-)
-def test_tnt_about_the_centre(t, x, y, expected):
-    assert one(tnt_volume, t, x, y, landmark="center") == expected
-
-
-def test_t_max_is_independent_of_the_bins():
-    # tau = 2 * 400/800 = 1, b = 4
-    assert one(tnt_volume, 400, 3, 2, landmark="center", t_max=2) == {(4, 2, 3): 1.0}
-    # b = 2 * 400/800 = 1
-    assert one(tnt_volume, 400, 3, 2, landmark="center", t_max=2, bins=3) == {(1, 2, 3): 1.0}
-
-
-def test_tnt_about_a_given_point():
-    # u = (4 - 3)/2 + 2 = 2.5, v = (2 - 1)/2 + 2 = 2.5
-    quarter = {(2, y, x): 0.25 for y in (2, 3) for x in (2, 3)}
-    assert one(tnt_volume, 200, 4, 2, landmark=(3, 1)) == quarter
-    assert one(tnt_volume, 200, 4, 2, landmark=torch.tensor([[3.0, 1.0]])) == quarter
-
-
-def test_running_centres_each_event_on_the_events_so_far():
-    # l_x: 1, (1 + 4)/2 = 2.5, (1 + 4 + 1)/3 = 2;  tau: 1, 2, 4.  l_y = 2 throughout.
-    u, v, kept = tnt_coordinates([100, 200, 400], [1, 4, 1], [2, 2, 2], landmark="running", **SQUARE)
-    assert u.tolist() == [2.0, 2.75, 1.75]
-    assert v.tolist() == [2.0, 2.0, 2.0]
-    assert kept.all()
-
-
-def test_line_with_and_without_its_flow():
-    # f = 0.25, 0.75, x = 1, 3: C_xf = 2 (1 * 0.25) = 0.5, C_ff = 2 (1/16) = 1/8,
-    # m = 0.5 / (1 + 1/8) = 4/9, l = 2 - 4/9 * 1/2 = 16/9; event 2 has tau = 6.
-    stream = dict(t=[200, 600], x=[1, 3], y=[2, 2], landmark="line", **SQUARE)
-    u, _, _ = tnt_coordinates(**stream)
-    assert u.tolist() == pytest.approx([2.0, (3 - 16 / 9) / 6 + 2])
-    u, _, _ = tnt_coordinates(**stream, remove_flow=True)
-    assert u.tolist() == pytest.approx([2.0, (3 - 16 / 9 - 4 / 9 * 0.75) / 6 + 2])
+    for polarity, sign, first in (("signed", -1, 0), ("unsigned", 1, 0), ("split", 1, 9)):
+        expected = {(first + b, y, x): sign * 0.5 * k_y[y] * k_x[x] for b in (1, 2) for y in k_y for x in k_x}
+        assert cells(event_volume(**event, polarity=polarity)) == expected
 
 
 # x_g = x/2, y_g = y/2; c = (2, 1)

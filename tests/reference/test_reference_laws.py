@@ -21,13 +21,6 @@ ATOL_LANDMARK = 1e-9  # grid pixels, the bound of the theory
 ATOL_VOLUME = 1e-12  # a dozen events of weight 1: only the order of float64 sums and products differs
 
 
-def stream(n):
-    """Random integer events, some at the window's ends and some outside it."""
-    g = torch.Generator().manual_seed(0)
-    x, y = torch.randint(0, 12, (n,), generator=g), torch.randint(0, 9, (n,), generator=g)
-    return torch.randint(900, 6_100, (n,), generator=g), x, y, torch.randint(0, 2, (n,), generator=g)
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -56,15 +49,6 @@ def test_gradients(options):
 
     assert volume(t, x, y, l_x, l_y).abs().sum() > 1
     assert torch.autograd.gradcheck(volume, (t, x, y, l_x, l_y), fast_mode=True)
-
-
-def test_gradients_keep_the_sum_on_the_edges_of_cells_too():
-    """On a whole coordinate k has a kink; whichever side is taken, moving an event must create no mass."""
-    x = torch.tensor([4.0], dtype=torch.float64, requires_grad=True)
-    at = dict(start_us=1_000, window_us=5_000, sensor=(9, 9), grid=(9, 9), bins=5, dtype=torch.float64)
-    volume = event_volume([2_250], x, [4], [1], **at)
-    assert (volume != 0).sum() == 1  # on the edge in all three directions
-    assert torch.autograd.grad(volume.sum(), x)[0].item() == 0
 
 
 @pytest.mark.parametrize("name", [*LANDMARKS, (1.0, 2.0)], ids=str)

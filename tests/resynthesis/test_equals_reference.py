@@ -45,12 +45,6 @@ def test_evidence_and_its_gradient(seed):
     np.testing.assert_allclose(gradient, position.grad.numpy(), rtol=1e-7, atol=1e-7)
 
 
-def test_no_motion_has_no_evidence():
-    frames, path = made(0)
-    found, gradient, curvature = MODEL.evidence(MODEL.spectra(frames).reshape(len(frames), -1, K), np.zeros_like(path))
-    assert found == 0 and np.isfinite(gradient).all() and np.isfinite(curvature).all()
-
-
 def test_image_costs_least():
     """Its cost is within a thousandth of the least that another method finds, of a slightly rounded cost."""
     frames, path = made(0, n=1)
@@ -98,24 +92,6 @@ def test_cells_average_their_pixels():
     contrast_frames(t, x, y, one, 1_000, 2.0, 1.0, 2, frames)
     assert frames[0].tolist() == [[0.5, 0, 0], [0, 0, 0]]
     assert frames[-1].tolist() == [[1.0, 0, 0], [0, 0, 0.5]]
-
-
-def test_finer_image_is_the_same_where_it_was_known():
-    image = np.random.default_rng(0).normal(size=(5, 7))
-    fine = finer(image, 3)
-    np.testing.assert_allclose(fine[::3, ::3], image, atol=1e-12)
-    right = reference.shift_matrix(
-        7, torch.tensor(1 / 3, dtype=torch.float64)
-    ).numpy()  # moved right, a place shows what was left of it
-    np.testing.assert_allclose(image @ right.T, np.roll(fine, 1, axis=1)[::3, ::3], atol=1e-12)
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_an_image_comes_in_where_it_left(axis):
-    """A quarter of a place: three quarters of a place's light and one of that before it, round the border."""
-    image, frames = np.random.default_rng(2).normal(size=(5, 7)), np.empty((1, 5, 7))
-    move_periodic(frames, image, *np.array([[[0.0], [0.25]], [[0.25], [0.0]]])[axis], 0, 0.0, 1.0)
-    np.testing.assert_allclose(frames[0], 0.75 * image + 0.25 * np.roll(image, 1, axis), atol=1e-12)
 
 
 def test_pictures_move_as_the_reference_moves_an_image():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight
+from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis import Reconstruction, calibrate
@@ -117,11 +117,6 @@ def test_noise_does_not_count_where_on_is_compared_with_off():
     """A third more events, all ON, anywhere: without them the thresholds are as before, within 5 %."""
     rng = np.random.default_rng(0)
     scenes = [recorded(blobs(rng, n=1), straight(net), rng, pixels=PixelModel(noise_hz=0.0)) for net in [(6, 3)] * 24]
-    noisy = []
-    for scene in scenes:
-        parts = zip(scene, (*noise(rng, 80)[:3], np.ones(80, np.uint8)), strict=True)
-        columns = [np.concatenate(both) for both in parts]
-        order = np.argsort(columns[0], kind="stable")
-        noisy.append(tuple(column[order] for column in columns))
+    noisy = [together(scene, (*noise(rng, 80)[:3], np.ones(80, np.uint8))) for scene in scenes]
     expected, measured = (measure_pixels(windows, SENSOR, WINDOW_US) for windows in (scenes, noisy))
     assert measured.step_on == pytest.approx(expected.step_on, rel=0.05)

@@ -47,13 +47,6 @@ def test_one_pixel_by_hand(light, times, settings, expected):
     assert [(t, p) for t, x, y, p in events.tolist()] == expected
 
 
-def test_events_are_sorted_by_time_then_row_then_column():
-    frames = np.stack([np.zeros((8, 9)), np.full((8, 9), 1.0)])
-    pixels = PixelModel(0.5, 0.5, mismatch=0.0, refractory_us=0.0, noise_hz=0.0)
-    events = simulate(frames, np.array([0, 10]), np.random.default_rng(0), pixels)
-    assert len(events) > 70 and events.tolist() == sorted(events.tolist(), key=lambda row: (row[0], row[2], row[1]))
-
-
 def test_more_events_than_the_first_buffer_holds():
     # 5 x 4 pixels x 1,000 crossings, against 4,096 places to begin with
     frames = np.stack([np.zeros((4, 5)), np.full((4, 5), 1000.25)])

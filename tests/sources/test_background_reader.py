@@ -1,17 +1,21 @@
-"""A reader in a thread: order, skipping and its accounts, backpressure, errors, closing in every state."""
+"""The queue of packets, and the reader that fills it in a thread: order, skipping and its accounts, the end."""
 
 import asyncio
+import itertools
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from made import random_events
-from waiting import until
+from waiting import in_both_ways, until
 
-from async_tnt.sources import BackgroundReader
+from async_tnt.events import as_events
+from async_tnt.sources import BackgroundReader, PacketQueue, QueueCounters
 
 EVENTS = random_events(10_000, seed=1)
 PACKETS = np.split(EVENTS, np.sort(np.random.default_rng(2).integers(0, 10_001, 40)))  # some of them empty
+EQUAL = [EVENTS[k : k + 250] for k in range(0, 10_000, 250)]
 
 
 def threads():
@@ -47,22 +51,6 @@ class Source:
         return packet
 
 
-def in_a_loop(reader):
-    with reader:
-        return list(reader)
-
-
-def in_a_task(reader):
-    async def run():
-        async with reader:
-            return [packet async for packet in reader]
-
-    return asyncio.run(run())
-
-
-in_both_ways = pytest.mark.parametrize("read", [in_a_loop, in_a_task])
-
-
 @in_both_ways
 @pytest.mark.parametrize("latest", [False, True])
 @pytest.mark.parametrize("max_packets", [1, 64])
@@ -76,13 +64,12 @@ def test_all_packets_come_in_order_where_there_is_room(read, latest, max_packets
 @pytest.mark.parametrize(("limits", "n"), [({"max_packets": 5}, 5), ({"max_events": 1250}, 5), ({"max_events": 9}, 1)])
 def test_without_latest_the_source_is_held_back(limits, n):
     """A packet that is larger than `max_events` passes alone."""
-    packets = [EVENTS[k : k + 250] for k in range(0, 10_000, 250)]
-    source = Source(packets)
+    source = Source(EQUAL)
     with BackgroundReader(source, **limits) as reader:
         for k in range(20):
             until(lambda: reader.backlog >= 250 * n)
             assert source.n_asked == n + k  # no more, as none fits
-            assert next(reader).tobytes() == packets[k].tobytes()
+            assert next(reader).tobytes() == EQUAL[k].tobytes()
 
 
 @pytest.mark.parametrize("max_packets", [1, 7])
@@ -157,3 +144,103 @@ async def asynchronous():
 def test_wrong_arguments(settings, error, message):
     with pytest.raises(error, match=f"^{message}"):
         BackgroundReader(**({"source": PACKETS} | settings))
+
+
+# -- the queue alone --------------------------------------------------------------------------------------
+
+PADDED = np.dtype([("p", "u1"), ("x", "<u2"), ("t", "<i8"), ("y", "<u2")], align=True)
+FORMS = {
+    "records": lambda e: e.copy(),
+    "every second": lambda e: np.repeat(e, 2)[::2],
+    "columns": lambda e: tuple(e[name].copy() for name in "txyp"),
+    "padded": lambda e: e[["p", "x", "t", "y"]].astype(PADDED),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_is_copied_and_counted(form):
+    queue = PacketQueue()
+    packet = FORMS[form](EVENTS[:100])
+    assert queue.put(packet) and queue.backlog == 100
+    for array in packet if form == "columns" else [packet]:  # a driver reuses it for the next packet
+        array[:] = 0
+    got = next(queue)
+    assert as_events(got, (34, 34)).tobytes() == EVENTS[:100].tobytes()
+    if form != "columns":
+        assert type(got) is np.ndarray and got.dtype == packet.dtype and got.flags.writeable
+    assert queue.counters.handed_out == 100
+
+
+@pytest.mark.parametrize("limits", [{"max_packets": 4}, {"max_packets": 64, "max_events": 1000}])
+def test_latest_discards_the_oldest(limits):
+    queue = PacketQueue(latest=True, copy=False, **limits)
+    assert all(map(queue.put, EQUAL[:20]))
+    assert (queue.backlog, queue.n_skipped) == (1000, 4000)
+    queue.end()
+    assert all(got is packet for got, packet in zip(queue, EQUAL[16:20], strict=True))
+    assert queue.counters == QueueCounters(5000, 1000, 4000, 0, queue.counters.longest_wait_us)
+
+
+def test_after_the_end_nothing_comes_in():
+    queue = PacketQueue()
+    queue.put(EQUAL[0])
+    queue.end(OSError("first"))
+    queue.end(ValueError("second"))
+    with pytest.raises(ValueError, match=r"^a packet after the end: this queue's end\(\) was called; make a new"):
+        queue.put(EQUAL[1])
+    assert repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)" and len(next(queue)) == 250
+    with pytest.raises(OSError, match="first"):
+        next(queue)
+    assert list(queue) == [] and queue.counters.received == 250
+
+
+def test_delay_is_the_age_of_the_packet_handed_out(monkeypatch):
+    now_us = 0
+    clock = SimpleNamespace(monotonic_ns=lambda: now_us * 1000)
+    monkeypatch.setattr("async_tnt.sources.queue.time", clock)
+    queue = PacketQueue()
+    assert queue.delay_us == 0
+    queue.put(EQUAL[0])
+    now_us = 20
+    next(queue)
+    now_us = 25
+    assert (queue.counters.longest_wait_us, queue.delay_us) == (20, 25)
+
+
+# -- asyncio ---------------------------------------------------------------------------------------------
+
+
+def test_cancelled_while_it_waits_loses_nothing():
+    async def run():
+        queue = PacketQueue()
+        for _ in range(10):
+            with pytest.raises(asyncio.TimeoutError):
+                await asyncio.wait_for(anext(queue), 0.001)
+        assert not queue._sleepers
+        queue.put(EQUAL[0])
+        queue.put(EQUAL[1])
+        return [await anext(queue), await anext(queue)]
+
+    assert [packet.tobytes() for packet in asyncio.run(run())] == [packet.tobytes() for packet in EQUAL[:2]]
+
+
+def test_a_queue_that_never_runs_empty_leaves_other_tasks_their_turn(monkeypatch):
+    monkeypatch.setattr("async_tnt.sources.queue.YIELD_AFTER_S", -1.0)
+    turns = itertools.count()
+
+    async def other():
+        while True:
+            next(turns)
+            await asyncio.sleep(0)
+
+    async def run():
+        queue = PacketQueue(max_packets=100)
+        for packet in EQUAL:
+            queue.put(packet)
+        queue.end()
+        task = asyncio.create_task(other())
+        assert len([packet async for packet in queue]) == len(EQUAL)
+        task.cancel()
+
+    asyncio.run(run())
+    assert next(turns) >= len(EQUAL)

@@ -1,16 +1,198 @@
-"""A played camera from its opening to its end: packets, counts, closing, cables; and `async-tnt run camera`."""
+"""A played camera: which one a name opens, packets, counts, closing, cables; and `async-tnt run camera`."""
 
+import importlib.util
 import json
+import threading
+from contextlib import contextmanager
 from itertools import islice
 
 import numpy as np
 import pytest
-from sources.made_devices import PanicException, PlayedDevice, drivers, found, made_events, opened
 from waiting import meanwhile, until
 
-from async_tnt.sources import DRIVERS, BackgroundReader, open_recording, sample_recordings
+from async_tnt.sources import (
+    DRIVERS,
+    BackgroundReader,
+    UdpSource,
+    open_camera,
+    open_recording,
+    open_source,
+    sample_recordings,
+)
+from async_tnt.sources.camera_drivers import CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
+RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
+
+
+class PanicException(BaseException):
+    """What libraries in Rust raise."""
+
+
+def made_events(*times):
+    events = np.zeros(len(times), RECORD)
+    events["t"], events["x"] = times, range(len(times))
+    return events
+
+
+class PlayedDevice:
+    """Hands out packets; raises those that are exceptions; then has nothing more.
+
+    Like the real ones it breaks when two threads use it at a time.
+    """
+
+    time_field = "t"
+
+    def __init__(self, *packets, sensor=(3400, 34), pause_s=0.0, read_s=0.0):
+        self.packets = list(packets)
+        self.sensor, self.pause_s, self.read_s = sensor, pause_s, read_s
+        self.counts = CameraCounts()
+        self.handle = object()
+        self.n_reads = self.n_closed = 0
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def _borrowed(self):
+        assert self._lock.acquire(blocking=False), "Already borrowed"
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    def read(self):
+        with self._borrowed():
+            assert not self.n_closed, "read after close"
+            self.n_reads += 1
+            packet = self.packets.pop(0) if self.packets else threading.Event().wait(self.read_s) or None
+            if isinstance(packet, BaseException):
+                raise packet
+            return packet
+
+    def close(self):
+        with self._borrowed():
+            self.n_closed += 1
+
+
+def found(device, model="Prophesee EVK4", kinds=("evk4",), serial="00050423", problem=None):
+    def open_it():
+        if isinstance(device, BaseException):
+            raise device
+        return device
+
+    return FoundCamera(model, kinds, serial, open_it, problem)
+
+
+def drivers(*cameras, name="played"):
+    """A table for `open_camera(drivers=...)` whose library finds these cameras."""
+    return {name: lambda: cameras}
+
+
+def opened(*packets, **settings):
+    """(a device that plays these, its camera)."""
+    device = PlayedDevice(*packets, **settings)
+    return device, open_camera(drivers=drivers(found(device)))
+
+
+# -- which source a name opens ---------------------------------------------------------------------------
+
+
+def test_any_source_by_name():
+    """A URL, a path, an array; and cameras below."""
+    assert list(DRIVERS) == ["neuromorphic-drivers", "dv-processing"]
+    with open_source("udp://127.0.0.1:0?format=spif", (34, 20)) as source:
+        assert isinstance(source, UdpSource) and (source.format, source.sensor) == ("spif", (34, 20))
+    path = sample_recordings()[3]
+    recorded = open_recording(path).read().tobytes()
+    for name in (path, str(path), open_recording(path).read()):
+        assert b"".join(packet.tobytes() for packet in open_source(name)) == recorded
+    assert open_source(path, (60, 48)).sensor == (60, 48)
+    with pytest.raises(FileNotFoundError):
+        open_source("gone.npy")
+
+
+def davis():
+    return found(PlayedDevice(sensor=(346, 260)), "iniVation DAVIS 346", ("davis346", "davis"), "00000042")
+
+
+def evk4(device=None, serial="00050423", **known):
+    return found(device or PlayedDevice(sensor=(1280, 720)), serial=serial, **known)
+
+
+def missing():
+    raise ModuleNotFoundError("No module named 'neuromorphic_drivers'")
+
+
+def poisoned():
+    raise PanicException("libusb: cannot open")
+
+
+ALL = drivers(evk4(), evk4(serial="00050424"), davis())
+SEVERAL = {"a": missing, **drivers(name="b"), **drivers(davis(), name="c")}
+BUSY = drivers(evk4(RuntimeError("already used by another program")), davis())
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "opened"),
+    [
+        ("camera", ALL, "Prophesee EVK4 00050423 by played"),
+        ("camera:EVK4:00050424", ALL, "Prophesee EVK4 00050424 by played"),
+        ("camera:davis:00000042", ALL, "iniVation DAVIS 346 00000042 by played"),
+        ("camera", SEVERAL, "iniVation DAVIS 346 00000042 by c"),  # the first library that has one
+        ("camera", BUSY, "iniVation DAVIS 346 00000042 by played"),  # the first that opens
+    ],
+)
+def test_a_name_selects_a_camera(name, table, opened):
+    assert open_camera(name, drivers=table).name == opened
+
+
+SHY = evk4(RuntimeError("device not found"), serial=None, problem="Access denied (insufficient permissions)")
+UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "error", "message"),
+    [
+        (
+            "camera",
+            {"a": missing, "b": missing},
+            ImportError,
+            r"camera: a is not installed; b is not installed: cameras need one of them, "
+            r"pip install 'async_tnt\[cameras\]'$",
+        ),
+        ("camera", {"a": poisoned, **drivers()}, OSError, r"played found none; a cannot search: libusb[^;]*$"),
+        (
+            "camera:evk4:1",
+            drivers(evk4()),
+            OSError,
+            r"^camera:evk4:1: no camera found; .* found Prophesee EVK4 00050423, which is another camera\. ",
+        ),
+        (
+            "camera:evk4:00050423",
+            drivers(SHY),
+            OSError,
+            r"^camera:evk4:00050423: cannot be opened; .* Prophesee EVK4 but cannot open it: Access denied \(insuf",
+        ),
+        ("camera", drivers(evk4(KeyboardInterrupt())), KeyboardInterrupt, "^$"),
+        ("camera:evk9", {}, ValueError, "camera:evk9: no such kind of camera; known are davis, davis346, .*, evk4"),
+        *((name, {}, ValueError, UNKNOWN) for name in ("camera:", "camera::1", "cameras")),
+    ],
+)
+def test_what_a_user_reads(name, table, error, message):
+    with pytest.raises(error, match=message):
+        open_camera(name, drivers=table)
+
+
+def test_the_installed_libraries_look_for_a_camera():
+    """Each is named as missing, or has searched."""
+    with pytest.raises((OSError, ImportError)) as caught:
+        open_source("camera:evk3:no such serial")
+    line = str(caught.value)
+    assert line.startswith("camera:evk3:no such serial: ") and "\n" not in line
+    for module, name in (("neuromorphic_drivers", "neuromorphic-drivers"), ("dv_processing", "dv-processing")):
+        assert (f"{name} is not installed" in line) == (importlib.util.find_spec(module) is None)
+
+
+# -- packets and the end ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("pause_s", "read_s"), [(0.0, 0.005), (0.001, 0.0), (3600.0, 0.0)])
@@ -79,9 +261,8 @@ def plug_in(monkeypatch):
 
     def plug(*packets, sensor=(34, 34)):
         device = PlayedDevice(*packets, sensor=sensor)
-        for name in reversed(list(DRIVERS)):  # which puts them back in their order
-            monkeypatch.delitem(DRIVERS, name)
-        monkeypatch.setitem(DRIVERS, "played", drivers(found(device))["played"])
+        for name in DRIVERS:
+            monkeypatch.setitem(DRIVERS, name, lambda: [found(device)])
         return device
 
     return plug

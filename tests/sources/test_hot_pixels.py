@@ -1,11 +1,14 @@
-"""Hot pixels: all that were planted are found, and none where there are none."""
+"""Hot pixels: all that were planted are found, and none where there are none; and `async-tnt mask`."""
+
+import json
 
 import numpy as np
 import pytest
 from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, learn_mask
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import hot_pixels, learn_mask, load_mask
 
 SENSOR = (34, 34)
 RECORDINGS = {digit: open_recording(sample_recordings()[digit]).read() for digit in (0, 1, 8)}
@@ -24,27 +27,6 @@ def found(packets, sensor=SENSOR, **settings):
     return {(x, y) for y, x in np.argwhere(learn_mask(packets, sensor, **settings)).tolist()}
 
 
-def random_pixels(rng, n):
-    """Pixels of which no 5x5 block holds more than three."""
-    pixels = []
-    while len(pixels) < n:
-        x, y = (int(rng.integers(side)) for side in SENSOR)
-        if (x, y) not in pixels and sum(abs(x - a) < 5 and abs(y - b) < 5 for a, b in pixels) < 3:
-            pixels.append((x, y))
-    return pixels
-
-
-@pytest.mark.parametrize("digit", RECORDINGS)
-def test_all_planted_pixels_are_found_and_no_others(digit):
-    events = RECORDINGS[digit]
-    assert found([events]) == found([events], factor=2) == set()  # far from the bound
-    busiest = count_pixels([events], SENSOR).max()
-    rng = np.random.default_rng(digit)
-    for n in (1, 5, 11):
-        pixels = random_pixels(rng, n)
-        assert found([events, *planted(pixels, 10 * busiest, seed=n)]) == set(pixels)
-
-
 FOUR = [(10, 10), (11, 10), (10, 11), (11, 11)]
 BRIGHT = [(5, 5), (6, 5), (30, 30)]
 
@@ -59,6 +41,7 @@ BRIGHT = [(5, 5), (6, 5), (30, 30)]
         ([random_events(5_000), *planted([(x, y) for x in range(10, 14) for y in range(10, 14)], 500)], []),  # a lamp
         (list(planted([(3, 4), (20, 30)], 300)), [(3, 4), (20, 30)]),  # alone in the dark
         ([random_events(2000), *planted(BRIGHT[:1], 100_000), *planted(BRIGHT[1:], 60)], BRIGHT),  # one outshines two
+        *(([recording], []) for recording in RECORDINGS.values()),
         ([None, random_events(0)], []),
     ],
 )
@@ -74,15 +57,6 @@ def test_a_line_that_moves_along_itself_is_not_hot():
     counts[7, 12] = 400 * 6
     before = counts.copy()
     assert np.argwhere(hot_pixels(counts)).tolist() == [[7, 12]] and (counts == before).all()
-
-
-def test_chance_alone_is_not_hot_by_the_second_bound():
-    """Uniform noise of every strength: none of 50 sensors has a hot pixel; by the factor alone, many have."""
-    rng = np.random.default_rng(0)
-    for rate in (0.001, 0.1, 1, 5, 1000):
-        for _ in range(50):
-            assert not hot_pixels(rng.poisson(rate, (34, 34)).astype(np.int64)).any()
-    assert hot_pixels(rng.poisson(1, (260, 346)).astype(np.int64), false_alarms=1e9).any()
 
 
 @pytest.mark.parametrize(
@@ -111,3 +85,61 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
 def test_wrong_arguments(settings, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         learn_mask(**({"source": [], "sensor": SENSOR} | settings))
+
+
+# -- async-tnt mask ---------------------------------------------------------------------------------------
+
+SAMPLE = sample_recordings()[3]
+EVENTS = open_recording(SAMPLE).read()
+
+
+def with_hot_pixels(path, *pixels):
+    """The sample of a 3 with hot pixels (x, y, events), as a file that does not state its sensor."""
+    hot = [events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n) for x, y, n in pixels]
+    events = np.concatenate([EVENTS, *hot])
+    np.save(path, events[np.argsort(events["t"], kind="stable")])
+    return path
+
+
+def test_it_finds_what_was_planted(tmp_path, program):
+    path, out = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200)), tmp_path / "mask.npy"
+    events = open_recording(path).read()
+    at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
+    code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", out)
+    line = f"2 hot pixels of 34x34 made {sum(at) / len(events):.2%} of {len(events)} events; wrote {out}"
+    assert code == 0 and printed.splitlines()[-1] == line
+    assert {(x, y) for y, x in np.argwhere(load_mask(out, (34, 34))).tolist()} == {(30, 2), (3, 31)}
+    assert len(PixelFilter((34, 34), mask=out)(events)) == len(events) - sum(at)
+
+    words = ("mask", path, "--sensor", "34x34", "--json", "--out", out)
+    pixels = [{"x": 30, "y": 2, "events": at[0]}, {"x": 3, "y": 31, "events": at[1]}]
+    result = {"sensor": [34, 34], "events": len(events), "out": str(out)}
+    assert json.loads(program(*words)[1]) == result | {"hot_pixels": pixels, "share": sum(at) / len(events)}
+    assert json.loads(program(*words, "--factor", "60")[1])["hot_pixels"] == pixels[:1]
+
+
+def test_where_nothing_stands_out_the_mask_masks_nothing(tmp_path, program):
+    out = tmp_path / "mask.npy"
+    printed = f"no hot pixels: none of 34x34 stands out in {len(EVENTS)} events; wrote {out}, which masks nothing\n"
+    assert program("mask", SAMPLE, "--out", out) == (0, printed, "")
+    assert not np.load(out).any()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("a.npy --out m.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
+        ("34.npz 50.npz --out m.npy", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
+        ("e.npz --out m.npy", "e.npz: no events, no hot pixels can be found"),
+        ("34.npz --out m.png", "m.png: its name must end in .npy"),
+    ],
+)
+def test_an_error_is_one_line(words, message, tmp_path, program, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.save("a.npy", EVENTS)
+    for name, n, side in (("34", 9, 34), ("50", 9, 50), ("e", 0, 34)):
+        np.savez(f"{name}.npz", events=random_events(n), sensor=np.array([side, side]))
+    code, printed, error = program("mask", *words.split())
+    assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
+    assert message in error
+    assert not (tmp_path / "mask.npy").exists()

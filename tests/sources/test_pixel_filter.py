@@ -1,13 +1,18 @@
-"""The filter equals its NumPy twin and counts what it drops."""
+"""The filter equals its NumPy twin and counts what it drops; which pixels a model sees, as values that can be sent."""
+
+import dataclasses
+import pickle
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, nasty_streams, random_events
+from made import events_of, nasty_streams
 
 import async_tnt
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
+from async_tnt.sources.pixel_masks import PackedMask, save_mask
+from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
 
 SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
 
@@ -58,18 +63,6 @@ def test_filter_equals_numpy(data, settings):
     assert pixel_filter.counts == PixelCounts()
 
 
-def test_a_mask_may_be_a_file_and_later_changes_of_an_array_change_nothing(tmp_path):
-    mask = np.random.default_rng(0).random((20, 30)) < 0.2
-    np.save(tmp_path / "mask.npy", mask)
-    events = random_events(1000, sensor=(30, 20))
-    kept = twin(events, (30, 20), None, mask, False)[0].tobytes()
-    of_array = PixelFilter((30, 20), mask=mask)
-    mask[:] = True
-    of_files = [PixelFilter((30, 20), mask=path) for path in (tmp_path / "mask.npy", str(tmp_path / "mask.npy"))]
-    for pixel_filter in (of_array, *of_files):
-        assert pixel_filter(events).tobytes() == kept
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -93,3 +86,44 @@ def test_the_borders_of_a_region_by_hand():
     kept = PixelFilter((10, 8), roi=(2, 3, 4, 2))(events)
     assert {(int(x), int(y)) for _, x, y, _ in kept} == {(x, y) for x in (2, 3, 4, 5) for y in (3, 4)}
     assert PixelFilter((10, 8), roi=(9, 7, 1, 1), crop=True)(events).tolist() == [(79, 0, 0, 1)]
+
+
+# -- selections of pixels ---------------------------------------------------------------------------------
+
+
+def test_a_selection_goes_to_another_process_with_its_mask_which_may_be_an_array_or_a_file(tmp_path):
+    mask = np.random.default_rng(0).random((720, 1280)) < 1e-4
+    save_mask(tmp_path / "m.npy", mask)
+    packed = PackedMask.of(mask)
+    for one in (mask, packed, tmp_path / "m.npy", str(tmp_path / "m.npy")):
+        selection = PixelSelection((10, 20, 34, 34), True, one)
+        assert selection == PixelSelection(np.array([10, 20, 34, 34]), 1, packed) and selection.crop is True
+    assert selection.mask.name == str(tmp_path / "m.npy")
+    (tmp_path / "m.npy").unlink()
+    sent = pickle.dumps(selection)
+    assert len(sent) < 3000
+    received = pickle.loads(sent)
+    assert received == selection and hash(received) == hash(selection) and received.about == selection.about
+    np.testing.assert_array_equal(received.mask.pixels((1280, 720)), mask)
+    np.testing.assert_array_equal(PackedMask.of(np.asfortranarray(mask)).pixels((1280, 720)), mask)
+    assert dataclasses.replace(selection, sensor=[1280, 720]).sensor == (1280, 720)
+    with pytest.raises(TypeError, match=r"`mask` must be a bool array, a .* or a PackedMask, got "):
+        PixelSelection(mask=b"m.npy")
+
+
+ROI = (10, 4, 40, 40)
+MASK = PackedMask.of(np.zeros((48, 60), bool), "hot.npy")
+
+
+@pytest.mark.parametrize(
+    ("selection", "model", "found", "message"),
+    [
+        (PixelSelection(), (40, 40), (60, 48), "the model is for 40x40; train .*, or cut out a part: `roi` X,Y,40,40"),
+        (PixelSelection(), (40, 40), (40, 39), r"a: a .* 40x39 .*, but the model is for 40x40; train one .* train\)$"),
+        (PixelSelection((3, 4, 34, 34), True, MASK), (34, 34), (50, 50), "but hot.npy is a mask of 60x48$"),
+        (PixelSelection(ROI, True), (40, 40), None, "the camera's pixels, which `crop` needs: give `sensor`$"),
+    ],
+)
+def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(selection, model, found, message):
+    with pytest.raises(ValueError, match=message):
+        PixelSelector(selection, model).sensor_of("a", found)

@@ -21,11 +21,8 @@ def model():
 
 
 def test_its_record_has_its_data_accuracy_and_command(model):
-    assert model.config.transform == "tnt" and model.config.landmark in ("center", "running", "line")
-    assert model.classes == tuple("0123456789")
-    widths = [len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1", "fc2")]
-    assert widths == [16, 32, 64, 10]
     record = model.record
+    assert model.config.transform == "tnt" and model.classes == tuple("0123456789")
     assert {"data", "command", "seed", "epochs", "versions", "validation", "test", "tried"} <= set(record)
     assert "official" in record["data"]["note"]  # not the official split: stated where the numbers are
     assert record["test"]["per_window"] >= 0.97 and record["test"]["per_recording"] >= 0.985
@@ -33,8 +30,8 @@ def test_its_record_has_its_data_accuracy_and_command(model):
 
 @from_either
 def test_every_window_of_every_sample_is_classified_right(model, first_event):
-    samples = [(label, open_recording(path).read()) for label, path in sample_recordings().items()]
-    recordings = Recordings.from_events([events for _, events in samples], [label for label, _ in samples])
+    labels, paths = zip(*sample_recordings().items(), strict=True)
+    recordings = Recordings.from_events([open_recording(path).read() for path in paths], labels)
     windows = make_windows(recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US)
     assert len(windows) == 30 and evaluate(pipeline_of(model), windows).per_window == 1.0
 

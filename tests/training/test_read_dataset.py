@@ -12,7 +12,6 @@ from async_tnt.config import TNTConfig
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
-from async_tnt.training.recordings import RecordingsWriter
 
 SIZE = (64, 64)
 EVERYTHING = PixelSelection()
@@ -20,15 +19,6 @@ EVERYTHING = PixelSelection()
 
 def write_64(folder, counts, **settings):
     return write_set(folder, counts, side=64, **settings)
-
-
-@pytest.mark.parametrize(("sensor", "source"), [(None, "flat/00.npz"), (SIZE, "`sensor`")])
-def test_recordings_of_two_sensors_are_an_error_that_names_both(sensor, source, tmp_path):
-    write_64(tmp_path, {"upright": 3, "flat": 3}, suffixes=(".npz",))
-    write(tmp_path / "flat" / "99.npz", bar("flat", 77, side=30), sensor=(80, 60))
-    message = f"all recordings must be of one sensor, got 64x64 ({source}) and 80x60 (flat/99.npz)"
-    with pytest.raises(ValueError, match=re.escape(message)):
-        read_dataset(tmp_path, pixels=PixelSelection(sensor=sensor))
 
 
 def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path):
@@ -44,15 +34,6 @@ def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path)
     assert (cropped.camera, cropped.sensor) == (SIZE, (60, 64)) and cropped.recordings.x.max() < 60
 
 
-def test_a_sensor_that_nothing_states_is_asked_for(tmp_path):
-    write_64(tmp_path, {"upright": 2, "flat": 2}, suffixes=(".csv",))
-    asked = r"no recording states its sensor; give `sensor` \(flat/00.csv needs at least \d+x\d+\)"
-    with pytest.raises(ValueError, match=asked):
-        read_dataset(tmp_path, pixels=PixelSelection(roi=(0, 0, 9, 9)))
-    mask = np.zeros(SIZE[::-1], bool)
-    assert read_dataset(tmp_path, pixels=PixelSelection(mask=mask)).camera == SIZE
-
-
 def test_what_is_trained_on_is_not_tested_on(tmp_path):
     write_set(tmp_path / "Train", {"upright": 3, "flat": 3}, side=34)
     write_set(tmp_path / "Test", {"upright": 2, "flat": 2}, side=34, seed=1)
@@ -64,49 +45,6 @@ def test_what_is_trained_on_is_not_tested_on(tmp_path):
     shutil.move(tmp_path / "Test" / "flat" / f"again{learned.suffix}", tmp_path / "Test" / "upright")
     with pytest.raises(ValueError, match="hold the same events but are in two classes"):
         dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
-
-
-def test_a_bin_is_of_34_pixels_without_the_option(tmp_path):
-    write_set(tmp_path / "small", {"upright": 4, "flat": 4}, suffixes=(".bin", ".npy", ".npz", ".csv"), side=34)
-    assert read_dataset(tmp_path / "small").camera == (34, 34)
-    write_64(tmp_path / "large", {"upright": 2, "flat": 2}, suffixes=(".bin",))
-    dataset = read_dataset(tmp_path / "large", pixels=PixelSelection(sensor=SIZE))
-    assert dataset.camera == SIZE and dataset.left_out == () and len(dataset.recordings) == 4
-    with pytest.raises(ValueError, match="or say its sensor if it is of another camera"):
-        read_dataset(tmp_path / "large")
-
-
-def test_the_same_recording_in_two_classes_is_an_error(tmp_path):
-    """Whatever its file and the time it begins at; but not recordings that differ only outside of the region."""
-
-    def recorded(far, start_us=0):
-        return events_of([start_us, start_us + 10, start_us + 20], [2, 5, far], [2, 5, far], [1, 0, 1])
-
-    for name, far in (("a/0", 40), ("b/0", 42)):
-        write(tmp_path / f"{name}.npz", recorded(far), sensor=SIZE)
-    dataset = read_dataset(tmp_path, pixels=PixelSelection(roi=(0, 0, 10, 10)))
-    assert dataset.left_out == () and dataset.left_out_events == {"left_out_outside": 2}
-    write(tmp_path / "a" / "wrong.npy", recorded(42, start_us=5_000_000))
-    with pytest.raises(ValueError, match=r"a/wrong\.npy and b/0\.npz hold the same events but are in two classes"):
-        read_dataset(tmp_path)
-
-
-def test_events_older_than_the_first_are_left_out_and_the_others_sorted(tmp_path):
-    def recording(times_us):
-        return events_of(times_us, *(np.full(len(times_us), value) for value in (5, 7, 1)))
-
-    for k, name in enumerate("ab"):
-        write(tmp_path / name / "1.npz", recording([500, 520 + k, 510, 499]), sensor=(9, 9))
-    dataset = read_dataset(tmp_path)
-    np.testing.assert_array_equal(dataset.recordings.t, [0, 10, 20, 0, 10, 21])
-    assert dataset.n_late == 2
-    data = dataset_data(tmp_path, TNTConfig(sensor=(9, 9), grid=(9, 9)), pixels=PixelSelection(), validation=0)
-    assert data.record["left_out_late"] == 2
-    assert "events left out of the recordings: 2 older than the first one of their recording" in data.notes
-    assert dataset.sensor == (9, 9) and dataset.recordings.names == ("a/1.npz", "b/1.npz")
-    write(tmp_path / "b" / "2.npz", recording([0, 1 << 31]), sensor=(9, 9))
-    with pytest.raises(ValueError, match=r"b/2.npz: lasts 36 minutes, more than the 35 that training supports"):
-        read_dataset(tmp_path)
 
 
 def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
@@ -132,21 +70,6 @@ def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
     assert np.bincount(dataset.recordings.labels).tolist() == [4, 4]
 
 
-def test_events_in_a_folder_are_the_same_as_in_memory(tmp_path):
-    """They are mapped from files without names, which nothing has to remove."""
-    folder = write_64(tmp_path / "set", {"upright": 4, "flat": 4})
-    store = tmp_path / "store"
-    store.mkdir()
-    mapped, held = read_dataset(folder, store=store).recordings, read_dataset(folder).recordings
-    for name in ("t", "x", "y", "p", "offsets", "labels"):
-        ours, theirs = getattr(mapped, name), getattr(held, name)
-        np.testing.assert_array_equal(ours, theirs)
-        assert type(ours) is np.ndarray and ours.dtype == theirs.dtype
-    assert mapped.names == held.names and not list(store.iterdir())
-    with RecordingsWriter(store) as writer:
-        assert len(writer.finish()) == 0  # an empty file cannot be mapped
-
-
 def test_windows_counts_and_the_held_out(tmp_path):
     for k in range(5):
         write(tmp_path / "upright" / f"{k}.npz", bar("upright", k, duration_us=500_000, start_us=7_000_000_000))
@@ -159,37 +82,79 @@ def test_windows_counts_and_the_held_out(tmp_path):
     assert "not held out, as there is only one recording, or one group of them: single" in data.notes
 
 
-def test_who_was_seen_in_training_is_not_held_out(tmp_path):
-    """By a pattern, by a table; and by recording where nothing is known."""
-    rows = ["recording,group"]
-    for kind in ("upright", "flat"):
-        for k in range(10):
-            write(tmp_path / kind / f"{'abcde'[k % 5]}{k}.npz", bar(kind, k, n=50))
-            rows.append(f"{kind}/{'abcde'[k % 5]}{k}.npz,{'abcde'[k % 5]}")
+def recording(times_us, pixels=None):
+    return events_of(times_us, *([5] * len(times_us) if pixels is None else pixels for _ in "xy"), [1] * len(times_us))
 
-    def held_out_by(**how):
+
+def test_what_differs_only_outside_of_the_region_or_is_late_is_left_out_by_event(tmp_path):
+    """Events older than their recording's first one are late; the others are sorted. In files or in memory."""
+    folder, store = tmp_path / "set", tmp_path / "store"
+    store.mkdir()
+    for k, name in enumerate("ab"):
+        write(folder / name / "1.npz", recording([500, 520 + k, 510, 499]), sensor=SIZE)
+        write(folder / name / "2.npz", recording([0, 10, 20 + k], [2, 5, 40 + k]), sensor=SIZE)
+    pixels = PixelSelection(roi=(0, 0, 10, 10))
+    held, mapped = read_dataset(folder, pixels=pixels), read_dataset(folder, pixels=pixels, store=store)
+    np.testing.assert_array_equal(held.recordings.t, [0, 10, 20, 0, 10, 0, 10, 21, 0, 10])
+    assert held.left_out == () and held.left_out_events == {"left_out_outside": 2} and held.n_late == 2
+    for name in ("t", "x", "y", "p", "offsets", "labels"):
+        ours, theirs = getattr(mapped.recordings, name), getattr(held.recordings, name)
+        np.testing.assert_array_equal(ours, theirs)
+        assert ours.dtype == theirs.dtype
+    assert not list(store.iterdir())  # files without names, which nothing has to remove
+    data = dataset_data(folder, TNTConfig(), pixels=pixels, validation=0)
+    line = "events left out of the recordings: 2 outside of the region, 2 older than the first one of their recording"
+    assert data.record["left_out_late"] == 2 and line in data.notes
+
+
+REFUSED = [  # files and their sensors, what is refused, settings
+    ({"flat/a.npz": SIZE, "up/b.npz": (80, 60)}, "of one sensor, got 64x64 (flat/a.npz) and 80x60 (up/b.npz)", {}),
+    ({"flat/a.npz": (80, 60), "up/b.npz": SIZE}, "got 64x64 (`sensor`) and 80x60 (flat/a.npz)", {"sensor": SIZE}),
+    ({"flat/a.csv": None, "up/b.csv": None}, "no recording states its sensor; give `sensor` (flat/a.csv needs", {}),
+    ({"flat/a.bin": None, "up/b.bin": None}, "or say its sensor if it is of another camera", {}),
+    ({"flat/a.npz": SIZE, "up/b.npz": SIZE}, "flat/a.npz and up/b.npz hold the same events but are in two classes", {}),
+    ({"up/a.npz": SIZE, "up/b.npz": SIZE}, "there must be at least two class folders, got up", {}),
+    ({"up/a.npz": SIZE, "flat/notes.md": None}, "no recordings in the class folder flat; expected", {}),
+    ({"a.npz": SIZE}, "no class folders; expected set/<class name>/<recording>", {}),
+]
+
+
+@pytest.mark.parametrize(("files", "message", "settings"), REFUSED)
+def test_a_folder_without_a_dataset_of_one_sensor_is_refused(files, message, settings, tmp_path):
+    same = "the same events" in message
+    for k, (name, sensor) in enumerate(files.items()):
+        path = tmp_path / "set" / name
+        if path.suffix == ".md":
+            path.parent.mkdir(parents=True)
+            path.touch()
+        else:  # whatever time it begins at
+            write(path, bar("flat", 0 if same else k, side=60, start_us=5_000_000 * k), sensor=sensor)
+    with pytest.raises(ValueError, match=re.escape(message)):
+        read_dataset(tmp_path / "set", pixels=PixelSelection(**settings))
+
+
+def test_a_recording_longer_than_35_minutes_is_refused(tmp_path):
+    for name in "ab":
+        write(tmp_path / name / "1.npz", recording([0, 1 << 31]), sensor=SIZE)
+    with pytest.raises(ValueError, match=r"a/1.npz: lasts 36 minutes, more than the 35 that training supports"):
+        read_dataset(tmp_path)
+
+
+def test_who_was_seen_in_training_is_not_held_out(tmp_path):
+    """By a pattern or by a table; by recording where nothing is known."""
+    files = [f"{kind}/{'abcde'[k % 5]}{k}.npz" for kind in ("upright", "flat") for k in range(10)]
+    for k, name in enumerate(files):
+        write(tmp_path / name, bar("flat", k, n=50))
+
+    def held_out_by(n_groups, **how):
         data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, **how)
         names = data.training.recordings.names
-        sides = [{names[r].split("/")[1][0] for r in windows.recording} for windows in (data.training, data.validation)]
-        return data.record["source"].removeprefix("recordings of own classes, held out by "), sides
+        train, held_out = ({names[r].split("/")[1][0] for r in w.recording} for w in (data.training, data.validation))
+        assert not n_groups or (len(held_out) == n_groups and not train & held_out)
+        return data.record["source"].removeprefix("recordings of own classes, held out by ")
 
-    assert held_out_by()[0] == "recording"
-    by_pattern = held_out_by(groups="/(.)")
+    assert held_out_by(0) == "recording"
+    assert held_out_by(1, groups="/(.)") == "group (/(.))"
+    rows = ["recording,group", *(f"{name},{name.split('/')[1][0]}" for name in files)]
     (tmp_path / "groups.csv").write_text("\n".join(rows))
-    for (how, (train, held_out)), expected in ((by_pattern, "group (/(.))"), (held_out_by(), "group (groups.csv)")):
-        assert how == expected and len(held_out) == 1 and not train & held_out
-
-
-@pytest.mark.parametrize(
-    ("files", "message"),
-    [
-        (["upright/a.npy", "upright/b.npy"], "there must be at least two class folders, got upright"),
-        (["upright/a.npy", "flat/a.npy", "slanted/notes.md"], "no recordings in the class folder slanted; expected"),
-        (["a.npy"], "no class folders; expected set/<class name>/<recording>"),
-    ],
-)
-def test_a_folder_without_a_dataset_is_refused(files, message, tmp_path):
-    for path in (tmp_path / "set" / name for name in files):
-        write(path.with_suffix(".npy"), bar("flat", len(path.name))).rename(path)
-    with pytest.raises(ValueError, match=re.escape(message)):
-        read_dataset(tmp_path / "set")
+    assert held_out_by(1) == "group (groups.csv)"

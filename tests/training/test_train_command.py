@@ -63,61 +63,6 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
     assert refused() == "recordings (upright/new.npy is new, upright/00.npy has changed, flat/01.npz is gone)"
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("DATASET", "--sensor", "640x480"), "of one sensor, got 640x480 (--sensor) and 128x128 (flat/01.npz)"),
-        (("DATASET", "--start-from", "MODEL", "--grid", "8x8"), "must come without --start-from: volume and network"),
-        (("OTHER", "--start-from", "MODEL"), "unknown class slanted; known are flat, upright"),
-        (("nowhere",), "no folder nowhere"),
-    ],
-)
-def test_errors_are_one_line(words, message, gestures, trained, program, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    known = {"DATASET": gestures, "MODEL": trained, "OTHER": "other"}
-    write_set(tmp_path / "other", {"upright": 1, "slanted": 1})
-    code, _, err = program("train", *(known.get(word, word) for word in words))
-    assert code == 2 and message in err and err.count("\n") == 1, err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["other"]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--volume", "remove_flow=yes"), "remove_flow"),
-        (("--network", "conv5"), "must be one of thesis, conv4, residual, separable, or FILE.py:FUNCTION; got 'conv5'"),
-        (("--network", "no.py:build"), "no.py:build: no file no.py"),
-        (("--motions", "resynthesized", "--roi", "0,0,9,9"), "--roi must come with --crop"),
-        (("--groups", "("), "--groups must be a regular expression, got '('"),
-        (("--test",), "trials_to_test.txt; found neither"),
-        (("--out", "DATASET/m.safetensors"), "--out must lie outside of "),
-    ],
-)
-def test_options_are_refused_before_the_recordings_are_read(words, message, train, tmp_path, monkeypatch):
-    monkeypatch.setattr(data_module, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
-    folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1})
-    code, err, _ = train(folder, *(word.replace("DATASET", str(folder)) for word in words))
-    assert code == 2 and message in err and err.count("\n") == 1, err
-
-
-@pytest.mark.parametrize(
-    ("there", "lacking"),
-    [
-        ({"m.json": '{"history": [], "summary": {}}'}, 'm.json with "held_out", "summary", "history"'),
-        ({"m.confusion.png": "a picture"}, "m.json with "),
-        ({"runs/m/history.json": "[]"}, 'history.json with "settings", "history"'),
-    ],
-)
-def test_files_of_others_beside_the_model_stay(there, lacking, tmp_path, train):
-    for name, content in there.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(content)
-    code, err, out = train("nowhere")
-    message = rf"{name} is of another program \(expected {lacking}.*\): move it away, or give another name$"
-    assert code == 2 and re.search(message, err) and err.count("\n") == 1 and not out.exists()
-    assert {name: (tmp_path / name).read_text() for name in there} == there
-
-
 def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(gestures, train, tmp_path):
     run = tmp_path / "runs" / "m"
     with locked_folder(run, "command.lock"):
@@ -159,30 +104,77 @@ def test_given_again_it_prints_the_same_result_and_other_models_continue_from_it
     assert str(tmp_path) not in json.dumps(dict(model.record))
 
 
+def test_without_torch_the_message_says_what_to_install(monkeypatch, program):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    code, _, err = program("train", "nowhere")
+    assert code == 2 and "pip install 'async_tnt[train]'" in err
+
+
+REFUSED_EARLY = [
+    (("--volume", "remove_flow=yes"), "remove_flow"),
+    (("--network", "conv5"), "must be one of thesis, conv4, residual, separable, or FILE.py:FUNCTION; got 'conv5'"),
+    (("--motions", "resynthesized", "--roi", "0,0,9,9"), "--roi must come with --crop"),
+    (("--groups", "("), "--groups must be a regular expression, got '('"),
+    (("--test",), "trials_to_test.txt; found neither"),
+    (("--out", "DATASET/m.safetensors"), "--out must lie outside of "),
+    (("--start-from", "MODEL", "--grid", "8x8"), "must come without --start-from: volume and network"),
+]
+REFUSED = [
+    (("--sensor", "640x480"), "of one sensor, got 640x480 (--sensor) and 34x34 (slanted/00.npz)"),
+    (("--roi", "0,0,35,34", "--crop"), "must lie on the sensor of 34x34 pixels"),
+    (("--start-from", "MODEL", "--roi", "0,0,20,20", "--crop"), "is for 128x128 pixels, got a region of 20"),
+    (("--start-from", "MODEL", "--sensor", "128x128"), "unknown class slanted; known are flat, upright"),
+]
+
+
+@pytest.mark.parametrize(
+    ("words", "message", "is_early"), [*((*row, True) for row in REFUSED_EARLY), *((*row, False) for row in REFUSED)]
+)
+def test_errors_are_one_line(words, message, is_early, trained, program, tmp_path, monkeypatch):
+    """Those of options come before the recordings are read."""
+    monkeypatch.chdir(tmp_path)
+    if is_early:
+        monkeypatch.setattr(data_module, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
+    write_set(tmp_path / "set", {"upright": 1, "slanted": 1}, suffixes=(".npz",), side=34)
+    words = [word.replace("MODEL", str(trained)).replace("DATASET", "set") for word in words]
+    code, _, err = program("train", "set", *words)
+    assert code == 2 and message in err and err.count("\n") == 1, err
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+def test_files_of_others_beside_the_model_stay(tmp_path, train):
+    for name, content, lacking in (
+        ("m.confusion.png", "a picture", "m.json with "),
+        ("m.json", '{"history": [], "summary": {}}', 'm.json with "held_out", "summary", "history"'),
+        ("runs/m/history.json", "[]", 'history.json with "settings", "history"'),
+    ):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+        code, err, out = train("nowhere")
+        message = rf"{name} is of another program \(expected {lacking}.*\): move it away, or give another name$"
+        assert code == 2 and re.search(message, err) and err.count("\n") == 1 and not out.exists()
+        assert path.read_text() == content
+        path.unlink()
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), ("none", "split", 9, (60, 45), 100_000)),  # as long as the longest recording
-        (("--window-us", "50000", "--grid", "20x16"), ("none", "split", 9, (20, 16), 50_000)),
+        ("", ("none", "split", 9, (200, 150), (60, 45), 100_000)),  # as long as the longest recording
         (
-            ("--volume", "transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2"),
-            ("tnt", "signed", 5, (60, 45), 100_000),
+            "--window-us 50000 --grid 20x16 --roi 10,0,128,128 --crop "
+            "--volume transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2",
+            ("tnt", "signed", 5, (128, 128), (20, 16), 50_000),
         ),
     ],
 )
 def test_the_volume_is_the_plain_one_unless_asked_otherwise(words, expected, tmp_path, program):
     write_set(tmp_path / "set", {"upright": 2, "flat": 2}, suffixes=(".npy",))
     out = tmp_path / "m.safetensors"
-    words = ("--sensor", "200x150", "--out", out, "--epochs", 1, *words)
+    words = ("--sensor", "200x150", "--out", out, "--epochs", 1, *words.split())
     assert program("train", tmp_path / "set", *words)[0] == 0
     model = load_model(out)
     found = model.config
-    assert (found.transform, found.polarity, found.bins, found.grid, found.window_us) == expected
-    assert (model.record["network"], found.sensor) == ("residual", (200, 150))
-    assert "--sensor 200x150" in model.record["command"]
-
-
-def test_without_torch_the_message_says_what_to_install(monkeypatch, program):
-    monkeypatch.setitem(sys.modules, "torch", None)
-    code, _, err = program("train", "nowhere")
-    assert code == 2 and "pip install 'async_tnt[train]'" in err
+    assert (found.transform, found.polarity, found.bins, found.sensor, found.grid, found.window_us) == expected
+    assert model.record["network"] == "residual" and "--sensor 200x150" in model.record["command"]

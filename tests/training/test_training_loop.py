@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,16 +15,17 @@ from async_tnt.progress import Bar  # noqa: E402
 from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
-from async_tnt.training.loop import balanced_order, batches_of  # noqa: E402
+from async_tnt.training.loop import batches_of  # noqa: E402
 from async_tnt.training.pipeline import Pipeline  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
-from async_tnt.training.windows import Windows, make_windows  # noqa: E402
+from async_tnt.training.windows import make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
 CLASSES = ("across", "down")
 ONE_EPOCH = TrainSettings(epochs=1, batch=16)
+train = partial(loop.train, classes=CLASSES)
 
 
 def bars(n=24, seed=0):
@@ -34,23 +36,6 @@ def bars(n=24, seed=0):
         t, along, across = np.sort(rng.integers(0, 315_000, 600)), rng.integers(8, 26, 600), rng.integers(15, 19, 600)
         recordings.append(events_of(t, *((along, across) if k % 2 else (across, along)), rng.integers(0, 2, 600)))
     return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
-
-
-def train(*given, classes=CLASSES, **more):
-    return loop.train(*given, classes=classes, **more)
-
-
-def relabelled(windows, labels):
-    r = windows.recordings
-    other = Recordings(r.t, r.x, r.y, r.p, r.offsets, np.asarray(labels), r.names)
-    return Windows(other, windows.recording, windows.start_us)
-
-
-def changed(windows, name, i):
-    """The windows, with another number in one event."""
-    column = getattr(windows.recordings, name).copy()
-    column[i] ^= 1
-    return Windows(replace(windows.recordings, **{name: column}), windows.recording, windows.start_us)
 
 
 def assert_equal(a, b):
@@ -80,29 +65,6 @@ def test_it_learns_what_is_easy(precision, windows, tmp_path):
     assert all(w.dtype == np.float32 for w in result.model.weights.values())
 
 
-@pytest.mark.parametrize("landmark", ["running", "regressor"])
-def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
-    config, settings = CONFIG.replace(landmark=landmark), TrainSettings(epochs=3, batch=32, seed=5)
-    whole = train(config, windows, windows[:6], settings, tmp_path / "whole")
-
-    class InterruptedInEpoch2(Bar):
-        def update(self, n=1, title=None):
-            super().update(n, title)
-            if self.done == 5:  # of 3 steps an epoch
-                raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(config, windows, windows[:6], settings, tmp_path / "cut", progress=InterruptedInEpoch2)
-    epochs = []
-    resumed = train(
-        config, windows, windows[:6], settings, tmp_path / "cut", report=lambda row: epochs.append(row["epoch"])
-    )
-    assert epochs == [2, 3] and resumed.history == whole.history
-    assert_equal(resumed.model, whole.model)
-    if config.needs_regressor:
-        assert np.abs(whole.model.weights["regressor.heatmap.weight"]).max() > 0  # it starts from zero
-
-
 OWN = """
 from torch import nn
 
@@ -110,68 +72,6 @@ def build(channels, grid, n_classes):
     layers = [nn.Conv2d(channels, 4, 3), nn.AdaptiveAvgPool2d(1), nn.BatchNorm2d(4), nn.Dropout(0.5), nn.Flatten()]
     return nn.Sequential(*layers, nn.Linear(4, n_classes))
 """
-
-
-def test_dropout_is_drawn_from_the_seed_and_an_epoch_may_end_in_a_single_window(windows, tmp_path):
-    (tmp_path / "mine.py").write_text(OWN)
-    for seed in (0, 1):
-        settings = TrainSettings(epochs=2, batch=23, seed=seed, network=f"{tmp_path / 'mine.py'}:build")
-        assert settings.n_steps(24) == 1 and settings.n_steps(25) == 2 and settings.n_steps(1) == 1
-        state = torch.get_rng_state()
-        one = train(CONFIG, windows, windows[:6], settings, tmp_path / f"one {seed}")
-        assert torch.equal(torch.get_rng_state(), state)
-        torch.rand(3)
-        assert_equal(train(CONFIG, windows, windows[:6], settings, tmp_path / f"two {seed}").model, one.model)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"settings": TrainSettings(epochs=1, batch=8, seed=1)}, "a run with other batch, seed; delete it"),
-        ({"training": relabelled(bars(), np.arange(24) // 2 % 2)}, "holds a run with other data"),
-        ({"training": changed(bars(), "x", 7)}, "holds a run with other data"),
-        ({"training": changed(bars(), "p", -1)}, "holds a run with other data"),
-        ({"training": bars(2)[:0]}, "`training` must hold at least one window"),
-        ({"classes": ("a",)}, r"labels must be in \[0, 1\), one for each class, got 1"),
-    ],
-)
-def test_other_settings_and_data_than_those_of_the_run_folder_are_refused(change, message, windows, trained):
-    given = {"config": CONFIG, "training": windows, "validation": windows[:0], "settings": ONE_EPOCH}
-    with pytest.raises(ValueError, match=message):
-        train(**given | change, run_folder=trained[1])
-    with pytest.raises(ValueError, match=r"`label_smoothing` must be .*, got 1\.0"):
-        TrainSettings(label_smoothing=1.0)
-
-
-def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
-    """Any bit: `torch.load` alone does not compare checksums."""
-    path, identity = tmp_path / CHECKPOINT, {"seed": 0, "format": FORMAT}
-    save_checkpoint(tmp_path, {"identity": identity, "history": [], "weights": torch.ones(500)})
-    content = path.read_bytes()
-    for at in range(len(content) // 2, len(content), len(content) // 50):
-        path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
-        try:
-            state = load_checkpoint(tmp_path, identity)
-        except ValueError as error:
-            assert "not a readable checkpoint" in str(error) and "remove it to start again" in str(error)
-        else:  # padding, or what nobody reads
-            assert torch.equal(state["weights"], torch.ones(500)) and state["identity"] == identity
-    save_checkpoint(tmp_path, {"identity": identity | {"format": 2}, "history": []})
-    with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
-        load_checkpoint(tmp_path, identity)
-
-
-def test_iterations_end_the_training_within_an_epoch(windows, tmp_path):
-    """72 windows, 16 at a time, are 5 steps; 7 steps are an epoch and 2 steps of the next."""
-    settings, steps = TrainSettings(epochs=50, iterations=7, batch=16), []
-
-    class Counted(Bar):
-        def update(self, n=1, title=None):
-            steps.append(title)
-
-    result = train(CONFIG, windows, windows[:6], settings, tmp_path, progress=Counted)
-    assert steps == ["epoch 1/2"] * 5 + ["epoch 2/2"] * 2
-    assert [row["iterations"] for row in result.history] == [5, 7]
 
 
 class DecidesByTheSum(torch.nn.Module):
@@ -184,30 +84,6 @@ class DecidesByTheSum(torch.nn.Module):
     def forward(self, volume):
         total = volume.sum((1, 2, 3))
         return torch.stack([torch.zeros_like(total), total], dim=1)
-
-
-def test_the_rate_rises_for_a_twentieth_of_the_steps_and_falls_to_zero():
-    optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=9.0)
-
-    def rate(step):
-        loop._set_rate(optimizer, TrainSettings(learning_rate=0.1), step, 105)
-        return optimizer.param_groups[0]["lr"]
-
-    assert [rate(k) for k in (0, 4, 5, 30, 55, 104)] == pytest.approx([0.02, 0.1, 0.1, 0.0853553, 0.05, 2.467e-5], 1e-3)
-
-
-@pytest.mark.parametrize(
-    ("windows", "batch", "epochs"),
-    [
-        (100_000, 64, 30),
-        (1000, 31, 182),  # 33 steps an epoch, 6,000 at least
-        (9, 8, 1500),  # one step, as a last window alone is left out: at most so many
-    ],
-)
-def test_how_long_data_sets_are_trained_on(windows, batch, epochs):
-    settings = settings_for(CONFIG, windows)
-    assert (settings.batch, settings.epochs) == (batch, epochs)
-    assert settings_for(CONFIG, windows, epochs=3).epochs == 3
 
 
 def test_evaluation_by_hand():
@@ -226,9 +102,6 @@ def test_evaluation_by_hand():
     assert found.per_recording == 0.5  # mean of .731, .731, .0001 for class 1 is below a half
     assert found.against_time == {10.0: 0.5, 100.0: pytest.approx(5 / 6), 105.0: pytest.approx(5 / 6)}  # nothing yet: 0
     assert found.to_dict()["against_time_ms"] == {"10": 0.5, "100": 0.83333, "105": 0.83333}
-    again = evaluate(pipeline, make_windows(recordings, 105_000), times_ms=(10, 100, 105, 200))
-    assert again.times_ms == found.times_ms  # the end counts once
-    assert (again.calibration_error, again.temperature) == (found.calibration_error, found.temperature)
 
 
 def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_path):
@@ -244,19 +117,80 @@ def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_p
         train(CONFIG.replace(t_max=8.0), windows, windows[:0], still, tmp_path / "other", start=first)
 
 
-def test_balance_shows_every_class_equally_often_and_every_window_in_turn():
-    labels = np.array([0] * 90 + [1] * 7 + [2] * 3)
-    order, again, other = (balanced_order(labels, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    assert len(order) == 100 and sorted(np.bincount(labels[order])) == [33, 33, 34]
-    shown = np.bincount(order, minlength=100)
-    assert shown[:90].max() == 1 and np.ptp(shown[90:97]) <= 1 and np.ptp(shown[97:]) <= 1
-    np.testing.assert_array_equal(order, again)
-    assert not np.array_equal(order, other)
+@pytest.mark.parametrize("landmark", ["running", "regressor"])
+def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
+    """Bit for bit. 72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the next."""
+    config, settings = CONFIG.replace(landmark=landmark), TrainSettings(epochs=50, iterations=8, batch=32, seed=5)
+    whole = train(config, windows, windows[:6], settings, tmp_path / "whole")
+
+    class InterruptedInEpoch2(Bar):
+        def update(self, n=1, title=None):
+            super().update(n, title)
+            if self.done == 5:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config, windows, windows[:6], settings, tmp_path / "cut", progress=InterruptedInEpoch2)
+    steps = []
+    resumed = train(
+        config, windows, windows[:6], settings, tmp_path / "cut", report=lambda row: steps.append(row["iterations"])
+    )
+    assert steps == [6, 8] and resumed.history == whole.history
+    assert_equal(resumed.model, whole.model)
+    if config.needs_regressor:
+        assert np.abs(whole.model.weights["regressor.heatmap.weight"]).max() > 0  # it starts from zero
+
+
+def test_dropout_is_drawn_from_the_seed_and_an_epoch_may_end_in_a_single_window(windows, tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    settings = TrainSettings(epochs=2, batch=23, network=f"{tmp_path / 'mine.py'}:build")
+    assert [settings.n_steps(n) for n in (24, 25, 1)] == [1, 2, 1]
+    state = torch.get_rng_state()
+    one = train(CONFIG, windows[:24], windows[:6], settings, tmp_path / "one")
+    assert torch.equal(torch.get_rng_state(), state)
+    torch.rand(3)
+    assert_equal(train(CONFIG, windows[:24], windows[:6], settings, tmp_path / "two").model, one.model)
+
+
+def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
+    moved = windows.recordings.x.copy()
+    moved[7] ^= 1
+    other = replace(windows, recordings=replace(windows.recordings, x=moved))
+    for training, settings, classes, message in (
+        (windows, replace(ONE_EPOCH, batch=8, seed=1), CLASSES, "holds a run with other batch, seed; delete it"),
+        (other, ONE_EPOCH, CLASSES, "holds a run with other data"),
+        (windows[:0], ONE_EPOCH, CLASSES, "`training` must hold at least one window"),
+        (windows, ONE_EPOCH, ("a",), r"labels must be in \[0, 1\), one for each class, got 1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            loop.train(CONFIG, training, windows[:0], settings, trained[1], classes=classes)
+
+
+def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
+    """Any bit: `torch.load` alone does not compare checksums."""
+    path, identity = tmp_path / CHECKPOINT, {"seed": 0, "format": FORMAT}
+    save_checkpoint(tmp_path, {"identity": identity, "history": [], "weights": torch.ones(500)})
+    content = path.read_bytes()
+    at = content.index(torch.ones(500).numpy().tobytes()) + 1_000
+    for damage in (content[:-9], content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]):
+        path.write_bytes(damage)
+        with pytest.raises(ValueError, match=r"not a readable checkpoint.*remove it to start again"):
+            load_checkpoint(tmp_path, identity)
+    save_checkpoint(tmp_path, {"identity": identity | {"format": 2}, "history": []})
+    with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
+        load_checkpoint(tmp_path, identity)
+
+
+def test_the_fewer_windows_the_more_epochs():
+    """6,000 steps; but from 30 epochs to 1,500."""
+    assert [settings_for(CONFIG, n).epochs for n in (100_000, 1_000, 9)] == [30, 182, 1_500]
+    assert settings_for(CONFIG, 9, epochs=3).epochs == 3
 
 
 @pytest.mark.parametrize(("balance", "expected"), [(True, [36, 36]), (False, [54, 18])])
 def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_own(balance, expected, windows):
-    windows = relabelled(windows, [0] * 18 + [1] * 6)
+    labels = np.array([0] * 18 + [1] * 6)
+    windows = replace(windows, recordings=replace(windows.recordings, labels=labels))
     settings = TrainSettings(batch=8, balance=balance)
     first, again, second = (list(batches_of(CONFIG, windows, settings, epoch)) for epoch in (0, 0, 1))
     assert np.bincount(np.concatenate([some.labels for some, _ in first])).tolist() == expected

@@ -123,35 +123,6 @@ def test_the_largest_changes_by_hand(changes, place):
     assert ((volume.sum(0) * xs).sum(), (volume.sum(0) * ys).sum()) == pytest.approx(place, abs=0.5 / FINE)
 
 
-def test_thinning_keeps_the_drawn_share():
-    config = TNTConfig(transform="none", polarity="unsigned")
-    windows = random_windows(config, 1, 60_000)
-    n_all = BatchVolumes(config)(windows).sum((1, 2, 3), dtype=np.float64)
-    draws = unchanged(3, config)
-    draws.keep[:] = 0.0, 0.25, 0.7
-    draws.seed[:] = 1, 2, 3
-    n_kept = BatchVolumes(config)(windows, draws).sum((1, 2, 3), dtype=np.float64)
-    np.testing.assert_allclose(n_kept / n_all, [0.0, 0.25, 0.7], atol=0.015)  # 4 sd of 19,000 events
-
-
-def test_scattered_events_are_anywhere_and_otherwise_the_same():
-    config = TNTConfig(transform="none", polarity="split", sensor=(50, 40))
-    windows = random_windows(config, 1, 60_000)
-    windows.recordings.x[:] = 20
-    windows.recordings.y[:] = 10
-    draws = unchanged(3, config)
-    draws.scatter[:] = False, True, True
-    draws.seed[:] = 1, 2, 2
-    still, first, second = BatchVolumes(config)(windows, draws).astype(np.float64)
-    by_bin = [BatchVolumes(config)(windows)[1].sum((1, 2)), first.sum((1, 2))]
-    np.testing.assert_allclose(*by_bin, rtol=1e-4)  # in time and polarity
-    assert np.count_nonzero(still.sum(0)) <= 4 and not np.array_equal(first, second)
-    for along in (first.sum((0, 1)), first.sum((0, 2))):
-        middle = (along * np.arange(len(along))).sum() / along.sum()
-        assert middle == pytest.approx((len(along) - 1) / 2, abs=0.3)
-        np.testing.assert_allclose(along[1:-1] / along[1:-1].mean(), 1, atol=0.2)  # as many everywhere
-
-
 def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
     config, augmentation = TNTConfig(), Augmentation(partial=0.25, translate_px=4, mirror=True, nothing=0.1)
     draws, again, other = (augmentation.draw(4_000, config, RNG(seed)) for seed in (1, 1, 2))
@@ -164,3 +135,20 @@ def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
     assert np.mean(shares, axis=1) == pytest.approx([0.25, 0.1, 0.5], abs=0.03)
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)
+
+
+def test_thinning_keeps_the_drawn_share_and_scattered_events_are_anywhere_and_otherwise_the_same():
+    config = TNTConfig(transform="none", polarity="split", sensor=(50, 40))
+    windows = random_windows(config, 1, 60_000)
+    windows.recordings.x[:] = 20
+    windows.recordings.y[:] = 10
+    all_of_it, draws = BatchVolumes(config)(windows).sum((2, 3), dtype=np.float64), unchanged(3, config)
+    draws.keep[:] = 0.25, 1.0, 1.0
+    draws.scatter[:] = False, True, True
+    draws.seed[:] = 1, 2, 3
+    thinned, first, second = BatchVolumes(config)(windows, draws).astype(np.float64)
+    assert thinned.sum() / all_of_it[0].sum() == pytest.approx(0.25, abs=0.015)  # 4 sd of 19,000 events
+    assert np.count_nonzero(thinned.sum(0)) <= 4 and not np.array_equal(first, second)
+    np.testing.assert_allclose(first.sum((1, 2)), all_of_it[1], rtol=1e-4)  # in time and polarity
+    for along in (first.sum((0, 1)), first.sum((0, 2))):
+        np.testing.assert_allclose(along[1:-1] / along[1:-1].mean(), 1, atol=0.2)  # as many everywhere

@@ -9,9 +9,9 @@ from made import events_of
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.views import figure_overview, figure_resynthesis, figure_window
+from async_tnt.views import figure_resynthesis, figure_window
 from async_tnt.views.figure_overview import draw_overview
-from async_tnt.views.figure_style import OFF, ON, new_figure
+from async_tnt.views.figure_style import OFF, ON, new_figure, save
 from async_tnt.views.figure_subject import Subject
 
 DIGITS = async_tnt.load_model("digits")
@@ -106,29 +106,10 @@ def test_probabilities_are_those_of_the_streams_decisions():
         )
 
 
-def test_the_verdict_is_that_of_async_tnt_run(program):
-    _, printed, _ = program("run", sample_recordings()[7])
-    shown = subject(7)
-    answer = figure_overview.verdict(DIGITS, figure_overview.decisions_of(shown, DIGITS, 50_000))
-    assert printed.splitlines()[-1] == "7.bin: " + answer.replace("“7”, ", "7 (") + ")"
-
-
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    "events",
-    [
-        events_of([7], [3], [4], [1]),
-        events_of([1 << 40, (1 << 40) + 104_999, (1 << 40) + 300_000_000], [3, 9, 9], [4, 5, 6], [0, 0, 0]),
-    ],
-    ids=["one", "minutes apart"],
-)
-def test_odd_recordings_are_drawn(events):
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    shown = Subject("odd $x", events, DIGITS.config, DIGITS, "digits")
-    figure = draw_overview(shown)
-    figure.set_dpi(30)
-    FigureCanvasAgg(figure).draw()
+def test_a_recording_of_one_event_is_drawn(tmp_path):
+    shown = Subject("odd $x", events_of([7], [3], [4], [1]), DIGITS.config, DIGITS, "digits")
+    save(draw_overview(shown), tmp_path / "one.png", 30)
 
 
 def test_windows_are_those_of_the_stream():

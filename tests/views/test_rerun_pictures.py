@@ -5,9 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt import Decision
 from async_tnt.views import rerun_log as log
-from async_tnt.views.rerun_log import GAP_COLOUR, NOTHING_COLOUR, OFF_COLOUR, ON_COLOUR, bin_sheet, class_text
+from async_tnt.views.rerun_log import GAP_COLOUR, NOTHING_COLOUR, OFF_COLOUR, ON_COLOUR, bin_sheet
 from async_tnt.views.rerun_view import next_moment
 
 
@@ -52,11 +51,3 @@ def test_pictures_are_bounded_in_number_and_taken_at_every_long_window_end(t, or
     assert offset == 0 or (not short and offset % step == 0)
     two_later = next_moment(next_moment(moment, origin, window, step), origin, window, step)
     assert two_later - moment >= min(step, long)  # at most two in a step
-
-
-def test_the_class_is_named_with_the_likeliest_ones_whatever_their_names():
-    probabilities = np.array([0.25, 0.75])
-    now = Decision("a*b", 1, probabilities, probabilities.astype("f4"), 1000, 3500, 1234, False, "fire")
-    text = class_text(now, ["x|y", "a*b"])
-    assert text.startswith("# a\\*b\n\nwith probability 0.750, from 1,234 events in 2.5 ms\n")
-    assert text.endswith("| a\\*b | 0.750 |\n| x\\|y | 0.250 |\n")

@@ -132,13 +132,6 @@ def test_sources_follow_each_other_in_time(tmp_path):
     assert again == [(t + offset_us, bits) for t, bits in first] != []
 
 
-def test_a_silence_has_no_pictures(tmp_path):
-    events = EVENTS[:200].copy()
-    events["t"][100:] += 3_600_000_000
-    rrd, _ = view_of(tmp_path, [events], picture_us=20_000)
-    assert len(rrd.times(log.EVENTS)) < 10
-
-
 def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     rrd, decisions = view_of(tmp_path, [EVENTS], every_events=1, picture_us=20_000)
     lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
@@ -146,30 +139,6 @@ def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     assert len(decisions) > 2900 and len(lines) <= 20 * (n_pictures + 1)
     assert sum("are not shown" in line for line in lines) >= n_pictures - 3
     assert len(rrd.times(log.PROBABILITIES)) <= 21 * (n_pictures + 1)
-
-
-def test_pictures_are_capped_in_real_time(tmp_path):
-    rrd, _ = view_of(tmp_path, [EVENTS], picture_us=1_000, most_pictures_per_s=0.001)
-    (_, _), (t, raw) = rrd.images(log.RAW)  # the first and the last
-    np.testing.assert_array_equal(raw, truth_at(MODEL, EVENTS, t)[2])
-
-
-def test_any_classifier_and_any_form_of_events(tmp_path):
-    packets = [None, tuple(EVENTS[name] for name in "txyp")]
-    rrd, _ = view_of(tmp_path, packets, CONFIG, classifier=lambda volume: [volume.max(), 1.0])
-    assert rrd.static(log.PROBABILITIES, "SeriesLines:names") == ["0", "1"]
-
-
-@pytest.mark.parametrize(
-    "settings, message",
-    [
-        ({"connect": "rerun+http://127.0.0.1:9876/proxy"}, "give one of them"),
-        ({"picture_us": 0}, "`picture_us` must be at least 1, got 0"),
-    ],
-)
-def test_wrong_settings(settings, message):
-    with pytest.raises(ValueError, match=message):
-        RerunView(MODEL, out="a.rrd", **settings)
 
 
 def test_times_beyond_reruns_clock(tmp_path):

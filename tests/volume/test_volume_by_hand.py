@@ -122,24 +122,46 @@ def test_times_in_a_window_of_events_are_scaled_by_the_newest():
     assert not volume.array.any() and (volume.start_us, volume.n_events) == (201, 1)
 
 
-@pytest.mark.parametrize(("v", "w"), [(8, -16), (-24, 8)])
-@pytest.mark.parametrize("landmark", ["running", "line", "window"])
-def test_where_the_landmark_is_after_each_event_of_constant_flow(v, w, landmark):
-    """Eight instants, a whole number of pixels apart, so that no rounding to pixels hides the law; to 1e-9 px.
-
-    After instant k (f = k/8) the object is at v f. `running` trails by v f/2. `line` has found v C/(C + 1) of the
-    flow and lies v f/2 / (C + 1) beside the object's start, with C = C_ff = 5 k (k + 1) (k + 2) / 12 / 64.
-    The centroid of the window is at v f/2 as well, but for old events too, and that is what breaks it.
-    """
-    cross = np.array([(30, 30), (32, 30), (28, 30), (30, 32), (30, 28)])
-    volume = TNTVolume(TNTConfig(window_us=8_008, landmark=landmark, sensor=(61, 61), grid=(61, 61)))
+def test_a_regressors_landmark_is_the_centre():
+    """bins 5, t_max 2, window 1000: t = 500 has tau 1 and bin 2; t = 750 has tau 1.5 and bin 3."""
+    config = TNTConfig(sensor=(67, 34), grid=(34, 34), bins=5, window_us=1000, t_max=2.0, landmark="regressor")
+    volume = TNTVolume(config, regressor=lambda raw: (10.5, 8.5))
     volume.open(0)
-    for k in range(8):
-        x, y = (cross + np.array([v, w]) * k // 8).T
-        volume.update((np.full(5, 1_001 * k), x, y, np.ones(5, int)))
-        share = 0.5
-        if landmark == "line":
-            c_ff = 5 * k * (k + 1) * (k + 2) / 12 / 64
-            share /= c_ff + 1
-            assert volume.flow == pytest.approx((v * c_ff / (c_ff + 1), w * c_ff / (c_ff + 1)), abs=1e-9)
-        assert volume.landmark == pytest.approx((30 + v * k / 8 * share, 30 + w * k / 8 * share), abs=1e-9)
+    volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))  # in grid pixels (10.5, 9), (13.5, 10)
+    expected = np.zeros((5, 34, 34), np.float32)
+    expected[2, 17, 16:18] = 0.5  # u = 0 / 1 + 16.5, v = 0.5 / 1 + 16.5
+    expected[3, 17:19, 18:20] = -0.25  # u = 3 / 1.5 + 16.5 = 18.5, v = 1.5 / 1.5 + 16.5 = 17.5
+    assert np.abs(volume.array - expected).max() <= 1e-6
+    assert (volume.counts.received, volume.counts.kept) == (2, 2)
+
+
+# -- images: a window of 40 us from 10 us on ----------------------------------------------------------------------
+
+
+def image_of(events, **settings):
+    config = TNTConfig(sensor=(3, 2), window_us=40, transform="none", polarity="split", **settings)
+    return volume_of(config, *events, start_us=10).array
+
+
+def test_the_images_of_a_configuration_by_hand():
+    events = [(10, 0, 1, 1), (20, 2, 0, 0), (40, 2, 0, 0), (30, 2, 1, 1)]  # one comes late
+    settings = {"grid": (3, 2)}
+    on, off = image_of(events, representation="count", **settings)
+    assert on.tolist() == [[0, 0, 0], [1, 0, 1]] and off.tolist() == [[0, 0, 2], [0, 0, 0]]
+    n_on, t_on, n_off, t_off = image_of(events, representation="count_time", **settings)
+    assert np.array_equal(n_on, on) and np.array_equal(n_off, off)
+    assert t_on.tolist() == [[0, 0, 0], [0, 0, 0.5]] and t_off.tolist() == [[0, 0, 0.75], [0, 0, 0]]
+    assert image_of(events, representation="mean_time", **settings)[1].tolist() == [[0, 0, 0.5], [0, 0, 0]]
+    on, off = image_of(events, representation="time_surface", **settings)  # ages: 1, half and a quarter of the window
+    newest_on, newest_off = np.exp([-2.0, -1.0]), np.exp(-0.5)
+    np.testing.assert_allclose(on, [[0, 0, 0], [newest_on[0], 0, newest_on[1]]], rtol=1e-6)
+    np.testing.assert_allclose(off, [[0, 0, newest_off], [0, 0, 0]], rtol=1e-6)
+
+
+def test_on_a_larger_grid_an_event_is_shared_by_the_cells_around_it():
+    """A sensor of 3 pixels on a grid of 4: pixel 1 lies half way between columns 1 and 2."""
+    events = [(20, 1, 0, 1), (30, 0, 0, 1)]
+    settings = {"grid": (4, 2)}
+    n_on, t_on, *_ = image_of(events, representation="count_time", **settings)
+    assert n_on[0].tolist() == [1, 0.5, 0.5, 0] and t_on[0].tolist() == [0.5, 0.25, 0.25, 0]
+    assert image_of(events, representation="mean_time", **settings)[0, 0].tolist() == [0.5, 0.25, 0.25, 0]

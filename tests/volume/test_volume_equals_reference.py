@@ -1,16 +1,18 @@
 """The product's promise, on streams of hard cases: stream == batch at every prefix.
 
-That packets do not matter is a law of tests/test_laws.py; landmark "regressor" has tests of its own.
+That packets do not matter is a law of tests/test_laws.py.
 """
 
 import numpy as np
 import pytest
-from hypothesis import given
+import tnt_reference
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import nasty_streams, random_events
+from made import nasty_streams, random_events, random_regressor_model
 
-from async_tnt import TNTConfig, TNTVolume
-from async_tnt.checking.reference import reference_kept, reference_landmark, reference_volume
+from async_tnt import CompiledRegressor, TNTConfig, TNTVolume
+from async_tnt.checking.reference import reference_landmark, reference_volume
+from async_tnt.networks.torch_modules import landmark_function
 
 CONFIGS = [
     TNTConfig(landmark=landmark, polarity=polarity, transform=transform, remove_flow=remove_flow)
@@ -27,11 +29,24 @@ CONFIGS = [
 SHAPES = [  # sensor, grid, bins, window_us, t_max
     ((34, 34), (34, 34), 9, 105_000, 8.0),
     ((34, 34), (34, 34), 9, 800, 2.0),
-    ((5, 3), (5, 3), 2, 7, 1.0),
+    ((5, 7), (5, 7), 2, 7, 1.0),
     ((64, 48), (17, 23), 4, 1000, 3.7),
     ((2, 2), (2, 2), 1, 1, 8.0),
 ]
 STARTS = [0, 123_456_789, 1_700_000_000_000_000]
+
+
+def reference_kept(events, config, start_us, landmark):
+    return tnt_reference.tnt_coordinates(
+        *(events[field] for field in "txy"),
+        start_us=start_us,
+        window_us=tnt_reference.until_newest(events["t"], start_us) if config.window_events else config.window_us,
+        sensor=config.sensor,
+        grid=config.grid,
+        t_max=config.t_max,
+        landmark=config.landmark if landmark is None else landmark,
+        remove_flow=config.remove_flow,
+    ).kept
 
 
 def opened(config, start_us=0):
@@ -40,15 +55,17 @@ def opened(config, start_us=0):
     return volume
 
 
-def assert_equals_reference(volume, events, config, start_us):
-    expected = reference_volume(events, config, start_us)
+def assert_equals_reference(volume, events, config, start_us, landmark=None):
+    """landmark : where it is in the reference, or else as the configuration says."""
+    expected = reference_volume(events, config, start_us, landmark)
     # 1e-9 events: a volume below that has cancelled, and its rounding (1e-15 at most) is left
     assert np.abs(volume.array - expected).max() <= 1e-6 * max(np.abs(expected).max(), 1e-9)
     if config.transform == "none":
         assert volume.counts.kept == events.size
     elif events.size:
-        assert volume.counts.kept == reference_kept(events, config, start_us).sum()
-        assert np.abs(np.subtract(volume.landmark, reference_landmark(events, config, start_us))).max() <= 1e-9
+        assert volume.counts.kept == reference_kept(events, config, start_us, landmark).sum()
+        landmark = landmark or reference_landmark(events, config, start_us)
+        assert np.abs(np.subtract(volume.landmark, landmark)).max() <= 1e-9
 
 
 @given(st.data())
@@ -65,6 +82,35 @@ def test_update_equals_batch_at_every_prefix(data):
     for n, event in enumerate(events.tolist(), start=1):
         volume.update_one(*event)
         assert_equals_reference(volume, events[:n], config, start_us)
+
+
+MODELS = [
+    random_regressor_model(
+        TNTConfig(sensor=sensor, grid=grid, bins=bins, window_us=window_us, t_max=t_max, polarity=polarity),
+        regressor_widths=widths,
+        sharpness=20.0,
+    )
+    for (sensor, grid, bins, window_us, t_max), polarity, widths in (
+        (SHAPES[0], "signed", (20, 20, 20)),
+        (SHAPES[2], "unsigned", (8, 5, 17)),
+        (SHAPES[3], "split", (8, 5, 17)),
+    )
+]
+TORCH = {id(model): landmark_function(model) for model in MODELS}
+
+
+@settings(max_examples=settings.default.max_examples // 4)  # a torch network at every prefix
+@given(st.sampled_from(MODELS), st.sampled_from(STARTS), st.data())
+def test_with_a_landmark_network_it_equals_batch_about_the_landmark_of_torch(model, start_us, data):
+    config = model.config
+    events = data.draw(nasty_streams(config.sensor, config.window_us, start_us, max_events=20))
+    volume = TNTVolume(config, regressor=CompiledRegressor(model))
+    volume.open(start_us)
+    for n, event in enumerate(events.tolist(), start=1):
+        volume.update_one(*event)
+        raw = reference_volume(events[:n], config.replace(transform="none"), start_us)
+        assert np.abs(np.subtract(volume.landmark, TORCH[id(model)](raw))).max() <= 1e-4
+        assert_equals_reference(volume, events[:n], config, start_us, volume.landmark)
 
 
 @pytest.mark.parametrize(

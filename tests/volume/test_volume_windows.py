@@ -1,16 +1,17 @@
 """Windows, counts and errors of TNTVolume."""
 
 import copy
+import re
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from made import random_events
+from deciding import total_and_size
+from made import random_events, random_model
 
-from async_tnt import ReplayBufferFull, TNTConfig, TNTVolume
+from async_tnt import CompiledRegressor, Processor, ReplayBufferFull, TNTConfig, TNTVolume
 
 CONFIG = TNTConfig(window_us=1000, landmark="center", t_max=1.0)
+OF_REGRESSOR = CONFIG.replace(landmark="regressor")
 
 
 def opened(config=CONFIG, start_us=0, **settings):
@@ -94,28 +95,65 @@ def test_the_replay_buffer_grows_to_its_bound_and_loses_nothing():
     assert cut.counts == whole.counts and cut.counts.dropped_unstored == 0
 
 
-@given(
-    st.lists(st.one_of(st.integers(1, 400), st.sampled_from(["read", "open", "late"])), min_size=3, max_size=25),
-    st.sampled_from([(34, 34), (90, 70), (300, 200)]),
-    st.sampled_from(["running", "window", "regressor"]),
-    st.sampled_from(["signed", "split"]),
-    st.integers(0, 1000),
+# -- a regressor that is missing, out of place, fails, or returns what cannot be a landmark ----------------------
+
+
+@pytest.mark.parametrize(
+    ("config", "regressor", "error", "message"),
+    [
+        (
+            OF_REGRESSOR,
+            None,
+            ValueError,
+            "`regressor` is missing: landmark='regressor', transform='tnt' needs a callable",
+        ),
+        (OF_REGRESSOR, (16.5, 16.5), TypeError, "`regressor` must be callable, got tuple"),
+        (TNTConfig(), brightest, ValueError, '`regressor` needs landmark="regressor" and transform="tnt", got'),
+    ],
 )
-def test_a_used_volume_equals_a_fresh_one(steps, sensor, landmark, polarity, seed):
-    """Whatever was read and emptied before: large volumes are read and emptied only where events were."""
-    config = CONFIG.replace(sensor=sensor, grid=sensor, landmark=landmark, polarity=polarity)
-    regressor = {"regressor": brightest} if landmark == "regressor" else {}
-    used, fresh = (opened(config, 1000, **regressor) for _ in range(2))
-    for step in steps:
-        seed += 1
-        if step == "open":
-            used.open(used.start_us + 1000)
-            fresh = opened(config, used.start_us, **regressor)
-        elif step == "read":
-            assert used.landmark == fresh.landmark and np.array_equal(used.array, fresh.array)
-        elif step == "late":
-            used.update_one(used.start_us - 1, 3, 3, 1)
-        else:
-            events = random_events(step, seed=seed, duration_us=1000, start_us=used.start_us, sensor=sensor)
-            used.update(events), fresh.update(events)
-    assert np.array_equal(used.array, fresh.array)
+def test_regressor_and_landmark_go_together(config, regressor, error, message):
+    for make in (TNTVolume, lambda config, **settings: Processor(config, classifier=total_and_size, **settings)):
+        with pytest.raises(error, match=f"^{re.escape(message)}"):
+            make(config, regressor=regressor)
+    with pytest.raises(ValueError, match=r'^the model has no regressor: that needs landmark="regressor" and trans'):
+        CompiledRegressor(random_model())
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (None, ValueError, "`regressor` must return two numbers (x, y) in grid pixels, got None"),
+        (np.zeros((2, 2)), ValueError, "`regressor` must return two numbers (x, y) in grid pixels, got array([[0."),
+        ((10**400, 1), ValueError, "`regressor` must return two numbers (x, y) in grid pixels, got (1000"),
+        ((float("nan"), 1), ValueError, "`regressor` must return a finite landmark, got (nan, 1.0)"),
+        (RuntimeError("no memory"), RuntimeError, "no memory"),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_without_a_landmark_the_window_stays_as_it_was(answer, error, message):
+    def regressor(raw):
+        if fails and isinstance(answer, Exception):
+            raise answer
+        return answer if fails else (raw.sum() / 10 + 16, 15.0)
+
+    fails = False
+    events = random_events(60, seed=1, duration_us=2000)
+    volume, untroubled = (TNTVolume(OF_REGRESSOR, regressor=regressor) for _ in range(2))
+    volume.update(events[:20]), untroubled.update(events[:20])
+    view = volume.array
+    before = view.copy()
+    volume.update(events[20:25]), untroubled.update(events[20:25])
+    fails = True
+    reads = (lambda: volume.array, lambda: volume.landmark, lambda: volume.counts)
+    for call in (*reads, volume.close, lambda: volume.open(5000)):
+        with pytest.raises(error, match=f"^{re.escape(message)}") as caught:
+            call()
+        assert len(str(caught.value)) < 200 and "\n" not in str(caught.value)
+    assert np.array_equal(view, before) and volume.n_events == 25
+    fails = False
+    assert volume.array.tobytes() == untroubled.array.tobytes()
+    volume.update(events[25:]), untroubled.update(events[25:])
+    assert volume.array.tobytes() == untroubled.array.tobytes() and volume.counts == untroubled.counts
+    fails = True
+    volume.reset()  # works without a landmark
+    assert volume.n_events == 0 and not volume.array.any()

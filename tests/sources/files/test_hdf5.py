@@ -7,7 +7,6 @@ import pytest
 from sources.files.written import dsec, made_events, metavision
 
 from async_tnt.sources.files.library_readers import read_hdf5
-from async_tnt.sources.files.recording import open_recording
 
 h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
 
@@ -110,10 +109,3 @@ def test_values_in_another_file_are_refused(tmp_path, name, how):
         assert name in file  # HDF5 itself would read it
     with pytest.raises(ValueError, match=r"^\S+ must be stored in the file itself, but "):
         next(read_hdf5(str(path)))
-
-
-def test_a_file_that_was_only_opened_may_be_written_again(tmp_path):
-    for n in (5, 7):
-        dsec(tmp_path / "a.h5", made_events(n))
-        recording = open_recording(tmp_path / "a.h5")
-    np.testing.assert_array_equal(recording.read(), made_events(7))

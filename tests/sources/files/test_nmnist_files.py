@@ -22,15 +22,6 @@ def test_bytes_by_hand(tmp_path):
     assert read_nmnist(tmp_path / "a.bin").tolist() == events.tolist()
 
 
-def test_a_camera_may_be_as_large_as_a_byte_addresses_and_larger(tmp_path):
-    events = events_of((0, 255, 239, 1), (5, 0, 255, 0))
-    for sensor in (None, (304, 256)):
-        write_nmnist(tmp_path / "a.bin", events, sensor=sensor)
-        np.testing.assert_array_equal(read_nmnist(tmp_path / "a.bin", sensor=sensor), events)
-    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 255, y = 239 at event 0 .*another camera"):
-        read_nmnist(tmp_path / "a.bin")
-
-
 def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(EVENT + OVERFLOW + EVENT + EVENT + OVERFLOW * 2 + EVENT)

@@ -6,7 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from sources.files.written import columns_of, made_events, table_of
+from sources.files.written import columns_of, made_events
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files import numpy_files
@@ -17,13 +17,6 @@ from async_tnt.sources.pixel_masks import load_mask
 EVENTS = np.array([(10, 1, 2, 1), (20, 300, 4, 0), (20, 5, 6, 1)], EVENT_DTYPE)
 COLUMNS = columns_of(EVENTS)
 MANY = made_events(50)
-FORMS = {
-    "records": {"events": MANY},
-    "another name": {"anything": MANY},
-    "table": {"events": table_of(MANY)},
-    "table, column by column": {"events": np.asfortranarray(table_of(MANY))},
-    "columns": columns_of(MANY),
-}
 SENSOR = np.array([320, 240])
 
 
@@ -49,15 +42,6 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(tmp
         damaged[14, column] = value
         with pytest.warns(DamagedRecording, match=f"event 14: {problem}"):
             assert open_recording(saved(tmp_path / "a.npy", damaged)).n_events == 14
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_npz_in_every_form_with_and_without_a_sensor(tmp_path, form):
-    unknown = open_recording(saved(tmp_path / "a.npz", FORMS[form]))
-    known = open_recording(saved(tmp_path / "b.npz", FORMS[form] | {"sensor": SENSOR}))
-    assert unknown.sensor is None and known.sensor == (320, 240)
-    for recording in (unknown, known, known):
-        np.testing.assert_array_equal(recording.read(), MANY)
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sources.files.written import by_faery, evt2, evt3, evt21, evt_header, made_events
+from sources.files.written import evt2, evt3, evt21, evt_header, made_events
 
-from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21, unwrap_times
+from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
 
@@ -116,31 +116,3 @@ def test_dat_version_1_by_hand(tmp_path):
     word = np.array([70, 1 << 17 | 200 << 9 | 300], "<u4").tobytes()
     data = b"% Version 1\n% Width 304\n% Height 240\n\x00\x08" + word
     assert read(tmp_path / "a.dat", data).tolist() == [(70, 300, 200, 1)]
-
-
-def test_unwrapped_by_hand():
-    def times(*raw, before=-1):
-        t = np.array(raw, np.int64)
-        last = unwrap_times(t, np.int64(before), np.int64(100))
-        assert last == (t[-1] if len(t) else before)
-        return t.tolist()
-
-    assert times(10, 60, 95, 5, 50, 90, 20) == [10, 60, 95, 105, 150, 190, 220]
-    assert times(50, 40, 41) == [50, 40, 41]
-    assert times(5, before=395) == [405]
-    assert times(0, before=150) == [100]  # half a period either way: back
-    assert times(0, before=50) == [0]
-    assert times() == []
-
-
-@pytest.mark.parametrize(
-    ("suffix", "version"), [(".raw", "evt2"), (".raw", "evt3"), (".dat", "dat2"), (".es", None), (".aedat4", None)]
-)
-def test_faerys_files_are_read_back(tmp_path, suffix, version):
-    events = made_events(30_000, sensor=(1280, 720))
-    by_faery(tmp_path / f"a{suffix}", events, (1280, 720), version)
-    recording = open_recording(tmp_path / f"a{suffix}")
-    if suffix == ".es":  # the format has no t0: faery subtracts it
-        events["t"] -= events["t"][0]
-    np.testing.assert_array_equal(recording.read(), events)
-    assert recording.sensor == (1280, 720)

@@ -13,6 +13,7 @@ import pytest
 from made import events_of
 
 SENSOR = (320, 240)
+ANY_TEXT = "von José in Zürich\t1"  # headers may name people and places
 
 
 def made_events(n, seed=0, sensor=SENSOR, step_us=50, start_us=1_000):
@@ -32,32 +33,32 @@ def csv(events, sensor=SENSOR):
 
 def evt_header(version, sensor=SENSOR, more=""):
     name = f"EVT{version.replace('.0', '').replace('.', '')}"
-    return f"% evt {version}\n% format {name};height={sensor[1]};width={sensor[0]}{more}\n% end\n".encode()
+    lines = f"evt {version}", ANY_TEXT, f"format {name};height={sensor[1]};width={sensor[0]}{more}", "end"
+    return "".join(f"% {line}\n" for line in lines).encode()
 
 
-def evt2(events, sensor=SENSOR):
-    out, high = [], None
+def evt2_words(events):
+    high = None
     for t, x, y, p in events.tolist():
         if t >> 6 != high:
             high = t >> 6
-            out.append(0x8 << 28 | high & (1 << 28) - 1)
-        out.append(p << 28 | (t & 63) << 22 | x << 11 | y)
-    return evt_header("2.0", sensor) + struct.pack(f"<{len(out)}I", *out)
+            yield 0x8 << 28 | high & (1 << 28) - 1
+        yield p << 28 | (t & 63) << 22 | x << 11 | y
+
+
+def evt2(events, sensor=SENSOR):
+    words = list(evt2_words(events))
+    return evt_header("2.0", sensor) + struct.pack(f"<{len(words)}I", *words)
 
 
 def evt21(events, sensor=SENSOR, endianness="little"):
     """An event a word, at the bit that x has in its group of 32."""
-    out, high = [], None
-    for t, x, y, p in events.tolist():
-        if t >> 6 != high:
-            high = t >> 6
-            out.append((0x8 << 28 | high & (1 << 28) - 1) << 32)
-        out.append((p << 28 | (t & 63) << 22 | (x & ~31) << 11 | y) << 32 | 1 << (x & 31))
-    if endianness == "legacy":
-        body = b"".join(struct.pack("<II", word >> 32, word & 0xFFFFFFFF) for word in out)
-    else:
-        body = struct.pack(f"<{len(out)}Q", *out)
-    return evt_header("2.1", sensor, f";endianness={endianness}") + body
+    halves = []
+    for word in evt2_words(events):
+        is_time = word >> 28 == 0x8
+        upper, lower = (word, 0) if is_time else (word & ~(31 << 11), 1 << (word >> 11 & 31))
+        halves += [upper, lower] if endianness == "legacy" else [lower, upper]
+    return evt_header("2.1", sensor, f";endianness={endianness}") + struct.pack(f"<{len(halves)}I", *halves)
 
 
 def evt3(events, sensor=SENSOR):
@@ -81,7 +82,7 @@ def evt3(events, sensor=SENSOR):
 
 
 def dat(events, sensor=SENSOR):
-    header = f"% Data file\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
+    header = f"% {ANY_TEXT}\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
     body = (struct.pack("<II", t & 0xFFFFFFFF, p << 28 | y << 14 | x) for t, x, y, p in events.tolist())
     return header + b"\x0c\x08" + b"".join(body)
 
@@ -100,12 +101,8 @@ def es(events, sensor=SENSOR):
 
 def aedat2(events, sensor, chip):
     """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a pixel's."""
-    lines = [
-        "#!AER-DAT2.0",
-        "# This is a raw AE data file - do not edit",
-        *([f"# AEChip: eu.chips.{chip}"] if chip else []),
-    ]
-    out = ["".join(line + "\r\n" for line in lines).encode()]
+    lines = ["#!AER-DAT2.0", f"# {ANY_TEXT}", *([f"# AEChip: eu.chips.{chip}"] if chip else [])]
+    out = ["".join(line + "\r\n" for line in lines).encode("latin-1")]  # jAER uses the encoding of its system
     for t, x, y, p in events.tolist():
         if chip:
             address, other = (179 - y) << 22 | (239 - x) << 12 | p << 11, 1 << 31 | 7 << 22
@@ -117,7 +114,7 @@ def aedat2(events, sensor, chip):
 
 def aedat3(events, sensor=(240, 180)):
     """Packets of five polarity events (or a tenth of all) and one that is not valid; between them, special events."""
-    out = [b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
+    out = [f"#!AER-DAT3.1\r\n#{ANY_TEXT}\r\n".encode() + b"#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
     n = max(5, len(events) // 10)
     for (_, overflows), rows in groupby(enumerate(events.tolist()), key=lambda row: (row[0] // n, row[1][0] >> 31)):
         packet = [row for _, row in rows]
@@ -131,13 +128,13 @@ def nmnist(events, sensor=(34, 34)):
     return b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist())
 
 
-def by_faery(path, events, sensor=SENSOR, version=None):
+def by_faery(path, events, sensor=SENSOR):
     """In the format of the suffix."""
     faery = pytest.importorskip("faery", reason="AEDAT4 needs faery")
     theirs = np.empty(len(events), faery.EVENTS_DTYPE)
     for name, ours in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
         theirs[name] = events[ours]
-    faery.events_stream_from_array(theirs, sensor).to_file(path, version=version)
+    faery.events_stream_from_array(theirs, sensor).to_file(path)
 
 
 def dsec(path, events, sensor=SENSOR, **how):
@@ -175,15 +172,13 @@ class Format(NamedTuple):
     largest: tuple[int, int] = (1 << 16, 1 << 16)
     """The largest sensor."""
     states_sensor: bool = True
-    of_bytes: Callable | None = None
-    """Where the first bytes alone decide the first events: the bytes, of (events, sensor)."""
 
 
-def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True, linear=True):
+def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True):
     def write(path, events, sensor=SENSOR):
         path.write_bytes(make(events, sensor))
 
-    return Format(write, largest, states_sensor, make if linear else None)
+    return Format(write, largest, states_sensor)
 
 
 FORMATS = {
@@ -198,9 +193,10 @@ FORMATS = {
     "dvs128.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False),
     "davis.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, "DAViS240C"), (240, 180)),
     "caer.aedat": _bytes(aedat3, (240, 180)),
-    "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
+    "plain.bin": _bytes(nmnist, (34, 34)),
     "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
     "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
+    "table.npz": Format(lambda path, events, sensor: np.savez(path, events=table_of(events)), states_sensor=False),
     "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
     "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
     "dsec.h5": Format(dsec, states_sensor=False),

@@ -1,9 +1,8 @@
-"""The field's data sets: accuracy against time on their test parts, by the bare command and by other recipes.
+"""N-CARS: accuracy against time on its test part, by the bare command and by other recipes.
 
-    python -m experiments.datasets {cars,nmnist,poker} FOLDER [--seeds N] [--recipes NAME ...] [--out FOLDER]
-                                  [--json FILE] [--picture FILE]
+    python -m experiments.cars N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE] [--picture FILE]
 
-FOLDER is the data set as it is distributed, unpacked. A recipe is one command, `async-tnt train`; `bare` has no option
+N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train`; `bare` has no option
 but the sensor's size. Finished trainings in --out are kept, interrupted ones resume, and recipes that are not named
 keep their entry in FILE. The test part is read when all networks of a recipe are trained.
 """
@@ -66,23 +65,19 @@ class DataSet:
     others: Mapping[str, float] = field(default_factory=dict)
 
 
-DATA_SETS = {
-    "cars": DataSet(
-        "N-CARS",
-        "n-cars_train",
-        "n-cars_test",
-        "--sensor 120x100",
-        recipes={
-            "tuned": TUNED,
-            "bare": "",
-            **{f"equal_{name}": f"--volume {volume} {EQUAL}" for name, volume in VOLUMES.items()},
-            **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
-        },
-        others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
-    ),
-    "nmnist": DataSet("N-MNIST", "Train", "Test"),
-    "poker": DataSet("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35", ("3", "9", "15", "30")),
-}
+CARS = DataSet(
+    "N-CARS",
+    "n-cars_train",
+    "n-cars_test",
+    "--sensor 120x100",
+    recipes={
+        "tuned": TUNED,
+        "bare": "",
+        **{f"equal_{name}": f"--volume {volume} {EQUAL}" for name, volume in VOLUMES.items()},
+        **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
+    },
+    others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
+)
 TIMED = 12  # recordings of the test part
 COMPARED = 1000  # events of each of these, at most
 QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1", ("5", "50"))
@@ -235,29 +230,25 @@ def draw(report: dict[str, Any]) -> Any:
 
 def main(argv: list[str] | None = None) -> int:
     """Train, test, print and write."""
-    parser = script_parser("datasets", __doc__, "a made set and one epoch", draws=True)
-    parser.add_argument("name", nargs="?", choices=DATA_SETS, help="the data set; not with --quick or --from")
-    parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER", help="where it lies")
+    parser = script_parser("cars", __doc__, "a made set and one epoch", draws=True)
+    parser.add_argument("folder", nargs="?", type=Path, metavar="N-CARS", help="its folder; not with --quick or --from")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
-    parser.add_argument("--recipes", nargs="+", metavar="NAME", help="default: all of the data set")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="models (default: the data set's name)")
+    recipes = list(CARS.recipes)
+    parser.add_argument("--recipes", nargs="+", choices=recipes, default=recipes, metavar="NAME", help="default: all")
+    parser.add_argument("--out", type=Path, default=Path("cars"), metavar="FOLDER", help="models (default: cars)")
     args = parser.parse_args(argv)
     if [args.folder is not None, args.quick, args.source is not None].count(True) != 1:
-        parser.error("give a data set and its folder, --quick, or --from")
-    known = DATA_SETS[args.name].recipes if args.folder else {}
-    for name in args.recipes or ():
-        if args.folder and name not in known:
-            parser.error(f"{args.name} has the recipes {', '.join(known)}, got {name!r}")
+        parser.error("give N-CARS, --quick, or --from")
 
     def measured(quick: bool) -> dict[str, Any]:
         if quick:
             return _quick()
         report: dict[str, Any] = {}
-        for name in args.recipes or known:
-            found = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), name, args.seeds)
+        for name in args.recipes:
+            found = measure(CARS, args.folder, args.out, name, args.seeds)
             if args.json and args.json.exists():  # read now, as another run may have written it meanwhile
                 report = json.loads(args.json.read_text(encoding="utf-8"))
-            report = with_earlier(found, report, list(known)) if report else found
+            report = with_earlier(found, report, recipes) if report else found
             write_outputs(args, report)  # before the next recipe's hours
         return report
 
