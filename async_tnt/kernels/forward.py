@@ -23,7 +23,7 @@ from .changes import (
 )
 from .jit import compiled, compiled_without_gil, inlined
 from .simd import LANES
-from .tiles import PLACES, max_tile, mix_tile_1, mix_tile_2, sum_tile
+from .tiles import PLACES, function_tile, max_tile, mix_tile_1, mix_tile_2, sum_tile
 
 
 @compiled_without_gil
@@ -103,15 +103,17 @@ def _tile_size(n):
 
 @compiled
 def _by_channel(program, at, n, weights, maps, places, bits):
-    """A sum or maximum of each channel, at the n places of the list."""
-    is_sum = program[at + P.KIND] == P.SUM
+    """A sum, maximum or function of each channel, at the n places of the list."""
+    kind = program[at + P.KIND]
     noted, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
     for listed in range(program[P.LIST], program[P.LIST] + n):
-        if is_sum:
-            changed = sum_tile(program, at, places, listed, maps, weights)
-        else:
-            changed = max_tile(program, at, places, listed, maps, weights)
         place = np.int64(places[np.uint64(listed)])
+        if kind == P.SUM:
+            changed = sum_tile(program, at, places, listed, maps, weights)
+        elif kind == P.MAXIMUM:
+            changed = max_tile(program, at, places, listed, maps, weights)
+        else:
+            changed = function_tile(program, at, places, listed, maps, weights)
         note_changes(bits, noted + (place >> 16) * words, place & 0xFFFF, np.uint64(changed))
 
 

@@ -11,6 +11,7 @@ A place is one number, row << 16 | column. A step computes one map, of one of th
     MIX      out[f] = bias[f] + sum over runs r, numbers k of w[r, k, f] in[runs[r] + k]         convolution
     SUM      out[c] = bias[c] + sum over taps r of w[r, c] in[taps[r] + c]                       each channel by itself
     MAXIMUM  out[c] = max over taps r of in[taps[r] + c]                                         likewise
+    FUNCTION out[c] = f(in[taps[0] + c]), f of `functions`                                       likewise
 
 and then of its activation, clip(out < 0 ? slope out : out, low, high). A convolution's runs are the rows of its kernel,
 or its taps; its groups are computed one after another. SUM is average pooling, addition, normalization, a depthwise
@@ -20,8 +21,8 @@ from scratch.
 
 Weights of a MIX, for each group (for each place, where they differ), are blocks of at most two registers of filters,
 each padded with zeros to whole registers: (K, n) weights, (n,) biases, (n,) slopes, low, high, and zeros up to a
-register. Those of a SUM or MAXIMUM: (taps, C) weights, of a SUM only, (C,) biases, (C,) slopes, low and high likewise,
-with C padded to whole registers.
+register. Those of the others: (taps, C) weights, of a SUM only (for each place, where they differ), (C,) biases, (C,)
+slopes, low and high likewise, with C padded to whole registers.
 """
 
 # header
@@ -73,6 +74,7 @@ GROUPS = 28  # of a MIX
 GROUP_CHANNELS = 29  # input channels from one group to the next
 WEIGHTS = 30
 PLACE_WEIGHTS = 31  # numbers from one place's weights to the next one's; 0: they share them
-STEP_SIZE = 32
+APPLIED = 32  # of a FUNCTION: which one
+STEP_SIZE = 33
 
-MIX, SUM, MAXIMUM = range(3)
+MIX, SUM, MAXIMUM, FUNCTION = range(4)

@@ -11,6 +11,7 @@ from llvmlite import ir
 from numba import types
 
 from . import program as P
+from .functions import apply_function, choose
 from .jit import inlined
 from .simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
 
@@ -96,22 +97,24 @@ def mix_tile_2(simd, program, at, places, listed, n_places, maps, inputs, output
 
 
 @inlined
-def channel_tile_plain(program, at, places, listed, maps, weights, is_sum):
-    """All channels of a SUM or MAXIMUM at one place of its list; parameters and result as for `mix_tile_plain`."""
+def channel_tile_plain(program, at, places, listed, maps, weights, kind):
+    """All channels of a SUM, MAXIMUM or FUNCTION at one place of its list; otherwise as `mix_tile_plain`."""
     words = maps.view(np.uint32)
     channels, n_taps, taps = program[at + P.OUT_CHANNELS], program[at + P.N_RUNS], program[at + P.RUNS]
     size = (channels + LANES - 1) // LANES * LANES
-    bias = program[at + P.WEIGHTS] + (n_taps * size if is_sum else 0)
     y, x = np.int64(places[listed]) >> 16, np.int64(places[listed]) & 0xFFFF
+    first = program[at + P.WEIGHTS] + (y * program[at + P.COLUMNS] + x) * program[at + P.PLACE_WEIGHTS]
+    bias = first + (n_taps * size if kind == P.SUM else 0)
     start = program[at + P.IN] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
     out = program[at + P.OUT] + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
     changed = np.int64(0)
     for c in range(channels):
-        if is_sum:
+        if kind == P.SUM:
             total = weights[bias + c]
             for r in range(n_taps):
-                w = weights[program[at + P.WEIGHTS] + r * size + c]
-                total = fma(w, maps[start + program[taps + r] + c], total)
+                total = fma(weights[first + r * size + c], maps[start + program[taps + r] + c], total)
+        elif kind == P.FUNCTION:
+            total = apply_function(program[at + P.APPLIED], maps[start + program[taps] + c])
         else:
             total = maps[start + program[taps] + c]
             for r in range(1, n_taps):
@@ -125,24 +128,35 @@ def channel_tile_plain(program, at, places, listed, maps, weights, is_sum):
 
 @inlined
 def sum_tile_plain(program, at, places, listed, maps, weights):
-    return channel_tile_plain(program, at, places, listed, maps, weights, True)
+    return channel_tile_plain(program, at, places, listed, maps, weights, P.SUM)
 
 
 @inlined
 def max_tile_plain(program, at, places, listed, maps, weights):
-    return channel_tile_plain(program, at, places, listed, maps, weights, False)
+    return channel_tile_plain(program, at, places, listed, maps, weights, P.MAXIMUM)
+
+
+@inlined
+def function_tile_plain(program, at, places, listed, maps, weights):
+    return channel_tile_plain(program, at, places, listed, maps, weights, P.FUNCTION)
 
 
 @vectorized(sum_tile_plain, returns=types.int64)
 def sum_tile(simd, program, at, places, listed, maps, weights):
     tile = _Tile(simd, program, at, places, listed, maps, None, None)
-    return tile.by_channel(weights, is_sum=True)
+    return tile.by_channel(weights, P.SUM)
 
 
 @vectorized(max_tile_plain, returns=types.int64)
 def max_tile(simd, program, at, places, listed, maps, weights):
     tile = _Tile(simd, program, at, places, listed, maps, None, None)
-    return tile.by_channel(weights, is_sum=False)
+    return tile.by_channel(weights, P.MAXIMUM)
+
+
+@vectorized(function_tile_plain, returns=types.int64)
+def function_tile(simd, program, at, places, listed, maps, weights):
+    tile = _Tile(simd, program, at, places, listed, maps, None, None)
+    return tile.by_channel(weights, P.FUNCTION)
 
 
 class _Tile:
@@ -170,6 +184,13 @@ class _Tile:
             out = simd.add(self._output, simd.mul(y, slots[P.OUT_DY]), simd.mul(x, slots[P.OUT_DX]))
             starts.append((simd.at(self._maps, start), out))
         return starts
+
+    def _number_of_place(self):
+        """Of the first listed place, row by row."""
+        simd, builder = self._simd, self._simd.builder
+        place = builder.zext(builder.load(simd.at(self._places, self._listed)), INDEX)
+        y, x = builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
+        return simd.add(simd.mul(y, self._slot(P.COLUMNS)), x)
 
     def mix(self, n_places, weights, block, n_filters, n_vectors):
         """Of so many places at a time: each number of them has its own instructions."""
@@ -229,14 +250,14 @@ class _Tile:
             changed = builder.or_(changed, builder.shl(self._any(differs), whole(p)))
         return changed
 
-    def by_channel(self, weights, *, is_sum):
+    def by_channel(self, weights, kind):
         simd, builder = self._simd, self._simd.builder
         ((start, out),) = self._starts(1)
         channels, taps, n_taps = self._slot(P.OUT_CHANNELS), self._slot(P.RUNS), self._slot(P.N_RUNS)
         n_vectors = builder.udiv(simd.add(channels, LANES - 1), whole(LANES))
         size = simd.mul(n_vectors, LANES)
-        first = self._slot(P.WEIGHTS)
-        bias = simd.add(first, simd.mul(n_taps, size)) if is_sum else first
+        first = simd.add(self._slot(P.WEIGHTS), simd.mul(self._number_of_place(), self._slot(P.PLACE_WEIGHTS)))
+        bias = simd.add(first, simd.mul(n_taps, size)) if kind == P.SUM else first
         slopes = simd.add(bias, size)
         limits = self._limits(weights, simd.add(slopes, size))
 
@@ -257,8 +278,10 @@ class _Tile:
                 larger = builder.or_(larger, builder.fcmp_unordered("uno", value, value))
                 return [builder.select(larger, value, largest[0])]
 
-            if is_sum:
+            if kind == P.SUM:
                 (total,) = simd.loop(n_taps, [simd.load(weights, simd.add(bias, c))], add_tap)
+            elif kind == P.FUNCTION:
+                total = choose(builder, self._slot(P.APPLIED), input_of(whole(0), c))
             else:
                 (total,) = simd.loop(n_taps, [input_of(whole(0), c)], compare_tap)
             value = self._activated(total, simd.load(weights, simd.add(slopes, c)), limits)

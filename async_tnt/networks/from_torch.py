@@ -16,17 +16,8 @@ from torch import fx, nn
 from async_tnt.checks import one_line
 from async_tnt.networks.conversion_check import Function, compare
 from async_tnt.networks.graph import VOLUME
-from async_tnt.networks.torch_operations import (
-    ELEMENTWISE,
-    FUNCTIONS,
-    IN_PLACE,
-    METHODS,
-    MODULES,
-    Call,
-    LayerList,
-    Operation,
-    float_array,
-)
+from async_tnt.networks.torch_layers import IN_PLACE, Call, LayerList, float_array
+from async_tnt.networks.torch_operations import ELEMENTWISE, FUNCTIONS, METHODS, MODULES, Operation
 
 Layers = list[dict[str, Any]]
 WAY_OUT = (
@@ -34,20 +25,25 @@ WAY_OUT = (
 )
 
 
-def layers_from_torch(module: nn.Module, prefix: str = "") -> tuple[Layers, dict[str, np.ndarray]]:
+def layers_from_torch(
+    module: nn.Module, shape: tuple[int, ...], prefix: str = ""
+) -> tuple[Layers, dict[str, np.ndarray]]:
     """The layers of a module and their weights, as in eval mode. The module itself stays as it is.
 
     Parameters
     ----------
-    prefix : of the weights' names, which are otherwise those in `state_dict`.
     module : volumes (1, C, H, W) -> (1, n). Convolutions, linear layers, batch norm; ReLU, LeakyReLU, PReLU, ReLU6,
-        Hardtanh and clamp; max and average pooling, adaptive average pooling to one place, mean over all places; sums
-        and concatenations; flatten, dropout and identity: as modules, functions or methods, in place or not.
+        Hardtanh, clamp, Sigmoid, Hardsigmoid, Tanh, SiLU, GELU, Hardswish, log1p; max, average and adaptive average
+        pooling, mean over all places; sums and concatenations; sums and products with constants; flatten, dropout and
+        identity: as modules, functions or methods, in place or not.
+    shape : of a volume, (C, H, W).
+    prefix : of the weights' names, which are otherwise those in `state_dict`.
 
     Raises
     ------
     TypeError : `module` is not a torch module.
-    NotImplementedError : names the first operation that is not among these, or the first module with hooks.
+    NotImplementedError : names the operations that are not among these, or the first module with hooks.
+    ValueError : a layer does not fit `shape`.
     """
     if not isinstance(module, nn.Module):
         advice = ": load it into its module (load_state_dict)" if isinstance(module, Mapping) else ""
@@ -59,7 +55,7 @@ def layers_from_torch(module: nn.Module, prefix: str = "") -> tuple[Layers, dict
         graph = _Tracer().trace(module)
     except Exception as error:  # whatever the module's own code raises
         raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}") from None
-    return _Conversion(module, prefix).run(graph)
+    return _Conversion(module, LayerList(shape, prefix)).run(graph)
 
 
 def check_torch_layers(
@@ -144,8 +140,8 @@ class _Conversion:
     written to, the others stand for the new value, or for none that a layer has.
     """
 
-    def __init__(self, module: nn.Module, prefix: str) -> None:
-        self._module, self._made = module, LayerList(prefix)
+    def __init__(self, module: nn.Module, made: LayerList) -> None:
+        self._module, self._made = module, made
         self._memory: dict[fx.Node, fx.Node] = {}  # node -> the first one in the same memory
 
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
@@ -153,9 +149,19 @@ class _Conversion:
         if len(inputs) != 1:
             raise NotImplementedError(f"the module must take one volume, got {len(inputs)} arguments")
         self._made.names[inputs[0]] = VOLUME
+        refused = []
         for node in graph.nodes:
-            if node.op not in ("placeholder", "output") and not self._is_size(node):
-                self._read(node)
+            if node.op not in ("placeholder", "get_attr", "output") and not self._is_size(node):
+                try:
+                    self._read(node)
+                except NotImplementedError as error:
+                    refused.append(str(error))
+                    self._made.names[node] = VOLUME  # any: others may be refused for reasons of their own
+                except ValueError:
+                    if not refused:  # if there are some, shapes are wrong
+                        raise
+        if refused:
+            raise NotImplementedError("; ".join(refused))
         (output,) = (node.args[0] for node in graph.nodes if node.op == "output")
         if not isinstance(output, fx.Node):
             raise NotImplementedError("the module must return one tensor of logits")
@@ -178,18 +184,29 @@ class _Conversion:
         kind, module, operation = self._operation(node)
         where = f"layer {node.target!r} ({kind})" if module is not None else f"operation {node.name!r} ({kind})"
         if operation is None and node.users:
-            raise NotImplementedError(f"{where} has no compiled form")
+            instead = ": a decision has the softmax of its logits, leave it out" if "softmax" in kind.lower() else ""
+            raise NotImplementedError(f"{where} has no compiled form{instead}")
         nothing_to_read = not node.users and not self._made.overwritten.keys().isdisjoint(node.all_input_nodes)
         try:
             if operation is None or nothing_to_read:
                 for source in [] if _is_pure(node, module, kind) else node.all_input_nodes:
                     self._write(source, {}, where)
                 return
-            call = Call(node, operation.arguments(node, module), module)
+            call = Call(node, self._with_tensors(operation.arguments(node, module)), module)
             if node.users or call.written is not None:
                 self._add(call, operation, where)
         except NotImplementedError as error:
             raise NotImplementedError(f"{where}: {error}") from None
+
+    def _with_tensors(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """The module's own parameters and buffers in place of the nodes that read them."""
+
+        def value(argument: Any) -> Any:
+            if isinstance(argument, fx.Node) and argument.op == "get_attr":
+                return operator.attrgetter(str(argument.target))(self._module)
+            return argument
+
+        return {name: value(argument) for name, argument in arguments.items()}
 
     def _add(self, call: Call, operation: Operation, where: str) -> None:
         made, written = self._made, call.written

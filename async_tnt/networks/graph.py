@@ -15,9 +15,12 @@ a tensor in the file, a role in brackets may be missing. Sides are [y, x], paddi
     leaky_relu           slope
     prelu                weights: slope, (1,) or (C,)
     clip                 low, high; null: no limit
+    log1p, sigmoid, tanh, silu, gelu, gelu_tanh, hardswish, hardsigmoid     gelu_tanh: by the tanh
     max_pool             kernel, stride, padding
     average_pool         kernel, stride, padding: padded places count, as zeros
     sum_pool             kernel, stride, padding
+    inside_average_pool  kernel, stride, padding: padded places do not count
+    adaptive_average_pool  size: from input floor(k n / size) to ceil((k + 1) n / size), along each axis
     global_average_pool  to (C, 1, 1)
     add, concat          of two inputs or more; channels one after the other
     flatten              to (C * H * W,), in C order
@@ -130,7 +133,7 @@ def _is_flat_map(layer: Layer, shapes: Mapping[str, Shape], flat_maps: set[str])
     read = flat_maps.intersection(layer["inputs"])
     if not read or layer["op"] == "dense":
         return False
-    if layer["op"] not in ("flatten", "relu", "leaky_relu", "clip"):
+    if layer["op"] not in ("flatten", "relu", "leaky_relu", "clip", *ELEMENTWISE):
         raise ValueError(f"{read.pop()!r} is a flattened map: a dense layer belongs between")
     return True
 
@@ -296,6 +299,11 @@ def _pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape
     return inputs[0][0], *sides
 
 
+def _adaptive_pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    rows, columns = layer["size"]
+    return _global_pool(layer, inputs, weights)[0], rows, columns
+
+
 def _global_pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
     if len(inputs[0]) != 3:
         raise ValueError(f"its input must be a map (C, H, W), got {inputs[0]}")
@@ -324,6 +332,8 @@ def _centroid(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> S
     return (2,)
 
 
+ELEMENTWISE = "log1p", "sigmoid", "tanh", "silu", "gelu", "gelu_tanh", "hardswish", "hardsigmoid"
+"""Functions of each number by itself, without parameters."""
 _WINDOW = {"kernel": SIDES, "stride": SIDES, "padding": PADDING}
 OPERATIONS: dict[str, _Operation] = {
     "conv": _Operation(_conv, {**_WINDOW, "dilation": SIDES, "groups": POSITIVE}, {"weight": True, "bias": False}),
@@ -335,9 +345,12 @@ OPERATIONS: dict[str, _Operation] = {
     "leaky_relu": _Operation(_same, {"slope": FINITE}, {}),
     "prelu": _Operation(_prelu, {}, {"slope": True}),
     "clip": _Operation(_clip, {"low": LIMIT, "high": LIMIT}, {}),
+    **{name: _Operation(_same, {}, {}) for name in ELEMENTWISE},
     "max_pool": _Operation(_pool, _WINDOW, {}),
     "average_pool": _Operation(_pool, _WINDOW, {}),
     "sum_pool": _Operation(_pool, _WINDOW, {}),
+    "inside_average_pool": _Operation(_pool, _WINDOW, {}),
+    "adaptive_average_pool": _Operation(_adaptive_pool, {"size": SIDES}, {}),
     "global_average_pool": _Operation(_global_pool, {}, {}),
     "add": _Operation(_add, {}, {}, n_inputs=2),
     "concat": _Operation(_concat, {}, {}, n_inputs=2),

@@ -96,7 +96,7 @@ class Model:
 
         Raises
         ------
-        NotImplementedError : names the first operation that has no compiled form; or the module computes what a trace
+        NotImplementedError : names the operations that have no compiled form; or the module computes what a trace
             does not show.
         ValueError, TypeError : see Model.
 
@@ -117,7 +117,9 @@ class Model:
         weights: dict[str, np.ndarray] = {}
         try:
             for name, part in parts.items():
-                network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
+                network[name], tensors = layers_from_torch(
+                    part, config.shape, prefix="" if name == CLASSIFIER else f"{name}."
+                )
                 weights |= tensors
             model = cls(config, weights, tuple(classes), record or {}, network)
             for name, part in parts.items():

@@ -16,6 +16,7 @@ from async_tnt.checks import needs_extra
 from async_tnt.config import TNTConfig
 from async_tnt.networks.graph import CLASSIFIER, VOLUME, Layer, layer_shapes, tensors_of
 from async_tnt.networks.model import FORMAT, Model, read_description
+from async_tnt.networks.uneven_windows import adaptive_matrix
 from async_tnt.package import __version__
 
 if TYPE_CHECKING:
@@ -23,7 +24,14 @@ if TYPE_CHECKING:
 
 OPSET, IR_VERSION = 13, 7
 MAX_BYTES = 1 << 31  # of a protobuf message
-PLAIN = {"relu": "Relu", "global_average_pool": "GlobalAveragePool", "add": "Sum", "flatten": "Flatten"}
+PLAIN = {
+    "relu": "Relu",
+    "sigmoid": "Sigmoid",
+    "tanh": "Tanh",
+    "global_average_pool": "GlobalAveragePool",
+    "add": "Sum",
+    "flatten": "Flatten",
+}
 """Layers without parameters, as ONNX calls them."""
 BLANK = 64 * "0"  # in place of the checksum while it is computed
 
@@ -135,6 +143,39 @@ class _Nodes:
         ]
         self.add("Clip", [*inputs, *limits], name)
 
+    def _log1p(self, layer: Layer, inputs: list[str], name: str) -> None:
+        self.add("Log", [self._add_number(inputs[0], 1.0, f"{name}.sum")], name)
+
+    def _silu(self, layer: Layer, inputs: list[str], name: str) -> None:
+        self.add("Mul", [*inputs, self.add("Sigmoid", inputs, f"{name}.sigmoid")], name)
+
+    def _gelu(self, layer: Layer, inputs: list[str], name: str) -> None:
+        """x (1 + erf(x / sqrt 2)) / 2"""
+        scaled = self._scale(inputs[0], 0.5**0.5, f"{name}.scaled")
+        erf = self._add_number(self.add("Erf", [scaled], f"{name}.erf"), 1.0, f"{name}.sum")
+        self._scale(self.add("Mul", [*inputs, erf], f"{name}.product"), 0.5, name)
+
+    def _gelu_tanh(self, layer: Layer, inputs: list[str], name: str) -> None:
+        """x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3))) / 2"""
+        (x,) = inputs
+        cube = self.add("Mul", [x, self.add("Mul", [x, x], f"{name}.square")], f"{name}.cube")
+        inner = self.add("Add", [x, self._scale(cube, 0.044715, f"{name}.part")], f"{name}.inner")
+        tanh = self.add("Tanh", [self._scale(inner, (2 / np.pi) ** 0.5, f"{name}.scaled")], f"{name}.tanh")
+        factor = self._add_number(tanh, 1.0, f"{name}.sum")
+        self._scale(self.add("Mul", [x, factor], f"{name}.product"), 0.5, name)
+
+    def _hardswish(self, layer: Layer, inputs: list[str], name: str) -> None:
+        self.add("Mul", [*inputs, self.add("HardSigmoid", inputs, f"{name}.factor", alpha=1 / 6, beta=0.5)], name)
+
+    def _hardsigmoid(self, layer: Layer, inputs: list[str], name: str) -> None:
+        self.add("HardSigmoid", inputs, name, alpha=1 / 6, beta=0.5)
+
+    def _scale(self, value: str, factor: float, name: str) -> str:
+        return self.add("Mul", [value, self._constant(f"{name}.factor", factor)], name)
+
+    def _add_number(self, value: str, number: float, name: str) -> str:
+        return self.add("Add", [value, self._constant(f"{name}.number", number)], name)
+
     def _max_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
         self.add("MaxPool", inputs, name, **_window(layer))
 
@@ -145,6 +186,15 @@ class _Nodes:
         self.add("AveragePool", inputs, f"{name}.mean", count_include_pad=1, **_window(layer))
         size = self._constant(f"{name}.size", layer["kernel"][0] * layer["kernel"][1])
         self.add("Mul", [f"{name}.mean", size], name)
+
+    def _inside_average_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
+        self.add("AveragePool", inputs, name, count_include_pad=0, **_window(layer))
+
+    def _adaptive_average_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
+        """A X B', where A and B hold what each place takes of the mean along its axis."""
+        rows, columns = map(adaptive_matrix, layer["size"], self._shapes[layer["inputs"][0]][1:])
+        of_rows = self.add("MatMul", [self._constant(f"{name}.a", rows), *inputs], f"{name}.rows")
+        self.add("MatMul", [of_rows, self._constant(f"{name}.b", columns.T)], name)
 
     def _concat(self, layer: Layer, inputs: list[str], name: str) -> None:
         self.add("Concat", inputs, name, axis=1)

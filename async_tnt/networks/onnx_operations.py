@@ -68,6 +68,11 @@ class OnnxLayers:
             raise NotImplementedError(f"its input {value!r} is not computed from the volume")
         return self.names[value]
 
+    def layer_of(self, value: str) -> dict[str, Any]:
+        """The layer that computes a value; an empty one, with `op` "volume", for the volume."""
+        name = self.layer(value)
+        return next((layer for layer in self.layers if layer["name"] == name), {"op": VOLUME, "inputs": []})
+
     def shape(self, value: str) -> tuple[int, ...]:
         """(C, H, W) or (N,)."""
         tensors = {name: values.shape for name, values in self.tensors.items()}
@@ -186,8 +191,46 @@ def _add(made: OnnxLayers, node: Node) -> None:
 
 
 def _mul(made: OnnxLayers, node: Node) -> None:
-    expect_form(sum(name in made.constants for name in node.inputs) == 1, "a product of two maps")
-    _affine(made, node, is_sum=False)
+    if not any(name in made.constants for name in node.inputs):
+        _silu(made, node)
+    else:
+        expect_form(sum(name in made.constants for name in node.inputs) == 1, "a product of constants")
+        _affine(made, node, is_sum=False)
+
+
+def _silu(made: OnnxLayers, node: Node) -> None:
+    """x sigmoid(x), as torch exports it."""
+    for x, factor in (node.inputs, node.inputs[::-1]):
+        of_factor = made.layer_of(factor)
+        if of_factor["op"] == "sigmoid" and of_factor["inputs"] == [made.layer(x)]:
+            return made.add(node, "silu", [x])
+    raise NotImplementedError("a product of two maps has no compiled form")
+
+
+def _log(made: OnnxLayers, node: Node) -> None:
+    """log(x + 1), as torch exports log1p."""
+    sum_of = made.layer_of(node.inputs[0])
+    weights = sum_of.get("weights", {})
+    is_plus_one = sum_of["op"] == "batch_norm" and set(weights) == {"mean", "variance", "bias"}
+    expect_form(is_plus_one and bool((made.tensors[weights["bias"]] == 1).all()), "a logarithm of other than x + 1")
+    made.names[node.inputs[0]] = sum_of["inputs"][0]
+    made.add(node, "log1p", node.inputs[:1])
+    made.names[node.inputs[0]] = sum_of["name"]
+
+
+def _function(op: str) -> Callable[[OnnxLayers, Node], None]:
+    """Of each number by itself, without parameters."""
+    return lambda made, node: made.add(node, op, node.inputs[:1])
+
+
+def _hardsigmoid(made: OnnxLayers, node: Node) -> None:
+    alpha, beta = node.get("alpha", 0.2), node.get("beta", 0.5)
+    expect_form(abs(alpha - 1 / 6) < 1e-6 and beta == 0.5, f"alpha {alpha} and beta {beta}, not 1/6 and 1/2,")
+    made.add(node, "hardsigmoid", node.inputs[:1])
+
+
+def _gelu(made: OnnxLayers, node: Node) -> None:
+    made.add(node, "gelu_tanh" if node.get("approximate", "none") == "tanh" else "gelu", node.inputs[:1])
 
 
 def _relu(made: OnnxLayers, node: Node) -> None:
@@ -227,10 +270,8 @@ def _average_pool(made: OnnxLayers, node: Node) -> None:
     window = _window(node, node.get("kernel_shape", []))
     expect_form(not node.get("ceil_mode", 0), "ceil_mode")
     expect_form(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
-    expect_form(
-        node.get("count_include_pad", 0) == 1 or not any(window["padding"]), "padding without count_include_pad"
-    )
-    made.add(node, "average_pool", node.inputs[:1], **window)
+    counted = node.get("count_include_pad", 0) == 1 or not any(window["padding"])
+    made.add(node, "average_pool" if counted else "inside_average_pool", node.inputs[:1], **window)
 
 
 def _global_average_pool(made: OnnxLayers, node: Node) -> None:
@@ -304,6 +345,12 @@ RULES: dict[str, Callable[[OnnxLayers, Node], None]] = {
     "Sum": _add,
     "Mul": _mul,
     "Relu": _relu,
+    "Log": _log,
+    "Sigmoid": _function("sigmoid"),
+    "Tanh": _function("tanh"),
+    "HardSwish": _function("hardswish"),
+    "HardSigmoid": _hardsigmoid,
+    "Gelu": _gelu,
     "LeakyRelu": _leaky_relu,
     "PRelu": _prelu,
     "Clip": _clip,

@@ -116,6 +116,7 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
         record[[P.RUNS, P.N_RUNS, P.RUN_LENGTH]] = len(program) + len(tables), len(runs), run_length
         tables += runs
         record[[P.GROUPS, P.GROUP_CHANNELS]] = groups, source.channels // groups
+        record[P.APPLIED] = step.applied
         record[[P.WEIGHTS, P.PLACE_WEIGHTS]] = n_weights, place_weights
         weights.append(packed)
         n_weights += packed.size
@@ -231,22 +232,29 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
 
 def _packed(step: Step) -> tuple[int, int, np.ndarray]:
     """Groups, numbers from one place's weights to the next one's, and the weights as `kernels.program` describes."""
-    if step.kind != P.MIX:
-        size = _up(len(step.bias), LANES)
-        rows = [_padded(row, size) for row in (*step.weights.reshape(-1, len(step.bias)), step.bias, step.slopes)]
-        return 1, 0, np.concatenate([*rows, _limits(step)])
     if step.own_weights:
-        of_place = [_blocks(w[:, :, None, None], step) for of_row in step.weights for w in of_row]
-        return 1, of_place[0].size, np.concatenate(of_place)
+        of_places = step.weights[: step.rows, : step.columns].reshape(-1, *step.weights.shape[2:])
+        pack = _blocks if step.kind == P.MIX else _rows
+        packed = [pack(w, step) for w in of_places]
+        return 1, packed[0].size, np.concatenate(packed)
+    if step.kind != P.MIX:
+        return 1, 0, _rows(step.weights, step)
     per_group = len(step.bias) // step.groups
     parts = [_blocks(step.weights[k : k + per_group], step, k) for k in range(0, len(step.bias), per_group)]
     return step.groups, 0, np.concatenate(parts)
 
 
+def _rows(w: np.ndarray, step: Step) -> np.ndarray:
+    """Of a step that computes each channel by itself."""
+    size = _up(len(step.bias), LANES)
+    rows = [_padded(row, size) for row in (*w.reshape(-1, len(step.bias)), step.bias, step.slopes)]
+    return np.concatenate([*rows, _limits(step)])
+
+
 def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
-    """Filters (F, C, kernel_y, kernel_x), the step's from `first` on, in blocks of one or two registers."""
+    """Filters (F, C) or (F, C, kernel_y, kernel_x), the step's from `first` on, in blocks of one or two registers."""
     parts = []
-    products = w.transpose(2, 3, 1, 0).reshape(-1, len(w))  # (K, F): taps row by row, then channels
+    products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))  # (K, F): taps, then channels
     for f in range(0, len(w), 2 * LANES):
         n = min(len(w) - f, 2 * LANES)
         size = _up(n, LANES)

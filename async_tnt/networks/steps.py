@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.kernels.program import MAXIMUM, MIX, SUM
+from async_tnt.kernels.functions import FUNCTIONS
+from async_tnt.kernels.program import FUNCTION, MAXIMUM, MIX, SUM
 from async_tnt.networks.graph import VOLUME, Layer, layer_shapes
+from async_tnt.networks.uneven_windows import adaptive_shares, inside_shares, place_weights
 
 
 @dataclass(eq=False)
@@ -36,9 +38,9 @@ class Step:
     """A map, or some channels of it, from other maps.
 
     name : of the layer that it computes, or a part of.
-    kind : MIX (one input), SUM (several of one shape are taps of one sum) or MAXIMUM (one).
+    kind : MIX (one input), SUM (several of one shape are taps of one sum), MAXIMUM or FUNCTION (one).
     weights : of a MIX (F, C / groups, kernel_y, kernel_x), with `own_weights` (rows, columns, F, C); of a SUM (taps,
-        C), tap by tap of an input, input by input.
+        C), tap by tap of an input, input by input, with `own_weights` (rows, columns, taps, C).
     bias, slopes : (F,) or (C,).
     channel : where in the output its channels begin.
     rows, columns : of the output that are computed; all, at first.
@@ -56,6 +58,8 @@ class Step:
     dilation: tuple[int, int] = (1, 1)
     groups: int = 1
     own_weights: bool = False
+    applied: int = 0
+    """Of a FUNCTION, its place in `FUNCTIONS`."""
     channel: int = 0
     rows: int = field(init=False)
     columns: int = field(init=False)
@@ -71,7 +75,7 @@ class Step:
     @property
     def is_linear(self) -> bool:
         """Whether the step is a sum and has no activation."""
-        return self.kind != MAXIMUM and not self.is_activated
+        return self.kind in (MIX, SUM) and not self.is_activated
 
     @property
     def is_activated(self) -> bool:
@@ -90,7 +94,7 @@ class Step:
     @property
     def products(self) -> int:
         """Multiplications of one place; none of a plain sum or mean."""
-        if self.kind != MIX and (self.weights == self.weights.flat[:1]).all():
+        if self.kind != MIX and not self.own_weights and (self.weights == self.weights.flat[:1]).all():
             return 0
         return self.weights.size // (self.output.rows * self.output.columns if self.own_weights else 1)
 
@@ -133,7 +137,10 @@ class _Lowering:
         for layer in self._layers:
             inputs = [self._maps[name] for name in layer["inputs"]]
             self._name = layer["name"]
-            self._maps[layer["name"]] = getattr(self, f"_{layer['op']}")(layer, inputs)
+            if layer["op"] in FUNCTIONS:
+                self._maps[layer["name"]] = self._function(layer["op"], inputs)
+            else:
+                self._maps[layer["name"]] = getattr(self, f"_{layer['op']}")(layer, inputs)
         output = self._maps[self._layers[-1]["name"]]
         return self._steps, self._copy(volume, replace(volume)) if output is volume else output
 
@@ -227,6 +234,19 @@ class _Lowering:
         step.slopes[:] = self._tensors[layer["weights"]["slope"]]
         return step.output
 
+    def _function(self, name: str, inputs: list[Map]) -> Map:
+        (source,) = inputs
+        output = replace(source, fill=0.0, frame=(0, 0, 0, 0), writers=[])
+        applied = list(FUNCTIONS).index(name)
+        return self._add_step(FUNCTION, inputs, output, [], np.zeros(source.channels), applied=applied)
+
+    def _hardsigmoid(self, layer: Layer, inputs: list[Map]) -> Map:
+        """clip(x / 6 + 1/2, 0, 1)"""
+        step = self._own_step(layer, inputs, linear=True)
+        step.weights, step.bias = step.weights / np.float32(6), step.bias / np.float32(6) + np.float32(0.5)
+        step.low, step.high = 0.0, 1.0
+        return step.output
+
     def _max_pool(self, layer: Layer, inputs: list[Map]) -> Map:
         (source,) = inputs
         if any(layer["padding"]):  # with what is less than any number
@@ -248,6 +268,23 @@ class _Lowering:
         weights = np.full((layer["kernel"][0] * layer["kernel"][1], source.channels), factor)
         output = Map(*self._shapes[layer["name"]])
         return self._add_step(SUM, inputs, output, weights, np.zeros(source.channels), **_window(layer))
+
+    def _inside_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
+        output, window = Map(*self._shapes[layer["name"]]), _window(layer)
+        sides = (output.rows, output.columns), (inputs[0].rows, inputs[0].columns)
+        axes = map(inside_shares, *sides, window["kernel"], window["stride"], window["padding"])
+        return self._uneven_pool(inputs, output, *axes, **window)
+
+    def _adaptive_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
+        output = Map(*self._shapes[layer["name"]])
+        rows, stride_y, above = adaptive_shares(output.rows, inputs[0].rows)
+        columns, stride_x, before = adaptive_shares(output.columns, inputs[0].columns)
+        window = {"kernel": (rows.shape[1], columns.shape[1]), "stride": (stride_y, stride_x)}
+        return self._uneven_pool(inputs, output, rows, columns, padding=(above, before), **window)
+
+    def _uneven_pool(self, inputs: list[Map], output: Map, rows: Any, columns: Any, **window: Any) -> Map:
+        weights, zeros = place_weights(rows, columns, output.channels), np.zeros(output.channels)
+        return self._add_step(SUM, inputs, output, weights, zeros, own_weights=True, **window)
 
     def _global_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
         (source,) = inputs

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import torch
 from tnt_reference import heatmap_centroid
 from torch import fx, nn
 from torch.nn import functional as F
 
 from async_tnt.networks.conversion_check import expect_form
-from async_tnt.networks.graph import VOLUME
-
-IN_PLACE = (
-    {operator.setitem, operator.delitem}
-    | {  # and those that have a twin: iadd has add
-        value for name, value in vars(operator).items() if name.startswith("__i") and f"__{name[3:]}" in vars(operator)
-    }
-)
+from async_tnt.networks.torch_layers import Call, LayerList, float_array
 
 
 class HeatmapCentroid(nn.Module):
@@ -30,89 +23,6 @@ class HeatmapCentroid(nn.Module):
     def forward(self, exponent: torch.Tensor) -> torch.Tensor:
         landmark: torch.Tensor = heatmap_centroid(exponent)
         return landmark
-
-
-@dataclass(frozen=True)
-class Call:
-    """A node of the trace that is a known operation, with all of its arguments."""
-
-    node: fx.Node
-    arguments: Mapping[str, Any]
-    module: Any
-    """The torch module that is called, or None."""
-
-    def __getitem__(self, name: str) -> Any:
-        return self.arguments[name]
-
-    @property
-    def written(self) -> Any:
-        """The node whose memory holds its result, too, as of in-place operations; or None."""
-        target = self.node.target
-        name = target if self.node.op == "call_method" else getattr(target, "__name__", "")
-        in_place = target in IN_PLACE or str(name).endswith("_") or bool(self.arguments.get("inplace"))
-        return self.arguments["input"] if in_place else self.arguments.get("out")
-
-
-class LayerList:
-    """The layers of a trace and their weights, so far."""
-
-    def __init__(self, prefix: str) -> None:
-        self._prefix = prefix
-        self.layers: list[dict[str, Any]] = []
-        self.weights: dict[str, np.ndarray] = {}
-        self.names: dict[fx.Node, str] = {}
-        """Of the layer whose value a node has."""
-        self.overwritten: dict[fx.Node, str] = {}
-        """What changed a node's value to one that no layer has."""
-
-    def add(self, op: str, call: Call, sources: Iterable[Any] | None = None, **parameters: Any) -> str:
-        """Add a layer of a call; returns its name. `sources` are by default its only input."""
-        taken = {VOLUME, *(layer["name"] for layer in self.layers)}
-        node = call.node
-        name = str(node.target) if call.module is not None and str(node.target) not in taken else node.name
-        while name in taken:
-            name += "_"
-        inputs = [self.source(node) for node in ([call["input"]] if sources is None else sources)]
-        self.layers.append({"op": op, "name": name, "inputs": inputs, **parameters})
-        return name
-
-    def source(self, node: Any) -> str:
-        """The layer whose value a node has; a layer's name stays."""
-        if isinstance(node, str):
-            return node
-        if not isinstance(node, fx.Node) or node not in self.names:
-            by = self.overwritten.get(node) if isinstance(node, fx.Node) else None
-            why = "not computed from the volume" if by is None else f"changed in place by {by}"
-            raise NotImplementedError(f"the value {node} is {why}")
-        return self.names[node]
-
-    def needed_for(self, output: fx.Node) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-        """The layers that a node's value is computed from, the last one its own, and their weights."""
-        needed = {self.source(output)}
-        expect_form(needed != {VOLUME}, "the volume itself")
-        layers: list[dict[str, Any]] = []
-        for layer in reversed(self.layers):
-            if layer["name"] in needed:
-                needed.update(layer["inputs"])
-                layers.insert(0, layer)
-        used = {name for layer in layers for name in layer.get("weights", {}).values()}
-        return layers, {name: values for name, values in self.weights.items() if name in used}
-
-    def tensors(self, call: Call, **roles: str) -> dict[str, str]:
-        """Keep a module's tensors; role -> name, without those that are None."""
-        weights = {}
-        for role, attribute in roles.items():
-            tensor = getattr(call.module, attribute)
-            if tensor is not None:
-                weights[role] = f"{self._prefix}{call.node.target}.{attribute}"
-                self.weights[weights[role]] = float_array(tensor)
-        return weights
-
-
-def float_array(tensor: torch.Tensor) -> np.ndarray:
-    """The values as float32; a NotImplementedError for a tensor that is not of floating point."""
-    expect_form(tensor.is_floating_point(), f"a weight of type {tensor.dtype}, not floating point,")
-    return np.asarray(tensor.detach().cpu().float())
 
 
 def _pair(value: Any) -> list[int]:
@@ -163,6 +73,20 @@ def _hardtanh(made: LayerList, call: Call) -> str:
     return _clip(made, call, call["min_val"], call["max_val"])
 
 
+def _function(op: str) -> Operation:
+    """Of each number by itself, without parameters."""
+
+    def rule(made: LayerList, call: Call) -> str:
+        return made.add(op, call)
+
+    return Operation(rule, _FLAG)
+
+
+def _gelu(made: LayerList, call: Call) -> str:
+    expect_form(call["approximate"] in ("none", "tanh"), f"approximate {call['approximate']!r}")
+    return made.add("gelu" if call["approximate"] == "none" else "gelu_tanh", call)
+
+
 def _clamp(made: LayerList, call: Call) -> str:
     return _clip(made, call, call["min"], call["max"])
 
@@ -182,9 +106,15 @@ def _prelu(made: LayerList, call: Call) -> str:
 
 
 def _pool(made: LayerList, call: Call, op: str) -> str:
-    expect_form(not call["ceil_mode"], "ceil_mode")
     kernel, stride = _pair(call["kernel_size"]), _pair(call["stride"] or call["kernel_size"])
-    return made.add(op, call, kernel=kernel, stride=stride, padding=2 * _pair(call["padding"]))
+    padding = 2 * _pair(call["padding"])
+    if call["ceil_mode"]:  # as if padded at the end, so far that a last window fits that begins inside
+        sides = made.shape(call["input"])[1:]
+        expect_form(len(sides) == 2, "a pooling of a vector")
+        for axis, (side, reach, step, before) in enumerate(zip(sides, kernel, stride, padding[:2], strict=True)):
+            last = min(math.ceil((side + 2 * before - reach) / step), (side + before - 1) // step)
+            padding[2 + axis] = max(padding[2 + axis], last * step + reach - before - side)
+    return made.add(op, call, kernel=kernel, stride=stride, padding=padding)
 
 
 def _max_pool(made: LayerList, call: Call) -> str:
@@ -194,16 +124,23 @@ def _max_pool(made: LayerList, call: Call) -> str:
 
 
 def _average_pool(made: LayerList, call: Call) -> str:
-    padded = any(_pair(call["padding"]))
-    expect_form(bool(call["count_include_pad"]) or not padded, "padding with count_include_pad=False")
-    expect_form(call["divisor_override"] in (None, 1), "divisor_override")
-    return _pool(made, call, "average_pool" if call["divisor_override"] is None else "sum_pool")
+    padded, counted = any(_pair(call["padding"])), bool(call["count_include_pad"])
+    if call["divisor_override"] is not None:
+        expect_form(call["divisor_override"] == 1, "divisor_override")
+        return _pool(made, call, "sum_pool")
+    expect_form(not (call["ceil_mode"] and padded and counted), "ceil_mode with padding that counts")
+    inside = call["ceil_mode"] or (padded and not counted)
+    return _pool(made, call, "inside_average_pool" if inside else "average_pool")
 
 
 def _adaptive_pool(made: LayerList, call: Call) -> str:
     size = call["output_size"]
-    expect_form(size in (1, (1, 1), [1, 1]), f"an output size of {size}, not 1,")
-    return made.add("global_average_pool", call)
+    if size in (1, (1, 1), [1, 1]):
+        return made.add("global_average_pool", call)
+    sizes = size if isinstance(size, (tuple, list)) else (size, size)
+    sides = made.shape(call["input"])[1:]
+    expect_form(len(sides) == len(sizes) == 2, f"an output size of {size} here")
+    return made.add("adaptive_average_pool", call, size=[s or side for s, side in zip(sizes, sides, strict=True)])
 
 
 def _mean(made: LayerList, call: Call) -> str:
@@ -216,7 +153,58 @@ def _mean(made: LayerList, call: Call) -> str:
 
 def _add(made: LayerList, call: Call) -> str:
     expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
-    return made.add("add", call, [call["input"], call["other"]])
+    x, constant = _with_constant(call)
+    if constant is None:
+        return made.add("add", call, [call["input"], call["other"]])
+    return _affine(made, call, x, shift=constant)
+
+
+def _sub(made: LayerList, call: Call) -> str:
+    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
+    x, constant = _with_constant(call)
+    if constant is None or x is not call["input"]:
+        raise NotImplementedError("a difference other than a map less a constant has no compiled form")
+    return _affine(made, call, x, shift=-constant)
+
+
+def _mul(made: LayerList, call: Call) -> str:
+    x, constant = _with_constant(call)
+    if constant is None:
+        raise NotImplementedError("a product of two maps has no compiled form")
+    return _affine(made, call, x, factor=constant)
+
+
+def _div(made: LayerList, call: Call) -> str:
+    x, constant = _with_constant(call)
+    if constant is None or x is not call["input"] or call.arguments.get("rounding_mode"):
+        raise NotImplementedError("a quotient other than a map by a constant has no compiled form")
+    return _affine(made, call, x, factor=1 / constant)
+
+
+def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
+    """The two operands: what is computed from the volume first, and the other one where it is a constant."""
+    x, other = call["input"], call["other"]
+    if isinstance(other, fx.Node):
+        x, other = other, x
+    if isinstance(other, (int, float)):
+        return x, torch.tensor(float(other), dtype=torch.float64)
+    return x, other.detach() if isinstance(other, torch.Tensor) else None
+
+
+def _affine(made: LayerList, call: Call, x: Any, factor: Any = None, shift: Any = None) -> str:
+    """As a batch norm: a constant of one number, or of one for each channel."""
+    channels, *sides = made.shape(x)
+    weights = {}
+    for role, values in {"weight": factor, "bias": shift, "mean": torch.zeros(1), "variance": torch.ones(1)}.items():
+        if values is None:
+            continue
+        shape = list(values.shape)
+        while shape[:1] == [1]:
+            del shape[0]
+        expect_form(shape in ([], [channels, *[1] * len(sides)]), f"a constant of shape {list(values.shape)} here")
+        weights[role] = f"{made.prefix}{call.node.name}.{role}"
+        made.weights[weights[role]] = float_array(values.reshape(-1).expand(channels))
+    return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
 
 
 def _cat(made: LayerList, call: Call) -> str:
@@ -298,13 +286,21 @@ AVERAGE_POOL = Operation(
 )
 ADAPTIVE_POOL = Operation(_adaptive_pool, {"output_size": None})
 MEAN = Operation(_mean, {"dim": None, "keepdim": False})
-ADD = Operation(_add, {"alpha": 1}, inputs=("input", "other"))
+TWO = ("input", "other")
+ADD, SUB = (Operation(rule, {"alpha": 1}, inputs=TWO) for rule in (_add, _sub))
+MUL, DIV = Operation(_mul, inputs=TWO), Operation(_div, {"rounding_mode": None}, inputs=TWO)
+GELU = Operation(_gelu, {"approximate": "none"})
+SIGMOID, TANH, LOG1P = map(_function, ("sigmoid", "tanh", "log1p"))
+SILU, HARDSWISH, HARDSIGMOID = map(_function, ("silu", "hardswish", "hardsigmoid"))
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
 FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1}, is_view=True)
 VIEW = Operation(_view, is_view=True)
 DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_FLAG}, is_view=True)
 
-ELEMENTWISE = (_relu, _relu6, _hardtanh, _clamp, _leaky_relu)
+ELEMENTWISE = (
+    *(_relu, _relu6, _hardtanh, _clamp, _leaky_relu, _gelu),
+    *(operation.rule for operation in (SIGMOID, TANH, LOG1P, SILU, HARDSWISH, HARDSIGMOID)),
+)
 """Rules that are the same for a value in any shape."""
 MODULES: dict[type, Operation] = {
     nn.Conv2d: Operation(_conv),
@@ -314,6 +310,12 @@ MODULES: dict[type, Operation] = {
     **dict.fromkeys((nn.Hardtanh, nn.ReLU6), HARDTANH),
     nn.LeakyReLU: LEAKY_RELU,
     nn.PReLU: Operation(_prelu),
+    nn.Sigmoid: SIGMOID,
+    nn.Tanh: TANH,
+    nn.SiLU: SILU,
+    nn.GELU: GELU,
+    nn.Hardswish: HARDSWISH,
+    nn.Hardsigmoid: HARDSIGMOID,
     nn.MaxPool2d: MAX_POOL,
     nn.AvgPool2d: AVERAGE_POOL,
     nn.AdaptiveAvgPool2d: ADAPTIVE_POOL,
@@ -334,6 +336,16 @@ FUNCTIONS: dict[Any, Operation] = {
     F.adaptive_avg_pool2d: ADAPTIVE_POOL,
     torch.mean: MEAN,
     **dict.fromkeys((torch.add, operator.add, operator.iadd), ADD),
+    **dict.fromkeys((torch.sub, torch.subtract, operator.sub, operator.isub), SUB),
+    **dict.fromkeys((torch.mul, torch.multiply, operator.mul, operator.imul), MUL),
+    **dict.fromkeys((torch.div, torch.divide, operator.truediv, operator.itruediv), DIV),
+    **dict.fromkeys((torch.sigmoid, torch.sigmoid_, F.sigmoid), SIGMOID),
+    **dict.fromkeys((torch.tanh, torch.tanh_, F.tanh), TANH),
+    **dict.fromkeys((torch.log1p, torch.log1p_), LOG1P),
+    F.silu: SILU,
+    F.gelu: GELU,
+    F.hardswish: HARDSWISH,
+    F.hardsigmoid: HARDSIGMOID,
     **dict.fromkeys((torch.cat, torch.concat, torch.concatenate), CAT),
     torch.flatten: FLATTEN,
     **dict.fromkeys((F.dropout, F.dropout1d, F.dropout2d, torch.dropout), DROPOUT),
@@ -344,6 +356,12 @@ METHODS: dict[Any, Operation] = {
     **dict.fromkeys(("clamp", "clamp_", "clip", "clip_"), CLAMP),
     "mean": MEAN,
     **dict.fromkeys(("add", "add_"), ADD),
+    **dict.fromkeys(("sub", "sub_"), SUB),
+    **dict.fromkeys(("mul", "mul_"), MUL),
+    **dict.fromkeys(("div", "div_"), DIV),
+    **dict.fromkeys(("sigmoid", "sigmoid_"), SIGMOID),
+    **dict.fromkeys(("tanh", "tanh_"), TANH),
+    **dict.fromkeys(("log1p", "log1p_"), LOG1P),
     "flatten": FLATTEN,
     **dict.fromkeys(("view", "reshape"), VIEW),
     "contiguous": Operation(_same, {"memory_format": None}, is_view=True),

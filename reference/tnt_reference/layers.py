@@ -20,8 +20,9 @@ class LayerNetwork(nn.Module):
     Parameters
     ----------
     layers : mappings with `op`, `name`, `inputs` (names of earlier layers, or "volume"), the parameters of the op, and
-        `weights`: role -> name of a tensor. Ops: conv, dense, batch_norm, relu, leaky_relu, prelu, clip, max_pool,
-        average_pool, sum_pool, global_average_pool, add, concat, flatten, heatmap_centroid.
+        `weights`: role -> name of a tensor. Ops: conv, dense, batch_norm, relu, leaky_relu, prelu, clip, log1p,
+        sigmoid, tanh, silu, gelu, gelu_tanh, hardswish, hardsigmoid, max_pool, average_pool, sum_pool,
+        inside_average_pool, adaptive_average_pool, global_average_pool, add, concat, flatten, heatmap_centroid.
     tensors : name -> weights, parameters of this module. Means and variances of batch_norm are not trained.
 
     Raises
@@ -81,6 +82,11 @@ def _sum_pool(layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: tor
     return F.avg_pool2d(_padded(layer, x), layer["kernel"], layer["stride"], divisor_override=1)
 
 
+def _inside_average_pool(layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: torch.Tensor) -> torch.Tensor:
+    """The sum over each window, by how many of its places lie inside."""
+    return _sum_pool(layer, weights, x) / _sum_pool(layer, weights, torch.ones_like(x))
+
+
 def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
     """l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x]): e is `exponent`, (N, 1, H, W) -> (N, 2), float64
     (x, y)."""
@@ -102,9 +108,19 @@ _OPERATIONS: dict[str, Any] = {
     "clip": lambda layer, w, x: x.clamp(
         -torch.inf if layer["low"] is None else layer["low"], torch.inf if layer["high"] is None else layer["high"]
     ),
+    "log1p": lambda layer, w, x: torch.log1p(x),
+    "sigmoid": lambda layer, w, x: torch.sigmoid(x),
+    "tanh": lambda layer, w, x: torch.tanh(x),
+    "silu": lambda layer, w, x: F.silu(x),
+    "gelu": lambda layer, w, x: F.gelu(x),
+    "gelu_tanh": lambda layer, w, x: F.gelu(x, approximate="tanh"),
+    "hardswish": lambda layer, w, x: F.hardswish(x),
+    "hardsigmoid": lambda layer, w, x: F.hardsigmoid(x),
     "max_pool": lambda layer, w, x: F.max_pool2d(_padded(layer, x, -torch.inf), layer["kernel"], layer["stride"]),
     "average_pool": lambda layer, w, x: F.avg_pool2d(_padded(layer, x), layer["kernel"], layer["stride"]),
     "sum_pool": _sum_pool,
+    "inside_average_pool": _inside_average_pool,
+    "adaptive_average_pool": lambda layer, w, x: F.adaptive_avg_pool2d(x, tuple(layer["size"])),
     "global_average_pool": lambda layer, w, x: x.mean(dim=(-2, -1), keepdim=True),
     "add": lambda layer, w, *inputs: sum(inputs),
     "concat": lambda layer, w, *inputs: torch.cat(inputs, dim=1),

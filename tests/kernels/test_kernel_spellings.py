@@ -3,6 +3,7 @@
 That the loops compute the right numbers is shown where networks and volumes equal their twins in NumPy.
 """
 
+import math
 from functools import cache
 
 import numpy as np
@@ -11,6 +12,7 @@ from numba import njit
 
 import async_tnt.kernels.classify  # noqa: F401 (which registers the kernels below)
 from async_tnt.kernels import program as P
+from async_tnt.kernels.functions import FUNCTIONS, apply_function
 from async_tnt.kernels.simd import LANES, SPELLINGS
 from async_tnt.kernels.tiles import SIZES
 
@@ -95,6 +97,43 @@ def test_channel_tiles(name, kind, runs, run_length, channels):
         assert_same(name, program, weights, [place], lambda maps, weights: (maps, weights), channels)
 
 
+@pytest.mark.parametrize("function", FUNCTIONS)
+@pytest.mark.parametrize("channels", [1, LANES + 3])
+def test_function_tiles(function, channels):
+    program = program_of(P.FUNCTION, [40], 1, channels)
+    program[AT + P.APPLIED] = list(FUNCTIONS).index(function)
+    weights = weights_of(0, -(-channels // LANES) * LANES, -np.inf, 0.8)
+    assert_same("function_tile", program, weights, [7], lambda maps, weights: (maps, weights), channels)
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_functions_are_those_of_mathematics(function):
+    """To four units in the last place of float32, GELU to 2e-6 of the number, and at the ends of its range."""
+    apply = njit(lambda which, x: apply_function(which, x))
+    which, tolerance = list(FUNCTIONS).index(function), 3e-7
+    exact = {
+        "log1p": np.log1p,
+        "sigmoid": lambda x: 1 / (1 + np.exp(-x)),
+        "tanh": np.tanh,
+        "silu": lambda x: x / (1 + np.exp(-x)),
+        "gelu": lambda x: x * np.vectorize(math.erfc)(-x / np.sqrt(2)) / 2,
+        "gelu_tanh": lambda x: x * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3))) / 2,
+        "hardswish": lambda x: x * np.clip(x + 3, 0, 6) / 6,
+    }[function]
+    rng = np.random.default_rng(0)
+    for values in (rng.normal(size=2_000), 10 * rng.normal(size=2_000), 10.0 ** rng.uniform(-20, 20, 2_000)):
+        x = np.float32(np.abs(values) if function == "log1p" else values)
+        found = np.array([apply(which, v) for v in x])
+        expected, bound = exact(x.astype(np.float64)), tolerance
+        if function.startswith("gelu"):  # where it is small, it is a small difference of larger numbers
+            expected, found, bound = expected / np.abs(x), found / np.abs(x), 1e-6
+        np.testing.assert_allclose(found, expected, rtol=bound, atol=bound if function.startswith("gelu") else 1e-37)
+    at_ends = [apply(which, np.float32(x)) for x in (-0.75, 0.0, np.inf, np.nan)]
+    assert at_ends[0] == pytest.approx(exact(np.array([-0.75]))[0], rel=1e-6)
+    assert at_ends[1] == exact(np.zeros(1))[0] and np.isnan(at_ends[3])
+    assert at_ends[2] == (1.0 if function in ("sigmoid", "tanh") else np.inf)
+
+
 def test_nan_stays_nan():
     """As in torch: also in a maximum, and through limits."""
     maps = np.full(9000, np.nan, np.float32)
@@ -108,7 +147,7 @@ def test_nan_stays_nan():
 
 
 def test_every_vectorized_kernel_is_tested_here():
-    tested = {"mix_tile_1", "mix_tile_2", "sum_tile", "max_tile", "round_eight", "add_f64x2"}
+    tested = {"mix_tile_1", "mix_tile_2", "sum_tile", "max_tile", "function_tile", "round_eight", "add_f64x2"}
     assert set(SPELLINGS) == tested and LANES in (8, 16)
 
 

@@ -12,6 +12,7 @@ from torch import fx, nn
 from torch.nn import functional as F
 
 SHAPE = (3, 12, 11)
+SMOOTH = nn.Sigmoid, nn.Tanh, nn.SiLU, nn.Hardswish, nn.Hardsigmoid
 N_CLASSES = 4
 
 
@@ -118,6 +119,7 @@ class _Builder:
         inplace = self.chance(0.5)
         low, high = self.pick((-1.0, 1.0), (0.0, 6.0), (-0.5, 2.0))
         slope = self.pick(0.01, 0.2)
+        function = self.pick(F.silu, F.gelu, torch.sigmoid, torch.tanh, F.hardswish, F.hardsigmoid)
         choices = [
             lambda: self.part(nn.ReLU(inplace)),
             lambda: self.part(nn.LeakyReLU(slope, inplace)),
@@ -132,6 +134,11 @@ class _Builder:
             lambda: lambda m, x: torch.clamp(x, low, high),
             lambda: lambda m, x: x.clamp(max=high),
             lambda: lambda m, x: x.relu(),
+            lambda: self.part(self.pick(*SMOOTH)()),
+            lambda: self.part(nn.GELU(self.pick("none", "tanh"))),
+            lambda: lambda m, x: function(x),
+            lambda: lambda m, x: torch.log1p(x.clamp(min=0)),
+            lambda: lambda m, x: (x - low) / high * 2 + slope,
         ]
         if self.chance(0.5):
             choices = [
@@ -144,6 +151,8 @@ class _Builder:
                 lambda: lambda m, x: x.div_(10),
                 lambda: lambda m, x: x.mul_(0.5),
                 lambda: lambda m, x: torch.clamp(x, low, high, out=x),
+                lambda: lambda m, x: torch.tanh_(x),
+                lambda: lambda m, x: F.silu(x, inplace=True),
                 lambda: lambda m, x: scale_(x),
             ]
         if self.chance(0.12):
@@ -161,6 +170,7 @@ class _Builder:
         conv = self.pick(nn.Conv2d, nn.Conv2d, Conv2d if self.chance(0.1) else nn.Conv2d)
         kernel, stride = self.pick(1, 2, 3, (3, 2)), self.pick(1, 1, 2)
         padding = self.pick(0, 1, "same") if stride == 1 else self.pick(0, 1)
+        ceil = self.pick(False, False, True)
         pool = {"kernel_size": self.pick(2, (2, 3)), "stride": self.pick(None, 1, 2), "padding": self.pick(0, 0, 1)}
         norm = nn.BatchNorm2d(channels, affine=self.pick(True, False))
         norm.running_mean.normal_()
@@ -172,8 +182,9 @@ class _Builder:
                 )
             ),
             lambda: self.part(norm),
-            lambda: self.part(nn.MaxPool2d(**pool)),
-            lambda: self.part(nn.AvgPool2d(**pool, count_include_pad=self.pick(True, False))),
+            lambda: self.part(nn.MaxPool2d(**pool, ceil_mode=ceil)),
+            lambda: self.part(nn.AvgPool2d(**pool, ceil_mode=ceil, count_include_pad=self.pick(True, False))),
+            lambda: self.part(nn.AdaptiveAvgPool2d(self.pick(2, (3, None), (5, 4), 7))),
             lambda: lambda m, x: F.max_pool2d(x, **pool),
             lambda: lambda m, x: F.avg_pool2d(x, pool["kernel_size"], pool["stride"]),
             lambda: lambda m, x: F.dropout(x, 0.4, m.training),

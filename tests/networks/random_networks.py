@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from async_tnt import Model, TNTConfig
-from async_tnt.networks.graph import VOLUME, layer_shapes
+from async_tnt.networks.graph import ELEMENTWISE, VOLUME, layer_shapes
 
 SIDES = st.sampled_from([(1, 1), (2, 2), (3, 3), (3, 3), (5, 5), (1, 3), (2, 5), (4, 1)])
-ACTIVATIONS = ("relu", "leaky_relu", "prelu", "clip")
-POOLS = ("max_pool", "average_pool", "sum_pool")
+ACTIVATIONS = ("relu", "leaky_relu", "prelu", "clip", *ELEMENTWISE)
+POOLS = ("max_pool", "average_pool", "sum_pool", "inside_average_pool")
 CONFIG = TNTConfig(sensor=(9, 8), grid=(9, 8), bins=2, window_us=1000, transform="none", landmark="center")
 
 
@@ -77,7 +77,9 @@ class _Builder:
         return self.add("batch_norm", [source], weights=weights, epsilon=1e-5)
 
     def activation(self, op: str, source: str, shape, flat: bool = False) -> str:
-        if op == "relu":
+        if op == "log1p":  # of what is above -1
+            return self.add(op, [self.add("clip", [source], low=-0.75, high=None)])
+        if op == "relu" or op in ELEMENTWISE:
             return self.add(op, [source])
         if op == "clip":
             low = self.draw(st.sampled_from([None, 0.0, -0.5]))
@@ -95,7 +97,9 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
     for _ in range(draw(st.integers(0, 6))):
         source = draw(st.sampled_from(sorted(maps)[-2:])) if draw(st.booleans()) else list(maps)[-1]
         shape = maps[source]
-        op = draw(st.sampled_from(["conv", "conv", "conv", "batch_norm", *ACTIVATIONS, *POOLS, "add", "concat"]))
+        op = draw(
+            st.sampled_from(["conv", "conv", "conv", "batch_norm", *ACTIVATIONS, *POOLS, "adaptive", "add", "concat"])
+        )
         same = [name for name, other in maps.items() if other == shape]
         joined = [name for name, other in maps.items() if other[1:] == shape[1:]]
         if op == "conv":
@@ -104,6 +108,9 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
             name = make.batch_norm(source, shape[0])
         elif op in POOLS:
             name = make.add(op, [source], **make.window(shape))
+        elif op == "adaptive":
+            size = [draw(st.integers(1, side + 1)) for side in shape[1:]]
+            name = make.add("adaptive_average_pool", [source], size=size)
         elif op == "add":
             name = make.add(op, [source, draw(st.sampled_from(same))])
         elif op == "concat":
@@ -122,7 +129,7 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
     source = make.add("flatten", [source])
     n = int(np.prod(shape))
     if draw(st.booleans()):
-        source = make.activation(draw(st.sampled_from(["relu", "clip"])), source, (n,), flat=True)
+        source = make.activation(draw(st.sampled_from(["relu", "clip", "tanh"])), source, (n,), flat=True)
     if draw(st.booleans()):
         n_units = draw(st.sampled_from([1, 17, 40]))
         source = make.dense(source, n, n_units)

@@ -127,6 +127,23 @@ class _Builder:
             shape = self.pick((self.shape[-1],), (1, 1, 1, n, *rest), (2, n, *rest))
         self.node(self.pick("Add", "Mul"), self.weights(*shape))
 
+    def function(self) -> None:
+        before = self.value
+        op = self.pick("Sigmoid", "Tanh", "HardSigmoid", "HardSwish", "Gelu", "SiLU", "Log1p")
+        if op == "SiLU":
+            self.node("Sigmoid")
+            self.node("Mul", before)
+        elif op == "Log1p":
+            self.node("Relu")
+            self.node("Add", self.constant(np.float32(2.0 if self.chance(0.3) else 1.0)))
+            self.node("Log")
+        elif op == "HardSigmoid":
+            self.node(op, **({} if self.chance(0.5) else {"alpha": 1 / 6, "beta": 0.5}))
+        elif op == "Gelu":
+            self.node(op, **({"approximate": "tanh"} if self.pick(True, False) else {}))
+        else:
+            self.node(op)
+
     def activation(self) -> None:
         n, rest = self.shape[0], [1] * (len(self.shape) - 1)
         slopes = self.pick((n, *rest), (1,), (1, *rest))
@@ -136,6 +153,7 @@ class _Builder:
             lambda: self.node("PRelu", self.weights(*((self.shape[-1],) if self.chance(0.2) else slopes))),
             self.clip,
             self.dropout,
+            *2 * [self.function],
             lambda: self.node("Identity"),
         )()
 

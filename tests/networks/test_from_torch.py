@@ -50,6 +50,7 @@ class Written(nn.Module):
         torch.manual_seed(1)
         self.body, self.conv, self.dense = body, nn.Conv2d(3, 3, 3, padding=1), nn.Linear(3 * 18 * 20, 4)
         self.head = nn.Conv2d(3, 4, 1)
+        self.register_buffer("scales", torch.tensor([0.5, 2.0, 3.0])[:, None, None])
 
     def forward(self, x):
         return self.body(self, x)
@@ -74,7 +75,15 @@ def depends_on_the_mode(m, x):
     return m.logits(m.conv(x if m.training else F.relu6(x)))
 
 
-@pytest.mark.parametrize("body", [changes_through_a_view, changes_what_a_view_shows, depends_on_the_mode])
+def scales_the_volume(m, x):
+    """By numbers, also in place, and by one for each channel."""
+    x.div_(10)
+    return m.logits(m.conv((1.5 * x - 0.25) / m.scales))
+
+
+@pytest.mark.parametrize(
+    "body", [changes_through_a_view, changes_what_a_view_shows, depends_on_the_mode, scales_the_volume]
+)
 def test_modes_and_changes_in_place_are_read_as_they_are(body):
     module = Written(body)
     found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
@@ -82,8 +91,8 @@ def test_modes_and_changes_in_place_are_read_as_they_are(body):
     assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
 
 
-def divides_the_volume(m, x):
-    x.div_(10)
+def squares_the_volume(m, x):
+    x.pow_(2)
     return m.logits(m.conv(x))
 
 
@@ -126,11 +135,14 @@ def of_body(body):
 
 FORM, HOOKS = "has no compiled form", "has hooks, which a trace does not show: remove them"
 REFUSED = [  # what makes it, the beginning of the message
-    (of_layer(nn.Conv2d(3, 4, 3), nn.GELU()), f"layer '1' (GELU) {FORM}"),
-    (of_layer(nn.AvgPool2d(3, 2, 1, count_include_pad=False)), "layer '0' (AvgPool2d): padding with count_include_pad"),
+    (of_layer(nn.Mish(), nn.ReLU(), nn.CELU()), f"layer '0' (Mish) {FORM}; layer '2' (CELU) {FORM}"),
+    (of_layer(nn.Flatten(), nn.Softmax(1)), f"layer '1' (Softmax) {FORM}: a decision has the softmax of its logits"),
+    (of_layer(nn.AvgPool2d(3, 2, 1, True)), "layer '0' (AvgPool2d): ceil_mode with padding that counts"),
+    (of_body(lambda m, x: 1 / m.conv(x)), "operation 'truediv' (truediv): a quotient other than a map by a constant"),
+    (of_body(lambda m, x: m.conv(x) * m.dense.bias), "operation 'mul' (mul): a constant of shape [4] here has"),
     (Two, "the module must take one volume, got 2 arguments"),
     (of_body(lambda m, x: x if x.sum() > 0 else -x), "torch.fx cannot trace this module: symbolically traced variable"),
-    (of_body(divides_the_volume), "layer 'conv' (Conv2d): the value x is changed in place by operation 'div_' (div_)"),
+    (of_body(squares_the_volume), "layer 'conv' (Conv2d): the value x is changed in place by operation 'pow_' (pow_)"),
     (of_body(own_function_named_relu), f"operation 'relu' (relu) {FORM}"),
     (hooked, f"layer '0' (Conv2d) {HOOKS}"),
     (of_body(counts_its_calls), "the module cannot be read as layers: its layers compute other numbers (by "),

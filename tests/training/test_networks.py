@@ -32,8 +32,8 @@ def normed(channels, grid, n_classes):
     return nn.Sequential(nn.BatchNorm2d(channels), nn.Conv2d(channels, 4, 3), nn.ReLU(), nn.AdaptiveAvgPool2d(1),
                          nn.Flatten(), nn.Linear(4, n_classes))
 
-def gelu(channels, grid, n_classes):
-    return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.GELU(), nn.Flatten(), nn.Linear(4096, n_classes))
+def mish(channels, grid, n_classes):
+    return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.Mish(), nn.Flatten(), nn.Linear(4096, n_classes))
 
 def broken(channels, grid, n_classes):
     return 1 / 0
@@ -102,7 +102,7 @@ def test_the_smallest_grid(name):
 @pytest.mark.parametrize(
     "function, message",
     [
-        ("gelu", "layer '1' (GELU) has no compiled form; TorchClassifier"),
+        ("mish", "layer '1' (Mish) has no compiled form; TorchClassifier"),
         ("broken", "ZeroDivisionError: division by zero"),
         ("absent", "ValueError: it has no function 'absent'"),
     ],
