@@ -1,10 +1,11 @@
-"""Recordings of two objects in grey levels that move together over a small sensor, for `unseen_motions.py`.
+"""Recordings of two objects in grey levels that move together over a small sensor.
 
 This renders and simulates on its own: nothing here is shared with the augmentation that is measured on it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,22 @@ WINDOW_US = 50_000
 SHAPES = ("cross", "disc", "square", "triangle")
 CLASSES = tuple("-".join(pair) for pair in combinations(SHAPES, 2))
 STEPS, SUBPIXELS = 60, 2
-THRESHOLD, MISMATCH, NOISE_HZ = 0.2, 0.1, 0.5
+
+
+@dataclass(frozen=True)
+class Session:
+    """What may differ from one day to the next.
+
+    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the first.
+    noise_hz : events of noise a second, of each pixel.
+    size, place : a factor of the objects' size, and where they are from the middle of the sensor, in pixels.
+    """
+
+    threshold: float = 0.2
+    mismatch: float = 0.1
+    noise_hz: float = 0.5
+    size: float = 1.0
+    place: tuple[float, float] = (0.0, 0.0)
 
 
 def inside(shape: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -30,19 +46,22 @@ def inside(shape: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray((y > -0.6) & (np.sqrt(3) * abs(x) < 1.1 - y))
 
 
-def record(name: str, direction: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+def record(
+    name: str, direction: float, rng: np.random.Generator, session: Session = Session()
+) -> dict[str, np.ndarray]:
     """Columns t, x, y, p of one recording of a class that moves in `direction`, in radians."""
     width, height = SENSOR
     objects = []
     for shape, side in zip(rng.permutation(name.split("-")), (-1, 1), strict=True):
         place = np.array([side * rng.uniform(8.5, 10.5), rng.uniform(-5, 5)])
         grey = -rng.uniform(0.4, 1.4)
-        objects.append((shape, place, rng.uniform(6, 8), rng.uniform(-0.4, 0.4), grey))
+        size = session.size * rng.uniform(6, 8)
+        objects.append((shape, session.size * place, size, rng.uniform(-0.4, 0.4), grey))
     slope = rng.uniform(-0.004, 0.004, 2)
     length, speed_up = rng.uniform(8, 14), rng.uniform(-0.5, 0.5)
     fine_y, fine_x = np.mgrid[: height * SUBPIXELS, : width * SUBPIXELS] / SUBPIXELS
-    origin = np.array([width, height]) / 2 + rng.uniform(-2, 2, 2)
-    threshold = THRESHOLD * np.exp(MISMATCH * rng.standard_normal((height, width)))
+    origin = np.array([width, height]) / 2 + session.place + rng.uniform(-2, 2, 2)
+    threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
     level, parts = None, []
     for step in range(STEPS + 1):
         u = step / STEPS
@@ -64,7 +83,7 @@ def record(name: str, direction: float, rng: np.random.Generator) -> dict[str, n
         many = abs(n[rows, columns])
         t = (step - 1 + rng.random(many.sum())) * WINDOW_US / STEPS
         parts.append((t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many)))
-    n_noise = rng.poisson(NOISE_HZ * width * height * WINDOW_US * 1e-6)
+    n_noise = rng.poisson(session.noise_hz * width * height * WINDOW_US * 1e-6)
     somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
     parts.append((WINDOW_US * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
     t, px, py, p = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -72,12 +91,12 @@ def record(name: str, direction: float, rng: np.random.Generator) -> dict[str, n
     return {"t": t[order].astype(np.int64), "x": px[order], "y": py[order], "p": p[order]}
 
 
-def write(folder: Path, n: int, directions: tuple[float, ...], seed: int) -> Path:
+def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: Session = Session()) -> Path:
     """`n` recordings of each class, whose directions take turns, as `folder/<class>/<number>.npz`."""
     for label, name in enumerate(CLASSES):
         (folder / name).mkdir(parents=True, exist_ok=True)
         for i in range(n):
             rng = np.random.default_rng((seed, label, i))
-            columns: dict[str, Any] = record(name, directions[i % len(directions)], rng)
+            columns: dict[str, Any] = record(name, directions[i % len(directions)], rng, session)
             np.savez(folder / name / f"{i:03}.npz", **columns)
     return folder

@@ -162,14 +162,16 @@ def lines_of(report: dict[str, Any]) -> list[str]:
         f"accuracy {report['accuracy']:.4f} on {report['recordings']} recordings, "
         f"{report['window_accuracy']:.4f} on {report['windows']} windows",
         "",
-        f"{'class':<24} {'accuracy':>8} {'recordings':>11}  confused with",
+        f"{'class':<24} {'accuracy':>8} {'recordings':>11} {'windows right':>15}  confused with",
     ]
     for k, name in enumerate(report["classes"]):
         row = report["confusion"][k]
         share = "-" if report["per_class"][name] is None else f"{report['per_class'][name]:.3f}"
         others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)[:3]
         confused = ", ".join(f"{report['classes'][j]} ({n})" for n, j in others)
-        lines.append(f"{name:<24} {share:>8} {sum(row):>11}  {confused}".rstrip())
+        windows = report["window_confusion"][k]
+        right = f"{windows[k]:,} of {sum(windows):,}"
+        lines.append(f"{name:<24} {share:>8} {sum(row):>11} {right:>15}  {confused}".rstrip())
     if report["accuracy_against_time"]:
         lines += ["", f"{'ms into the window':<24} {'accuracy':>8} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:

@@ -34,6 +34,8 @@ __all__ = ["add_arguments", "main"]
 
 NUMBERS, CURVES, CONFUSION = ".json", ".curves.png", ".confusion.png"
 """What is written beside the model."""
+FEW = 20
+"""Held-out recordings of a class below which its windows are reported, too."""
 TITLES = {"validation": "held out", "validation_motions": "held out, in other motions", "test": "Test"}
 
 
@@ -94,6 +96,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         run_folder,
         start=start,
         motions=_other_motions(args, data, settings, start, run_folder),
+        teachers=[load_model(name) for name in args.teacher],
         record={"command": _command(args)},
         sources=sources,
         progress=progress,
@@ -121,7 +124,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         save()
     for line in data.left_out:  # once more: the first time may be hours ago
         note(f"left out: {line}")
-    _print_summary(fitted.model.record, args, written)
+    _print_summary(fitted.model.record, {} if fitted.scores is None else fitted.scores.to_dict(), args, written)
     return 0
 
 
@@ -284,7 +287,9 @@ def _command(args: argparse.Namespace) -> str:
     return words if args.mask is None else f"{words} --mask MASK"
 
 
-def _print_summary(summary: Mapping[str, Any], args: argparse.Namespace, written: list[Path]) -> None:
+def _print_summary(
+    summary: Mapping[str, Any], numbers: Mapping[str, Any], args: argparse.Namespace, written: list[Path]
+) -> None:
     if args.json:
         say(json.dumps({"out": str(args.out), **summary}))
         return
@@ -295,4 +300,12 @@ def _print_summary(summary: Mapping[str, Any], args: argparse.Namespace, written
             if "recordings" in found:
                 by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"
             say(f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} right")
+    network = f"{summary['network']}, {summary['multiplications']:,} multiplications a complete window"
+    say(f"network {network}; temperature {summary.get('temperature', 1):.3f}")
+    if numbers and max(map(sum, numbers["confusion"])) < FEW:
+        for k, name in enumerate(numbers["classes"]):
+            windows, n_recordings = numbers["window_confusion"][k], sum(numbers["confusion"][k])
+            say(f"  {name}: {windows[k]} of {sum(windows)} windows of {n_recordings} held-out recordings right")
+    if "held_out_in_time" in summary["data"]:
+        say("held out in time: of the sessions that were learned from; only another session tells how well it works")
     say(f"wrote {', '.join(map(str, written))}")

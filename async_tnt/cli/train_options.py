@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_share,
         default=0.2,
         metavar="SHARE",
-        help="share of each class's recordings, at least one (default: 0.2)",
+        help="share of each class's recordings (default: 0.2)",
     )
     held_out.add_argument(
         "--groups",
@@ -63,9 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "are all trained on or all held out (default: by DATASET/groups.csv, or the last of each class by number, or "
         "at random)",
     )
-    held_out.add_argument(
-        "--test", action="store_true", help="at the end, classify the folder Test; once, after all choices are made"
-    )
+    held_out.add_argument("--test", action="store_true", help="at the end, classify the folder Test, after all choices")
     seen = parser.add_argument_group("what is learned from")
     add_selection(seen)
     seen.add_argument(
@@ -88,9 +86,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="length of a window (default: 105000, or the longest recording)",
     )
     network.add_argument(
-        "--grid", type=size_text, metavar="WxH", help="the volume's pixels (default: at most 60 along the longer side)"
+        "--grid", type=size_text, metavar="WxH", help="the volume's pixels (default: at most 120 along the longer side)"
     )
-    add_volume(network, "transform=none,polarity=split,bins=9")
+    add_volume(network, "representation=count")
     network.add_argument(
         "--network",
         metavar="NAME",
@@ -103,10 +101,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="continue from a model; with its --seed the same recordings are held out",
     )
     network.add_argument(
+        "--teacher",
+        nargs="+",
+        default=[],
+        metavar="MODEL",
+        help="learn half from the mean probabilities of these models",
+    )
+    network.add_argument(
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="passes over the windows (default: 30, of few windows 6000 steps or 1500)",
+        help="passes over the windows (default: 20, or 4000 steps)",
     )
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"

@@ -7,7 +7,7 @@ Arguments that both kernels take:
     columns  t, x, y, p of all recordings, end to end.
     windows  first, last : int64, (N,). Each window's recording: its events `first <= i < last`.
              start_us, limit_us : int64, (N,). Each window.
-             matrix, keep, seed, scatter : how its events are moved and thinned, see `augment.Draws`.
+             matrix, keep, seed, nothing, place : how its events are moved and thinned, see `augment.Draws`.
 """
 
 import numpy as np
@@ -19,6 +19,8 @@ from .landmark import displace_fixed
 from .readout import cell_at, cells_to_float32, empty_volume, strides_of
 from .splat import grid_of, place_event
 
+SHOWN, SCATTERED, ONE_POLARITY, HOT_PIXELS, PATCH, EDGE = range(6)
+"""What is in a window: its recording, or one of the kinds of nothing of `_of_nothing`."""
 OWN, MEAN, GIVEN = 0, 1, 2
 """Landmark: by the volume's mode; the centroid of the window's events; given for each window."""
 
@@ -126,26 +128,53 @@ def _select_events(ints, scratch, columns, windows, window):
     """One window's events, moved and thinned, into the scratch columns; returns how many."""
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
     t, x, y, p = columns
-    firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, scatters = windows
+    firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, nothings, places = windows
     last, limit_us = lasts[window], limits_us[window]
-    matrix, keep, seed, scatter = matrices[window], keeps[window], seeds[window], scatters[window]
+    matrix, keep, seed, nothing = matrices[window], keeps[window], seeds[window], nothings[window]
     i = firsts[window] + np.searchsorted(t[firsts[window] : last], starts_us[window])
     n = 0
     while i < last and t[i] < limit_us:
         if keep >= 1.0 or _uniform(seed, i) < keep:
             x_moved = np.floor(matrix[0, 0] * x[i] + matrix[0, 1] * y[i] + matrix[0, 2] + 0.5)
             y_moved = np.floor(matrix[1, 0] * x[i] + matrix[1, 1] * y[i] + matrix[1, 2] + 0.5)
-            if scatter:
-                x_moved = np.floor(_uniform(~seed, 2 * i) * ints[S.SENSOR_W])
-                y_moved = np.floor(_uniform(~seed, 2 * i + 1) * ints[S.SENSOR_H])
+            polarity = p[i]
+            if nothing != SHOWN:
+                share = (t[i] - starts_us[window]) / (limit_us - starts_us[window])
+                x_moved, y_moved, is_on = _of_nothing(nothing, places[window], seed, i, share)
+                polarity = np.uint8(is_on) if nothing != SCATTERED else polarity
             if 0 <= x_moved < ints[S.SENSOR_W] and 0 <= y_moved < ints[S.SENSOR_H]:
                 scratch_t[n] = t[i]
                 scratch_x[n] = np.uint16(x_moved)
                 scratch_y[n] = np.uint16(y_moved)
-                scratch_p[n] = p[i]
+                scratch_p[n] = polarity
                 n += 1
         i += 1
     return n
+
+
+@compiled
+def _of_nothing(nothing, place, seed, i, share):
+    """Where event i of a window that shows nothing is, and whether it is ON.
+
+    place : float64, (8,), in sensor pixels.
+        SCATTERED, ONE_POLARITY, PATCH : left, top, width, height of where events are; and the share of ON events.
+        HOT_PIXELS : x and y of three pixels; the share of ON events.
+        EDGE : a point of a straight line, its normal (cosine, sine), how far it moves along that in the window, its
+            thickness and length; the share of ON events.
+    share : of the window, from 0 to 1, that has passed.
+    """
+    u, v = _uniform(~seed, 2 * i), _uniform(~seed, 2 * i + 1)
+    is_on = _uniform(seed ^ np.uint64(0x5555555555555555), i) < place[7]
+    if nothing == HOT_PIXELS:
+        k = 2 * np.int64(3 * u)
+        return place[k], place[k + 1], is_on
+    if nothing == EDGE:
+        across = place[4] * (share - 0.5) + place[5] * (u - 0.5)
+        along = place[6] * (v - 0.5)
+        x = place[0] + place[2] * across - place[3] * along
+        y = place[1] + place[3] * across + place[2] * along
+        return np.floor(x), np.floor(y), is_on
+    return np.floor(place[0] + u * place[2]), np.floor(place[1] + v * place[3]), is_on
 
 
 @compiled

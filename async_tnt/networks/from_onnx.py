@@ -12,11 +12,12 @@ from async_tnt.checks import needs_extra, one_line
 from async_tnt.config import TNTConfig
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.conversion_check import TOLERANCE, compare
-from async_tnt.networks.graph import CLASSIFIER, layer_shapes
+from async_tnt.networks.graph import CLASSIFIER, layer_shapes, tensors_of
 from async_tnt.networks.model import Model
 from async_tnt.networks.onnx_export import is_damaged, read_metadata
+from async_tnt.networks.onnx_layers import Node, OnnxLayers
 from async_tnt.networks.onnx_network import open_session
-from async_tnt.networks.onnx_operations import RULES, Node, OnnxLayers
+from async_tnt.networks.onnx_operations import RULES
 
 if TYPE_CHECKING:
     import onnx
@@ -49,7 +50,9 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
             raise NotImplementedError(
                 f"the landmark network of {path} has no ONNX form: load the model it was exported from"
             )
-        config, classes = exported.config, exported.classes
+        weights = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in proto.graph.initializer}
+        used = {name: weights[name] for name in sorted(tensors_of(exported.layers)) if name in weights}
+        return Model(exported.config, used, exported.classes, exported.record, {CLASSIFIER: exported.layers})
     if config is None:
         raise TypeError(
             f"{path} does not say how events become its volume: load_model(path, config=TNTConfig(...), classes=[...])"
@@ -63,7 +66,7 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
     if classes is None:
         shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
         classes = [str(k) for k in range(list(shapes.values())[-1][0])]
-    model = Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})
+    model = Model(config, weights, tuple(classes), {}, {CLASSIFIER: layers})
     try:
         _compare_with_onnxruntime(path, proto, model)
     except ValueError as error:
@@ -101,7 +104,8 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
     its end is left out, see `ends_in_softmax`.
 
     Conv, Gemm, MatMul with a constant, BatchNormalization, sums and products with constants of one number or one for
-    each channel; Relu, LeakyRelu, PRelu, Clip; MaxPool, AveragePool, GlobalAveragePool, ReduceMean over all places;
+    each channel; Relu, LeakyRelu, PRelu, Clip, Sigmoid, HardSigmoid, Tanh, HardSwish, Gelu, x Sigmoid(x), Log of x + 1;
+    MaxPool, AveragePool, GlobalAveragePool, ReduceMean over all places;
     Add, Sum, Concat; Flatten, Reshape to (n, -1), Dropout, Identity.
 
     Raises

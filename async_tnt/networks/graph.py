@@ -15,7 +15,7 @@ a tensor in the file, a role in brackets may be missing. Sides are [y, x], paddi
     leaky_relu           slope
     prelu                weights: slope, (1,) or (C,)
     clip                 low, high; null: no limit
-    log1p, sigmoid, tanh, silu, gelu, gelu_tanh, hardswish, hardsigmoid     gelu_tanh: by the tanh
+    log1p, sigmoid, tanh, silu, gelu, gelu_tanh, hardswish, hardsigmoid
     max_pool             kernel, stride, padding
     average_pool         kernel, stride, padding: padded places count, as zeros
     sum_pool             kernel, stride, padding
@@ -38,10 +38,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from async_tnt.checks import short
+from async_tnt.networks.layer_parameters import (
+    FINITE,
+    LIMIT,
+    MAX_SIDE,
+    NOT_NEGATIVE,
+    PADDING,
+    POSITIVE,
+    SIDES,
+    Check,
+)
 
 VOLUME = "volume"
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
-MAX_SIDE = 1 << 15
 MAX_NUMBERS = 1 << 28
 """Of all maps of a network with their padding, and of its layers' weights: a gigabyte. A kilobyte of layers can ask for
 any amount. At 640 x 480 ResNet-50 has 2**27.9. It and the next limit are a program's to set, before it makes or loads a
@@ -121,6 +130,16 @@ def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape
     return n_numbers, max(n_output * n_each, math.prod(source))
 
 
+def multiplications(layers: Sequence[Layer], volume: Shape, tensors: Mapping[str, Shape]) -> int:
+    """Of the convolutions and dense layers in one complete pass; arguments as for `layer_shapes`."""
+    shapes = layer_shapes(layers, volume, tensors)
+    return sum(
+        math.prod(shapes[layer["name"]]) * math.prod(tensors[layer["weights"]["weight"]][1:])
+        for layer in layers
+        if layer["op"] in ("conv", "dense")
+    )
+
+
 def tensors_of(layers: Sequence[Layer]) -> set[str]:
     """The names of all weights of a network."""
     return {tensor for layer in layers for tensor in layer.get("weights", {}).values()}
@@ -182,36 +201,6 @@ def _weights(layer: Layer, op: _Operation, tensors: Mapping[str, Shape]) -> dict
     return {role: tuple(tensors[name]) for role, name in weights.items()}
 
 
-@dataclass(frozen=True)
-class _Check:
-    words: str
-    holds: Callable[[Any], bool]
-
-
-def _is_whole(value: Any, low: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and low <= value < MAX_SIDE
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < 1 << 63
-    return isinstance(value, float) and not math.isnan(value)
-
-
-def _whole_numbers(n: int, low: int) -> _Check:
-    words = f"a list of {n} whole numbers from {low} on"
-    return _Check(
-        words, lambda value: isinstance(value, list) and len(value) == n and all(_is_whole(v, low) for v in value)
-    )
-
-
-SIDES = _whole_numbers(2, 1)
-PADDING = _whole_numbers(4, 0)
-POSITIVE = _Check("a positive whole number", lambda value: _is_whole(value, 1))
-LIMIT = _Check("a number, or null", lambda value: value is None or _is_number(value))
-FINITE = _Check("a finite number", lambda value: _is_number(value) and math.isfinite(value))
-NOT_NEGATIVE = _Check("a finite number from 0 on", lambda value: FINITE.holds(value) and value >= 0)
-
 ShapeRule = Callable[[Layer, list[Shape], dict[str, Shape]], Shape]
 
 
@@ -220,7 +209,7 @@ class _Operation:
     """Parameters, roles of weights (True: needed), the number of inputs (2: or more), and the shape of the output."""
 
     shape: ShapeRule
-    parameters: Mapping[str, _Check]
+    parameters: Mapping[str, Check]
     roles: Mapping[str, bool]
     n_inputs: int = 1
 

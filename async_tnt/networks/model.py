@@ -17,7 +17,15 @@ from safetensors.numpy import save
 from async_tnt.checks import one_line, plain_array, short
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME, Network, layer_shapes, tensors_of
+from async_tnt.networks.graph import (
+    CLASSIFIER,
+    REGRESSOR,
+    VOLUME,
+    Network,
+    layer_shapes,
+    multiplications,
+    tensors_of,
+)
 
 if TYPE_CHECKING:
     from torch import nn
@@ -133,6 +141,12 @@ class Model:
         """`network`, which is never None once the model is made."""
         assert self.network is not None
         return self.network
+
+    @property
+    def multiplications(self) -> int:
+        """Of the classifier's convolutions and dense layers, computed as a whole."""
+        shapes = {name: w.shape for name, w in self.weights.items()}
+        return multiplications(self.layers[CLASSIFIER], self.config.shape, shapes)
 
     def __repr__(self) -> str:
         ops = Counter(layer["op"] for layers in self.layers.values() for layer in layers if layer.get("weights"))

@@ -6,6 +6,7 @@ Opset 13 and IR version 7, those of ONNX 1.8 (2020): nothing here needs more, an
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -40,8 +41,8 @@ def to_onnx(model: Model) -> onnx.ModelProto:
     """The classifier of a Model, `model`: input `volume` (1, C, H, W), output `logits` (1, n_classes), float32.
 
     Weights are initializers under their names in `Model.weights`. `metadata_props` hold what a model file's metadata
-    holds (`format`, `config`, `classes`, `record`), and `sha256`, a hash of the whole file. A landmark network has no
-    such form.
+    holds (`format`, `config`, `classes`, `record`, `network`), and `sha256`, a hash of the whole file. A landmark
+    network has no such form.
 
     Raises
     ------
@@ -71,7 +72,8 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         producer_name="async_tnt",
         producer_version=__version__,
     )
-    make.set_model_props(made, model.description() | {"sha256": BLANK})
+    network = json.dumps(model.layers[CLASSIFIER])  # nodes show what they compute, but not of which layer they are
+    make.set_model_props(made, model.description() | {"network": network, "sha256": BLANK})
     seal(made)
     onnx.checker.check_model(made, full_check=True)
     return made
@@ -218,6 +220,7 @@ class Exported:
     config: TNTConfig
     classes: tuple[str, ...]
     record: Mapping[str, Any]
+    layers: list[Layer]
 
 
 def seal(made: onnx.ModelProto) -> None:
@@ -250,10 +253,13 @@ def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
         raise ValueError(f"metadata `format` must be {FORMAT!r}, got {written!r}")
     try:
         config, classes, record = read_description(metadata)
+        layers = json.loads(metadata.get("network", ""))
     except (TypeError, RecursionError) as error:  # the last: JSON nested too deep
         raise ValueError(str(error)) from None
     if not (isinstance(classes, list) and classes and all(isinstance(name, str) for name in classes)):
         raise ValueError(f"metadata `classes` must be a list of names, got {metadata['classes']!r}")
     if not isinstance(record, dict):
         raise ValueError(f"metadata `record` must be a mapping, got {metadata['record']!r}")
-    return Exported(config, tuple(classes), record)
+    if not isinstance(layers, list):
+        raise ValueError(f"metadata `network` must be a list of layers, got {metadata['network']!r}")
+    return Exported(config, tuple(classes), record, layers)

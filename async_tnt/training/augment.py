@@ -4,10 +4,13 @@ A window is moved in time and on the sensor, thinned, and sometimes mirrored, cu
 
     start      a live stream's windows start at its first event, some milliseconds into N-MNIST's saccade;
                TNT magnifies what happens near the start, so the network must not rely on it
-    position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale * mirror
+    position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale * mirror, c the middle of the pixels
+               between the recording's outermost events: what is mirrored stays where it was
     thinning   each event is kept with a probability that is drawn per window
     partial    the window ends early, as training for decisions before its end
-    nothing    each event gets a position anywhere on the sensor: nothing is there, but as many events as ever
+    late start the window begins in the middle of what happens
+    nothing    the events stand somewhere else: anywhere, as noise, at hot pixels, on a patch that twinkles, or along a
+               straight edge that crosses the sensor. No class is there, but there are as many events as ever
 
 After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume, so augmented events
 are on a sensor `FINE` times finer (see `fineness`) with the same corners; as the grid is mapped from corner to corner,
@@ -22,8 +25,23 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import MAX_SIDE, TIME_IMAGES, TNTConfig
+from async_tnt.kernels.window_batches import EDGE, HOT_PIXELS, ONE_POLARITY, PATCH, SCATTERED, SHOWN
+from async_tnt.training.windows import Windows
 
+KINDS = {
+    "scattered": SCATTERED,
+    "of one polarity": ONE_POLARITY,
+    "at hot pixels": HOT_PIXELS,
+    "on a patch": PATCH,
+    "along an edge": EDGE,
+}
+"""Of nothing: name -> what `Draws.nothing` holds."""
+PATCH_SIDE = 0.1, 0.5
+EDGE_WAY, EDGE_THICKNESS, EDGE_LENGTH = (0.2, 1.2), (0.01, 0.1), (0.4, 2.0)
+"""Ranges, as shares of the sensor's side."""
 FINE = 32
+LATEST = 0.6
+"""Of a window: how far its start may be moved, as a share of its length."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +54,9 @@ class Draws:
     until_us : int64, (N,). Events at or after this time since the window's start are dropped.
     matrix : float64, (N, 2, 3). (x', y') = matrix @ (x, y, 1), rounded, in pixels of `sensor`.
     keep : float64, (N,). Probability that an event is kept.
-    seed : uint64, (N,). Decides which events are kept, and where they are scattered.
-    scatter : bool, (N,). Events are put anywhere on `sensor` instead.
+    seed : uint64, (N,). Decides which events are kept, and where those of nothing are.
+    nothing : int64, (N,). SHOWN, or what stands in place of the recording, see `kernels.window_batches`.
+    place : float64, (N, 8). Where that is, in pixels of `sensor`.
     sensor : (width, height) of the augmented events' sensor; events beyond it are dropped.
     """
 
@@ -46,7 +65,8 @@ class Draws:
     matrix: np.ndarray
     keep: np.ndarray
     seed: np.ndarray
-    scatter: np.ndarray
+    nothing: np.ndarray
+    place: np.ndarray
     sensor: tuple[int, int]
 
 
@@ -71,14 +91,42 @@ def unchanged(n: int, config: TNTConfig) -> Draws:
         matrix,
         np.ones(n),
         np.zeros(n, np.uint64),
-        np.zeros(n, bool),
+        np.full(n, SHOWN, np.int64),
+        np.zeros((n, 8)),
         config.sensor,
     )
 
 
+def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
+    """The same windows, but that they show nothing where `kinds`, int64 of shape (N,), is not SHOWN."""
+    n, sensor = len(kinds), np.array(draws.sensor, np.float64)
+    place = np.zeros((n, 8))
+    place[:, 2:4] = sensor  # all of it, from (0, 0) on
+    on = rng.uniform(0.0, 1.0, n)
+    on[kinds == ONE_POLARITY] = rng.random((kinds == ONE_POLARITY).sum()) < 0.5
+    patch = kinds == PATCH
+    place[patch, 2:4] = sensor * rng.uniform(*PATCH_SIDE, (patch.sum(), 2))
+    place[patch, :2] = (sensor - place[patch, 2:4]) * rng.random((patch.sum(), 2))
+    hot = kinds == HOT_PIXELS
+    place[hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((hot.sum(), 6)))
+    some = rng.integers(1, 4, hot.sum())  # one, two or three different ones
+    for k in (1, 2):
+        place[hot, 2 * k : 2 * k + 2] = np.where((some > k)[:, None], place[hot, 2 * k : 2 * k + 2], place[hot, :2])
+    edge = kinds == EDGE
+    angle = rng.uniform(0.0, 2 * np.pi, edge.sum())
+    place[edge, :2] = sensor * rng.uniform(0.25, 0.75, (edge.sum(), 2))
+    place[edge, 2], place[edge, 3] = np.cos(angle), np.sin(angle)
+    place[edge, 4] = sensor.max() * rng.uniform(*EDGE_WAY, edge.sum())
+    place[edge, 5] = sensor.max() * rng.uniform(*EDGE_THICKNESS, edge.sum())
+    place[edge, 6] = sensor.max() * rng.uniform(*EDGE_LENGTH, edge.sum())
+    on[edge] = np.where(rng.random(edge.sum()) < 0.5, np.rint(on[edge]), on[edge])  # often of one polarity
+    place[:, 7] = on
+    return replace(draws, nothing=kinds, place=place)
+
+
 @dataclass(frozen=True)
 class Augmentation:
-    """The largest changes; every draw is uniform.
+    """The largest changes; every draw is uniform, but for the ends of partial windows.
 
     Parameters
     ----------
@@ -89,9 +137,11 @@ class Augmentation:
     scale : change of size, as a fraction.
     shear : shift of x, as a fraction of y.
     drop : fraction of the events that is dropped.
-    partial : fraction of windows that end early, but not before `partial_from_ms`.
+    partial : fraction of windows that end early, but not before `partial_from_ms`; the logarithm of their length is
+        uniform.
+    late_start : fraction of windows that begin up to `LATEST` of their length later.
     mirror : half of the windows are mirrored from left to right.
-    nothing : fraction of windows whose events are put anywhere on the sensor. They belong to no class.
+    nothing : fraction of windows that show nothing, of `KINDS` in equal parts. They belong to no class.
     """
 
     start_ms: float = 5.0
@@ -103,13 +153,14 @@ class Augmentation:
     drop: float = 0.3
     partial: float = 0.2
     partial_from_ms: float = 15.0
+    late_start: float = 0.0
     mirror: bool = False
     nothing: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            limit = 1.0 if name in ("scale", "drop", "partial", "mirror", "nothing") else np.inf
+            limit = 1.0 if name in ("scale", "drop", "partial", "late_start", "mirror", "nothing") else np.inf
             if not 0 <= value <= limit:
                 raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
 
@@ -131,8 +182,9 @@ class Augmentation:
         )
         return replace(scaled, **changes)
 
-    def draw(self, n: int, config: TNTConfig, rng: np.random.Generator) -> Draws:
-        """Random changes for `n` windows of this `config`, drawn by `rng`."""
+    def draw(self, windows: Windows, config: TNTConfig, rng: np.random.Generator) -> Draws:
+        """Random changes for `windows` of this `config`, drawn by `rng`."""
+        n = len(windows)
 
         def spread(by: float) -> np.ndarray:
             return rng.uniform(-by, by, n)
@@ -144,20 +196,28 @@ class Augmentation:
         if self.translate_px:
             shift += rng.integers(-self.translate_px, self.translate_px + 1, (n, 2))
         keep = 1.0 - rng.uniform(0.0, self.drop, n)
-        shortest = min(1e3 * self.partial_from_ms, config.window_us)
-        until_us = np.rint(rng.uniform(shortest, config.window_us, n)).astype(np.int64)
+        shortest = np.clip(1e3 * self.partial_from_ms, 1.0, config.window_us)
+        until_us = np.rint(np.exp(rng.uniform(np.log(shortest), np.log(config.window_us), n))).astype(np.int64)
         until_us[rng.random(n) >= self.partial] = config.window_us
+        if self.late_start:
+            later_us = np.rint(rng.uniform(0.0, LATEST * config.window_us, n)).astype(np.int64)
+            start_us += np.where(rng.random(n) < self.late_start, later_us, 0)
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
         side = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
-        scatter = rng.random(n) < self.nothing if self.nothing else np.zeros(n, bool)
 
         cos, sin = scale * np.cos(angle), scale * np.sin(angle)
         matrix = np.empty((n, 2, 3))
         matrix[:, 0, 0], matrix[:, 0, 1] = cos * side, cos * shear - sin
         matrix[:, 1, 0], matrix[:, 1, 1] = sin * side, sin * shear + cos
-        center = (np.array(config.sensor) - 1) / 2
-        matrix[:, :, 2] = center + shift - matrix[:, :, :2] @ center
+        center = windows.recordings.middles[windows.recording]  # (n, 2)
+        matrix[:, :, 2] = center + shift - np.einsum("nij,nj->ni", matrix[:, :, :2], center)
         # an image of times takes an event between pixels for one of all of them
         fine = 1 if config.representation in TIME_IMAGES else fineness(config.sensor)
         sensor = ((config.sensor[0] - 1) * fine + 1, (config.sensor[1] - 1) * fine + 1)
-        return Draws(start_us, until_us, fine * matrix, keep, seed, scatter, sensor)
+        draws = Draws(
+            start_us, until_us, fine * matrix, keep, seed, np.full(n, SHOWN, np.int64), np.zeros((n, 8)), sensor
+        )
+        if not self.nothing:
+            return draws
+        kinds = rng.choice(list(KINDS.values()), n)
+        return of_nothing(draws, np.where(rng.random(n) < self.nothing, kinds, SHOWN), rng)

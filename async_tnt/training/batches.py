@@ -99,7 +99,7 @@ class BatchVolumes:
             self._state(draws.sensor),
             self._scratch,
             (recordings.t, recordings.x, recordings.y, recordings.p),
-            (first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed, draws.scatter),
+            (first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed, draws.nothing, draws.place),
         )
 
     def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:

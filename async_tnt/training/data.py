@@ -19,6 +19,7 @@ from async_tnt.training.groups import (
     groups_by_pattern,
     groups_by_table,
     groups_table,
+    hold_out_end,
     hold_out_groups,
     hold_out_last,
 )
@@ -26,6 +27,8 @@ from async_tnt.training.recordings import Recordings
 from async_tnt.training.settings import default_grid
 from async_tnt.training.windows import Windows, make_windows
 from async_tnt.windows import N_JUDGED, TimeUnitCheck
+
+BY_NUMBER = "number, the last ones"
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,8 @@ def dataset_data(
     def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
         return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
 
-    training, first = windows_of(dataset, learned), TimeUnitCheck(config)
+    training, validating, ended = _with_ends(windows_of(dataset, learned), windows_of(dataset, held_out), validation)
+    first = TimeUnitCheck(config)
     for i in range(len(training[:N_JUDGED])):
         first.add(len(training.events(i, config.window_us)[0]))
     counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
@@ -123,9 +127,18 @@ def dataset_data(
         record["left_out_late"] = dataset.n_late
     notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
     notes.append(f"held out by {how}: {counted}")
-    single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in labels[held_out]]
+    if how == BY_NUMBER and len(held_out):
+        notes.append("the first of them may follow the last learned ones within seconds; `groups` keeps some together")
+    single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in validating.labels]
     if single and validation:
-        notes.append(f"not held out, as there is only one recording, or one group of them: {', '.join(single)}")
+        notes.append(f"not held out, as there is only one short recording, or one group of them: {', '.join(single)}")
+    if ended:
+        names = ", ".join(dataset.classes[k] for k in ended)
+        notes.append(
+            f"held out in time, as there is only one recording, or one group of them: the last windows of {names}; "
+            "they are of the day, place and person that was learned from: only another session tells more"
+        )
+        record["held_out_in_time"] = [dataset.classes[k] for k in ended]
     left_out, tests = list(dataset.left_out), {}
     if test:
         testing = read_dataset(
@@ -145,7 +158,7 @@ def dataset_data(
         config,
         dataset.classes,
         training,
-        windows_of(dataset, held_out),
+        validating,
         record,
         tests,
         tuple(recordings.names[r] for r in held_out),
@@ -153,6 +166,34 @@ def dataset_data(
         tuple(left_out),
         tuple(notes),
     )
+
+
+def _with_ends(training: Windows, validation: Windows, share: float) -> tuple[Windows, Windows, list[int]]:
+    """Hold out the last windows of each class whose recordings are all learned from, as there is only one group.
+
+    Returns
+    -------
+    training, validation, and these classes.
+    """
+    names = training.recordings.names
+    session_us = np.array(
+        [int(name.rpartition("[")[2].partition(":")[0]) if file_of(name) != name else 0 for name in names]
+    )
+    times_us = training.start_us + session_us[training.recording]
+    keep, ended, ends = np.ones(len(training), bool), [], []
+    for label in np.setdiff1d(training.labels, validation.labels) if share else ():
+        mine = np.flatnonzero(training.labels == label)
+        learned, held_out = hold_out_end(times_us[mine], share)
+        if len(held_out):
+            keep[mine] = False
+            keep[mine[learned]] = True
+            ended.append(int(label))
+            ends.append(mine[held_out])
+    if not ended:
+        return training, validation, ended
+    more = training[np.concatenate(ends)]
+    columns = (np.concatenate([getattr(w, name) for w in (validation, more)]) for name in ("recording", "start_us"))
+    return training[np.flatnonzero(keep)], Windows(training.recordings, *columns), ended
 
 
 def _split(
@@ -168,7 +209,7 @@ def _split(
     else:
         last = hold_out_last(names, labels, share)
         if last is not None:
-            return *last, "number, the last ones", f"{len(last[1])} of {len(labels)} recordings"
+            return *last, BY_NUMBER, f"{len(last[1])} of {len(labels)} recordings"
         together, how = files, "recording" if files == list(names) else "session"
     learned, held_out = hold_out_groups(labels, together, share, np.random.default_rng(seed))
     return learned, held_out, how, f"{len({together[r] for r in held_out})} of {len(set(together))}"

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from async_tnt.evaluation.scores import calibration_of, share_right
-from async_tnt.training.augment import unchanged
+from async_tnt.kernels.window_batches import SHOWN
+from async_tnt.training.augment import KINDS, of_nothing, unchanged
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.temperature import fit_temperature, softened
 from async_tnt.training.windows import Windows
@@ -27,13 +28,14 @@ class Evaluation:
     windows : the N windows.
     times_ms : M moments, in milliseconds since a window's start; the last one is its end.
     probabilities : float64, shape (M, N, n_classes). At these moments.
-    nothing : float64, shape (N, n_classes). At the windows' ends, the events scattered over the sensor.
+    nothing : kind, of `augment.KINDS` -> float64, shape (N, n_classes). At the windows' ends, their events somewhere
+        else, so that nothing is shown.
     """
 
     windows: Windows
     times_ms: tuple[float, ...]
     probabilities: np.ndarray
-    nothing: np.ndarray
+    nothing: dict[str, np.ndarray]
 
     @property
     def complete(self) -> np.ndarray:
@@ -74,9 +76,9 @@ class Evaluation:
         return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 
     @property
-    def sure_of_nothing(self) -> float:
-        """Share of windows with a class of probability `SURE` where nothing is shown."""
-        return float((self.nothing.max(1) >= SURE).mean())
+    def sure_of_nothing(self) -> dict[str, float]:
+        """Kind of nothing -> share of windows with a class of probability `SURE`."""
+        return {kind: float((probabilities.max(1) >= SURE).mean()) for kind, probabilities in self.nothing.items()}
 
     @property
     def temperature(self) -> float:
@@ -85,8 +87,8 @@ class Evaluation:
 
     def at_temperature(self, temperature: float) -> Evaluation:
         """The same with all logits divided by `temperature`."""
-        probabilities, nothing = (softened(p, temperature) for p in (self.probabilities, self.nothing))
-        return replace(self, probabilities=probabilities, nothing=nothing)
+        nothing = {kind: softened(p, temperature) for kind, p in self.nothing.items()}
+        return replace(self, probabilities=softened(self.probabilities, temperature), nothing=nothing)
 
     @property
     def _everywhere(self) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +103,7 @@ class Evaluation:
             "per_recording": round(self.per_recording, 5),
             "against_time_ms": {f"{ms:g}": round(a, 5) for ms, a in self.against_time.items()},
             "calibration_error": round(self.calibration_error, 5),
-            "sure_of_nothing": round(self.sure_of_nothing, 5),
+            "sure_of_nothing": {kind: round(share, 5) for kind, share in self.sure_of_nothing.items()},
             "confusion": self.confusion.tolist(),
             "windows": int(self.confusion.sum()),
             "recordings": int(self.recording_confusion.sum()),
@@ -109,14 +111,14 @@ class Evaluation:
 
 
 def class_probabilities(
-    pipeline: Pipeline, windows: Windows, *, until_us: int | np.ndarray | None = None, scatter: bool = False
+    pipeline: Pipeline, windows: Windows, *, until_us: int | np.ndarray | None = None, nothing: int = SHOWN
 ) -> np.ndarray:
     """Probability of each class for each window: float64, shape (N, n_classes).
 
     Parameters
     ----------
     until_us : only the events of each window's first `until_us` microseconds, int or (N,); all by default.
-    scatter : put the events anywhere on the sensor, so that nothing is there.
+    nothing : what stands in the place of the recordings, see `Draws`.
     """
     if len(windows) == 0:
         raise ValueError("`windows` must hold at least one window, got none")
@@ -129,9 +131,10 @@ def class_probabilities(
             draws = unchanged(len(some), pipeline.config)
             if until_us is not None:
                 draws.until_us[:] = np.broadcast_to(until_us, len(windows))[first : first + BATCH]
-            if scatter:
-                draws.scatter[:] = True
+            if nothing != SHOWN:
                 draws.seed[:] = np.arange(first, first + len(some))
+                rng = np.random.default_rng((first, nothing))
+                draws = of_nothing(draws, np.full(len(some), nothing, np.int64), rng)
             logits = pipeline(some, draws)
             parts.append(torch.softmax(logits.double(), dim=1).cpu().numpy())
     pipeline.train(was_training)
@@ -165,4 +168,5 @@ def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...
     end_ms = pipeline.config.window_us / 1e3
     times = (*(float(ms) for ms in times_ms if ms < end_ms), end_ms)
     probabilities = np.stack([class_probabilities(pipeline, windows, until_us=round(1e3 * ms)) for ms in times])
-    return Evaluation(windows, times, probabilities, class_probabilities(pipeline, windows, scatter=True))
+    nothing = {name: class_probabilities(pipeline, windows, nothing=kind) for name, kind in KINDS.items()}
+    return Evaluation(windows, times, probabilities, nothing)

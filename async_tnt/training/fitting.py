@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -54,6 +54,7 @@ def fit(
     *,
     start: Model | None = None,
     motions: Motions | None = None,
+    teachers: Sequence[Model] = (),
     record: dict[str, Any] | None = None,
     sources: dict[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
@@ -64,7 +65,8 @@ def fit(
     Parameters
     ----------
     record : more for the model's record.
-    data, settings, run_folder, start, motions, sources, progress, report : see `train`, whose errors pass through.
+    data, settings, run_folder, start, motions, teachers, sources, progress, report : see `train`, whose errors pass
+        through.
     """
     result = train(
         data.config,
@@ -75,6 +77,7 @@ def fit(
         classes=data.classes,
         start=start,
         motions=motions,
+        teachers=teachers,
         sources=sources,
         progress=progress,
         report=report,
@@ -84,6 +87,7 @@ def fit(
         "data": data.record,
         **(record or {}),
         "network": Path(settings.network).name if start is None else "that of the model it started from",
+        "multiplications": model.multiplications,
         "seed": settings.seed,
         "epochs": len(history),
         "iterations": int(history[-1]["iterations"]),

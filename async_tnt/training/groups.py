@@ -17,6 +17,8 @@ import numpy as np
 from async_tnt.sources.labelled_recordings import file_of
 
 GROUPS_FILE = "groups.csv"
+MIN_WINDOWS = 10
+"""Of a session, to hold out its last ones."""
 
 
 def groups_table(folder: Path) -> Path | None:
@@ -141,6 +143,33 @@ def hold_out_groups(
                 held_out[members[group]] = True
                 left -= counts
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
+
+
+def hold_out_end(times_us: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Hold out the last of the windows of one session.
+
+    Parameters
+    ----------
+    times_us : int64, (N,): when they begin.
+    share : rounded to whole windows.
+
+    Returns
+    -------
+    train, held_out : indices. A window between them is in neither: its neighbours share no moment. With fewer than
+        `MIN_WINDOWS`, nothing is held out.
+
+    Examples
+    --------
+    >>> learned, held_out = hold_out_end(np.arange(10) * 100_000, 0.2)
+    >>> learned, held_out
+    (array([0, 1, 2, 3, 4, 5, 6]), array([8, 9]))
+    """
+    check_share(share)
+    order = np.argsort(times_us, kind="stable")
+    n_held_out = round(share * len(order)) if len(order) >= MIN_WINDOWS else 0
+    if n_held_out == 0:
+        return order, order[:0]
+    return order[: -n_held_out - 1], order[-n_held_out:]
 
 
 def check_share(share: float) -> None:

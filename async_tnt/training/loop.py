@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 import torch
 from torch.nn import functional as F
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from async_tnt.config import TNTConfig
 from async_tnt.evaluation.scores import share_right
 from async_tnt.files import locked_folder
+from async_tnt.kernels.window_batches import SHOWN
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.moved_windows import Motions
-from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
+from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export, pipeline_of
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
@@ -45,6 +47,7 @@ def train(
     classes: tuple[str, ...],
     start: Model | None = None,
     motions: Motions | None = None,
+    teachers: Sequence[Model] = (),
     sources: Mapping[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
@@ -64,6 +67,7 @@ def train(
     classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.
     motions : other motions of the training windows, shown among these.
+    teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
     sources : what the data comes from, for a checkpoint that is compared before any data is read: `recordings`, name ->
         bytes, and anything that decides which of their events are seen.
     progress : makes the progress bar, which counts optimizer steps.
@@ -76,38 +80,33 @@ def train(
         holds a run with other settings or data.
     BlockingIOError : another process is training there.
     """
-    if len(training) == 0:
-        raise ValueError("`training` must hold at least one window, got none")
-    for windows in (training, validation):
-        if len(windows) and not 0 <= windows.labels.min() <= windows.labels.max() < len(classes):
-            raise ValueError(f"labels must be in [0, {len(classes)}), one for each class, got {windows.labels.max()}")
-    if start is not None and (start.config, start.classes) != (config, classes):
-        raise ValueError(
-            f"`start` must have the configuration and classes of this training (classes {', '.join(classes)}), "
-            f"got {start.config} and classes {', '.join(start.classes)}"
-        )
+    _check(config, training, validation, classes, start, teachers)
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     pipeline = (
-        new_pipeline(config, len(classes), settings.seed, training, settings.network)
+        new_pipeline(config, len(classes), settings.seed, training, settings.network, logarithm=settings.logarithm)
         if start is None
         else pipeline_before_export(start, training)
     ).to(device)
     placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
+    averaged = AveragedModel(pipeline, multi_avg_fn=get_ema_multi_avg_fn(settings.averaging), use_buffers=True)
+    final: Any = averaged.module if settings.averaging else pipeline
     optimizer = _optimizer(pipeline, settings)
     files = dict(sources or {})
     recordings = files.pop("recordings", {})
     identity = {
         **files,
-        **identity_of(config, settings, training, validation, start, classes, motions and motions.settings),
+        **identity_of(config, settings, training, validation, start, classes, motions and motions.settings, teachers),
     }
     state = load_checkpoint(run_folder, identity)
     history: list[dict[str, float]] = []
     if state is not None:
         pipeline.load_state_dict(state["pipeline"])
+        averaged.load_state_dict(state["averaged"])
         optimizer.load_state_dict(state["optimizer"])
         history = state["history"]
 
+    masters = [pipeline_of(teacher) for teacher in teachers]
     fast = settings.precision == "auto" and _is_fast_at_bfloat16(device)
     in_16_bits = fast or settings.precision == "bfloat16"
     steps = settings.n_steps(len(training))
@@ -126,16 +125,21 @@ def train(
             batches = batches_of(config, training, settings, epoch, motions)
             for step, (windows, draws) in enumerate(islice(batches, n_steps)):
                 _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
-                target = _targets(windows.labels, draws, len(classes)).to(device)
+                target = _targets(windows.labels, draws, len(classes))
+                if teachers:
+                    target = _taught(target, windows, draws, masters)
+                target = target.to(device)
                 with torch.autocast(device, torch.bfloat16, enabled=in_16_bits):
                     logits = pipeline(windows, draws)
                 loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
                 optimizer.zero_grad(set_to_none=True)
                 loss.backward()
                 optimizer.step()
+                if settings.averaging:
+                    averaged.update_parameters(pipeline)
                 total_loss += loss.item() * len(windows)
-                of_a_class = target.amax(1) == 1.0
-                n_right += int((logits.argmax(1) == target.argmax(1))[of_a_class].sum())
+                of_a_class = np.ones(len(windows), bool) if draws is None else draws.nothing == SHOWN
+                n_right += int((logits.argmax(1).cpu().numpy() == windows.labels)[of_a_class].sum())
                 n_of_a_class += int(of_a_class.sum())
                 n_seen += len(windows)
                 bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
@@ -146,17 +150,18 @@ def train(
                     "iterations": epoch * steps + n_steps,
                     "loss": total_loss / n_seen,
                     "training": n_right / max(1, n_of_a_class),
-                    **_validate(pipeline, validation, settings),
+                    **_validate(final, validation, settings),
                 }
             )
             if motions is not None:
-                moved = _validate(pipeline, motions.validation, settings)
+                moved = _validate(final, motions.validation, settings)
                 history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
             checkpoint = {
                 "identity": identity,
                 "recordings": recordings,
                 "used": list(training.recordings.names) if recordings else [],
                 "pipeline": pipeline.state_dict(),
+                "averaged": averaged.state_dict(),
                 "optimizer": optimizer.state_dict(),
                 "history": history,
             }
@@ -164,7 +169,34 @@ def train(
             bar.clear()
             report(history[-1])
 
-    return TrainResult(export(pipeline, classes, {}), history)
+    return TrainResult(export(final, classes, {}), history)
+
+
+def _check(
+    config: TNTConfig,
+    training: Windows,
+    validation: Windows,
+    classes: tuple[str, ...],
+    start: Model | None,
+    teachers: Sequence[Model],
+) -> None:
+    """Refuse arguments of `train` that do not fit each other."""
+    if len(training) == 0:
+        raise ValueError("`training` must hold at least one window, got none")
+    for windows in (training, validation):
+        if len(windows) and not 0 <= windows.labels.min() <= windows.labels.max() < len(classes):
+            raise ValueError(f"labels must be in [0, {len(classes)}), one for each class, got {windows.labels.max()}")
+    if start is not None and (start.config, start.classes) != (config, classes):
+        raise ValueError(
+            f"`start` must have the configuration and classes of this training (classes {', '.join(classes)}), "
+            f"got {start.config} and classes {', '.join(start.classes)}"
+        )
+    for teacher in teachers:
+        if (teacher.config.sensor, teacher.classes) != (config.sensor, classes):
+            raise ValueError(
+                f"`teachers` must have the sensor {config.sensor} and the classes {', '.join(classes)}, got "
+                f"{teacher.config.sensor} and classes {', '.join(teacher.classes)}"
+            )
 
 
 def batches_of(
@@ -172,12 +204,17 @@ def batches_of(
 ) -> Iterator[tuple[Windows, Draws | None]]:
     """The batches of one epoch, and how each is augmented."""
     rng = np.random.default_rng((settings.seed, epoch))
-    order = balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
+    order = np.concatenate(
+        [
+            balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
+            for _ in range(settings.passes)
+        ]
+    )
     shown = windows[order] if motions is None else motions.show(epoch, order, rng)
     for first in range(0, len(shown), settings.batch):
         some = shown[first : first + settings.batch]
         augmentation = settings.augmentation
-        yield some, None if augmentation is None else augmentation.draw(len(some), config, rng)
+        yield some, None if augmentation is None else augmentation.draw(some, config, rng)
 
 
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -219,8 +256,16 @@ def _targets(labels: np.ndarray, draws: Draws | None, n_classes: int) -> torch.T
     2019, arXiv:1812.04606), so that no class is decided with confidence."""
     targets = np.eye(n_classes, dtype=np.float32)[labels]
     if draws is not None:
-        targets[draws.scatter] = 1.0 / n_classes
+        targets[draws.nothing != SHOWN] = 1.0 / n_classes
     return torch.from_numpy(targets)
+
+
+def _taught(target: torch.Tensor, windows: Windows, draws: Draws | None, teachers: Sequence[Pipeline]) -> torch.Tensor:
+    """Half of the target, half what teachers say of the same windows; where nothing is shown, the target."""
+    with torch.no_grad():
+        said = torch.stack([torch.softmax(teacher(windows, draws), 1) for teacher in teachers]).mean(0)
+    taught = (target + said) / 2
+    return taught if draws is None else torch.where(torch.from_numpy(draws.nothing != SHOWN)[:, None], target, taught)
 
 
 def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> dict[str, float]:
@@ -246,7 +291,7 @@ def _optimizer(pipeline: Pipeline, settings: TrainSettings) -> torch.optim.Optim
 
 
 def _set_rate(optimizer: torch.optim.Optimizer, settings: TrainSettings, step: int, n_steps: int) -> None:
-    warm = max(1, n_steps // 20)
+    warm = max(1, int(settings.warm_up * n_steps))
     if step < warm:
         share = (step + 1) / warm
     else:

@@ -17,6 +17,8 @@ from torch import nn
 from async_tnt.checks import one_line
 from async_tnt.networks.torch_operations import HeatmapCentroid
 
+LARGE = 64
+"""The shorter side of a grid above which `residual` halves its maps once more."""
 Build = Callable[[int, tuple[int, int], int], nn.Module]
 """(channels, (width, height), n_classes) -> network."""
 
@@ -55,16 +57,22 @@ def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
 
 
 def residual(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A 5x5 convolution with stride 2, two residual blocks, max poolings between."""
+    """A 5x5 convolution with stride 2, two residual blocks, max poolings between: one more on larger grids."""
     return nn.Sequential(
-        *_conv(channels, 16, 5, stride=2),
-        Residual(16),
-        nn.MaxPool2d(2),
-        *_conv(16, 32),
+        *_conv(channels, 24, 5, stride=2),
+        *([nn.MaxPool2d(2)] if min(grid) > LARGE else []),
+        *_conv(24, 32),
         nn.MaxPool2d(2),
         Residual(32),
-        *_conv(32, 64),
-        *_head(64, n_classes),
+        *_conv(32, 48),
+        nn.MaxPool2d(2),
+        Residual(48),
+        nn.MaxPool2d(2),
+        *_conv(48, 96),
+        nn.AdaptiveAvgPool2d(1),
+        nn.Flatten(),
+        nn.Dropout(0.2),
+        nn.Linear(96, n_classes),
     )
 
 
@@ -83,7 +91,7 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
 
 
 NETWORKS: dict[str, Build] = {"thesis": thesis, "conv4": conv4, "residual": residual, "separable": separable}
-SMALLEST = {"thesis": 4, "conv4": 8, "residual": 8, "separable": 8}
+SMALLEST = {"thesis": 4, "conv4": 8, "residual": 16, "separable": 8}
 """The least side of a grid."""
 
 

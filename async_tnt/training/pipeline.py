@@ -11,6 +11,7 @@ the landmark's two numbers are learned there, so the backward pass costs about a
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -112,7 +113,16 @@ class _SplatAbout(torch.autograd.Function):
         return torch.from_numpy(gradient), None, None, None
 
 
-def new_pipeline(config: TNTConfig, n_classes: int, seed: int, windows: Windows, network: str = "thesis") -> Pipeline:
+class Logarithm(nn.Module):
+    """log(1 + x)"""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.log1p(x)
+
+
+def new_pipeline(
+    config: TNTConfig, n_classes: int, seed: int, windows: Windows, network: str = "thesis", *, logarithm: bool = False
+) -> Pipeline:
     """Networks with PyTorch's initial weights, which depend on the seed alone; input scales measured on `windows`.
 
     Torch's global generator is left as it was.
@@ -120,12 +130,16 @@ def new_pipeline(config: TNTConfig, n_classes: int, seed: int, windows: Windows,
     Parameters
     ----------
     network : the classifier, see `build_network`.
+    logarithm : it takes the logarithm of 1 + the volume, which is then not scaled.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         classifier = build_network(network, config.channels, config.grid, n_classes)
         regressor = landmark_network(config.channels) if config.needs_regressor else None
-    return Pipeline(config, classifier, regressor, **input_scales(config, windows))
+    scales = input_scales(config, windows)
+    if logarithm:
+        classifier, scales["scale"] = nn.Sequential(OrderedDict(logarithm=Logarithm(), network=classifier)), 1.0
+    return Pipeline(config, classifier, regressor, **scales)
 
 
 def check_network(name: str, config: TNTConfig) -> None:
@@ -182,7 +196,7 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, An
     model = Model.from_torch(pipeline.classifier, pipeline.config, classes, record=record, regressor=pipeline.regressor)
     weights, network = dict(model.weights), dict(model.layers)
     for name, scale in ((CLASSIFIER, pipeline.scale), (REGRESSOR, pipeline.raw_scale)):
-        if name not in network:
+        if name not in network or scale == 1:
             continue
         first = first_weights(network[name])
         for tensor in first:

@@ -11,6 +11,7 @@ import io
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,16 @@ class Recordings:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    @cached_property
+    def middles(self) -> np.ndarray:
+        """float64, shape (R, 2): (x, y) half way between the outermost events of each recording."""
+        middles = np.zeros((len(self), 2))
+        some = np.flatnonzero(np.diff(self.offsets))  # `reduceat` knows no empty slices
+        for axis, column in enumerate((self.x, self.y) if len(some) else ()):
+            least, most = (extreme.reduceat(column, self.offsets[some]) for extreme in (np.minimum, np.maximum))
+            middles[some, axis] = (least.astype(np.float64) + most) / 2
+        return middles
 
     def __add__(self, other: Recordings) -> Recordings:
         return Recordings(

@@ -22,7 +22,7 @@ from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-FORMAT = 6  # of the checkpoint
+FORMAT = 7  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
 
@@ -82,6 +82,7 @@ def identity_of(
     start: Model | None,
     classes: tuple[str, ...],
     motions: Any = None,
+    teachers: Sequence[Model] = (),
 ) -> dict[str, Any]:
     """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it is the same."""
     return _plain(
@@ -95,7 +96,8 @@ def identity_of(
             "classes": classes,
             "motions": None if motions is None else asdict(motions),
             "network_file": network_checksum(settings.network) if ":" in settings.network else None,
-            "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
+            "start": 0 if start is None else weights_checksum(start),
+            "teachers": [weights_checksum(teacher) for teacher in teachers],
         }
     )
 
@@ -104,6 +106,11 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """As JSON gives them back: tuples are lists."""
     plain: dict[str, Any] = json.loads(json.dumps(dict(values)))
     return plain
+
+
+def weights_checksum(model: Model) -> int:
+    """Of all weights of a model."""
+    return zlib.crc32(b"".join(w.tobytes() for w in model.weights.values()))
 
 
 def network_checksum(network: str) -> int:

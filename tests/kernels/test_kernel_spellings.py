@@ -108,9 +108,9 @@ def test_function_tiles(function, channels):
 
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_functions_are_those_of_mathematics(function):
-    """To four units in the last place of float32, GELU to 2e-6 of the number, and at the ends of its range."""
+    """To a few units in the last place of float32, GELU to 2e-6 of the number, and at the ends of its range."""
     apply = njit(lambda which, x: apply_function(which, x))
-    which, tolerance = list(FUNCTIONS).index(function), 3e-7
+    which, tolerance = list(FUNCTIONS).index(function), 4e-7
     exact = {
         "log1p": np.log1p,
         "sigmoid": lambda x: 1 / (1 + np.exp(-x)),

@@ -46,7 +46,7 @@ def update(place, **parameters):
 
 
 CANNOT_RUN = [
-    (update(1, op="gelu"), "layer 'relu1' is a 'gelu'; this release knows conv, dense, batch_norm, relu, "),
+    (update(1, op="mish"), "layer 'relu1' is a 'mish'; this release knows conv, dense, batch_norm, relu, "),
     (update(1, inplace=True), "layer 'relu1' (relu) has inplace"),
 ]
 DAMAGED = [

@@ -55,7 +55,7 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
     for nothing, model in models.items():
         assert evaluate(pipeline_of(model), shapes(60, 2)).per_window >= 0.95
         model, _ = calibrated(model, evaluate(pipeline_of(model), shapes(60, 1)).temperature)
-        for kind in NOISE:  # training scatters events; the other kinds are new
+        for kind in NOISE:
             decisions = []
             for _ in range(40):
                 processor = Processor(model, start_us=0)
@@ -81,10 +81,10 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     told = softened(truth, 1 / 2.5)  # far too sure
     temperature = fit_temperature(told, labels)
     assert temperature == pytest.approx(2.5, rel=0.05)
-    found = Evaluation(SimpleNamespace(labels=labels), (100.0,), told[np.newaxis], told)
+    found = Evaluation(SimpleNamespace(labels=labels), (100.0,), told[np.newaxis], {"scattered": told})
     softer = found.at_temperature(temperature)
     assert found.calibration_error > 0.15 and softer.calibration_error < 0.01
-    assert found.sure_of_nothing > softer.sure_of_nothing
+    assert found.sure_of_nothing["scattered"] > softer.sure_of_nothing["scattered"]
     assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
 
 

@@ -55,7 +55,7 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
     (expected * torch.from_numpy(slope).double()).sum().backward()
     assert at.grad.abs().min() > 0.1
     np.testing.assert_allclose(batches(windows, None, LANDMARKS), expected.detach(), atol=1e-5)
-    fine = NOTHING.draw(3, config, np.random.default_rng(0))  # augmentation has a finer sensor
+    fine = NOTHING.draw(windows, config, np.random.default_rng(0))  # augmentation has a finer sensor
     assert fine.sensor != config.sensor
     for draws in (None, fine):
         got = batches.landmark_gradient(windows, draws, LANDMARKS, slope)

@@ -79,7 +79,20 @@ def test_windows_counts_and_the_held_out(tmp_path):
     # one of five is held out of each class: 4 x 5 windows of 105 ms and 4 partial ones, and the single one
     assert (len(data.training), len(data.validation), data.config.sensor) == (25, 6, (128, 128))
     assert data.record["classes"] == {"flat": 5, "single": 1, "upright": 5}
-    assert "not held out, as there is only one recording, or one group of them: single" in data.notes
+    assert "not held out, as there is only one short recording, or one group of them: single" in data.notes
+
+
+def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
+    """With a window between, in time order also where a session is cut into parts."""
+    for k in range(4):
+        write(tmp_path / "upright" / f"{k}.npz", bar("upright", k, duration_us=500_000))
+    write(tmp_path / "flat" / "only.npz", bar("flat", 0, n=4_000, duration_us=2_000_000))
+    data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=EVERYTHING)
+    learned, held_out = (some.start_us[some.labels == 0] // 100_000 for some in (data.training, data.validation))
+    assert learned.tolist() == list(range(15)) and held_out.tolist() == [16, 17, 18, 19]
+    assert data.record["held_out_in_time"] == ["flat"] and len(data.validation) == 4 + 5
+    (note,) = (line for line in data.notes if "the last windows of flat" in line)
+    assert note.endswith("only another session tells more")
 
 
 def recording(times_us, pixels=None):

@@ -161,10 +161,10 @@ def test_files_of_others_beside_the_model_stay(tmp_path, train):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("", ("none", "split", 9, (200, 150), (60, 45), 100_000)),  # as long as the longest recording
+        ("", ("none", "split", 1, (200, 150), (120, 90), 100_000)),  # as long as the longest recording
         (
             "--window-us 50000 --grid 20x16 --roi 10,0,128,128 --crop "
-            "--volume transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2",
+            "--volume representation=volume,transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2",
             ("tnt", "signed", 5, (128, 128), (20, 16), 50_000),
         ),
     ],

@@ -182,8 +182,9 @@ def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
 
 
 def test_the_fewer_windows_the_more_epochs():
-    """6,000 steps; but from 30 epochs to 1,500."""
-    assert [settings_for(CONFIG, n).epochs for n in (100_000, 1_000, 9)] == [30, 182, 1_500]
+    """4,000 steps, 20 epochs at least; an epoch of few windows shows them often enough for fifty."""
+    assert [settings_for(CONFIG, n).epochs for n in (100_000, 1_000, 9)] == [20, 122, 80]
+    assert [settings_for(CONFIG, n).passes for n in (100_000, 1_000, 9)] == [1, 1, 44]
     assert settings_for(CONFIG, 9, epochs=3).epochs == 3
 
 
@@ -197,3 +198,40 @@ def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_o
     orders = [np.concatenate([some.recording for some, _ in epoch]).tolist() for epoch in (first, again, second)]
     seeds = [np.concatenate([draws.seed for _, draws in epoch]).tolist() for epoch in (first, again, second)]
     assert orders[0] == orders[1] != orders[2] and seeds[0] == seeds[1] != seeds[2]
+
+
+def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained, tmp_path):
+    """Where nothing is shown, the target stays; a run with a teacher is another run than without."""
+    draws = Augmentation(nothing=0.5).draw(windows[:4], CONFIG, np.random.default_rng(1))
+    draws.nothing[:] = 0, 1, 0, 2
+    teachers = [lambda some, same, row=row: torch.tensor([row] * 4) for row in ([0.0, 0.0], [np.log(3), 0.0])]
+    target = loop._targets(np.array([0, 0, 1, 1]), draws, 2)
+    found = loop._taught(target, windows[:4], draws, teachers)
+    np.testing.assert_allclose(found, [[0.8125, 0.1875], [0.5, 0.5], [0.3125, 0.6875], [0.5, 0.5]], atol=1e-6)
+    model = trained[0].model
+    taught = train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, teachers=[model]).model
+    with pytest.raises(AssertionError):
+        assert_equal(taught, model)
+    with pytest.raises(ValueError, match="other teachers; delete it"):
+        train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path)
+    with pytest.raises(
+        ValueError, match=r"`teachers` must have the sensor \(34, 34\) and the classes across, down, got"
+    ):
+        other = replace(model, classes=("a", "b"))
+        train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path / "other", teachers=[other])
+
+
+def test_the_model_has_the_average_of_the_weights_of_all_steps(windows, tmp_path):
+    """w <- a w + (1 - a) w', also of a batch norm's statistics, and the same after an interruption."""
+    settings = replace(ONE_EPOCH, averaging=0.9, epochs=2, network="conv4")
+    whole = train(CONFIG, windows, windows[:0], settings, tmp_path / "whole").model
+    last = train(CONFIG, windows, windows[:0], replace(settings, averaging=0.0), tmp_path / "last").model
+    steps = settings.n_iterations(len(windows))
+    assert steps > 4 and any(not np.array_equal(w, last.weights[name]) for name, w in whole.weights.items())
+
+    def stop(row):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(CONFIG, windows, windows[:0], settings, tmp_path / "again", report=stop)
+    assert_equal(train(CONFIG, windows, windows[:0], settings, tmp_path / "again").model, whole)

@@ -5,7 +5,8 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt.config import TNTConfig
-from async_tnt.training.augment import FINE, Augmentation, unchanged
+from async_tnt.kernels.window_batches import EDGE, HOT_PIXELS, ONE_POLARITY, PATCH, SCATTERED, SHOWN
+from async_tnt.training.augment import FINE, Augmentation, of_nothing, unchanged
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import make_windows
@@ -77,7 +78,7 @@ def test_an_event_at_a_windows_end_belongs_to_the_next():
 def test_a_moved_start_takes_in_the_neighbouring_windows_events():
     config = TNTConfig(transform="none")
     windows = random_windows(config, 1)
-    draws = NOTHING.draw(3, config, RNG(1))
+    draws = NOTHING.draw(windows, config, RNG(1))
     draws.start_us[:] = -4_000, 5_000, 2_345
     moved = BatchVolumes(config)(windows, draws).copy()
     windows.start_us[:] += draws.start_us
@@ -100,7 +101,7 @@ def test_a_moved_start_takes_in_the_neighbouring_windows_events():
     ids=str,
 )
 def test_the_largest_changes_by_hand(changes, place):
-    """An event at (20, 10), that is (3.5, -6.5) from the centre (16.5, 16.5)."""
+    """An event at (20, 10), that is (3.5, -6.5) from the middle of its recording's events, (16.5, 16.5)."""
 
     class Largest:
         """Draws the upper end of every range."""
@@ -115,9 +116,10 @@ def test_the_largest_changes_by_hand(changes, place):
             return np.full(n, 0.4)
 
     config = TNTConfig(transform="none")
-    windows = make_windows(Recordings.from_events([events_of([50_000], [20], [10], [1])], [0]), config.window_us)
+    events = events_of([50_000, 200_000], [20, 13], [10, 23], [1, 1])  # the second one in another window
+    windows = make_windows(Recordings.from_events([events], [0]), config.window_us)[:1]
     augmentation = Augmentation(**{name: 0 for name in vars(NOTHING)} | changes)
-    volume = BatchVolumes(config)(windows, augmentation.draw(1, config, Largest()))[0]
+    volume = BatchVolumes(config)(windows, augmentation.draw(windows, config, Largest()))[0]
     ys, xs = np.mgrid[:34, :34]
     assert volume.sum() == pytest.approx(1.0)
     assert ((volume.sum(0) * xs).sum(), (volume.sum(0) * ys).sum()) == pytest.approx(place, abs=0.5 / FINE)
@@ -125,13 +127,14 @@ def test_the_largest_changes_by_hand(changes, place):
 
 def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
     config, augmentation = TNTConfig(), Augmentation(partial=0.25, translate_px=4, mirror=True, nothing=0.1)
-    draws, again, other = (augmentation.draw(4_000, config, RNG(seed)) for seed in (1, 1, 2))
-    for name in ("start_us", "until_us", "matrix", "keep", "seed", "scatter"):
+    windows = random_windows(config, 1, 100)[np.zeros(4_000, int)]
+    draws, again, other = (augmentation.draw(windows, config, RNG(seed)) for seed in (1, 1, 2))
+    for name in ("start_us", "until_us", "matrix", "keep", "seed", "nothing", "place"):
         np.testing.assert_array_equal(getattr(draws, name), getattr(again, name))
         assert not np.array_equal(getattr(draws, name), getattr(other, name))
     assert -5_000 <= draws.start_us.min() < -4_900 and 4_900 < draws.start_us.max() <= 5_000
     assert 0.7 <= draws.keep.min() < 0.71 and draws.until_us.min() >= 15_000
-    shares = (draws.until_us < config.window_us, draws.scatter, draws.matrix[:, 0, 0] < 0)
+    shares = (draws.until_us < config.window_us, draws.nothing > 0, draws.matrix[:, 0, 0] < 0)
     assert np.mean(shares, axis=1) == pytest.approx([0.25, 0.1, 0.5], abs=0.03)
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)
@@ -144,11 +147,35 @@ def test_thinning_keeps_the_drawn_share_and_scattered_events_are_anywhere_and_ot
     windows.recordings.y[:] = 10
     all_of_it, draws = BatchVolumes(config)(windows).sum((2, 3), dtype=np.float64), unchanged(3, config)
     draws.keep[:] = 0.25, 1.0, 1.0
-    draws.scatter[:] = False, True, True
     draws.seed[:] = 1, 2, 3
+    draws = of_nothing(draws, np.array([SHOWN, SCATTERED, SCATTERED]), RNG(0))
     thinned, first, second = BatchVolumes(config)(windows, draws).astype(np.float64)
     assert thinned.sum() / all_of_it[0].sum() == pytest.approx(0.25, abs=0.015)  # 4 sd of 19,000 events
     assert np.count_nonzero(thinned.sum(0)) <= 4 and not np.array_equal(first, second)
     np.testing.assert_allclose(first.sum((1, 2)), all_of_it[1], rtol=1e-4)  # in time and polarity
     for along in (first.sum((0, 1)), first.sum((0, 2))):
         np.testing.assert_allclose(along[1:-1] / along[1:-1].mean(), 1, atol=0.2)  # as many everywhere
+
+
+@pytest.mark.parametrize("kind", [ONE_POLARITY, HOT_PIXELS, PATCH, EDGE])
+def test_what_stands_in_the_place_of_a_recording(kind):
+    """As many events as before, or fewer where an edge leaves the sensor, as its name says."""
+    config = TNTConfig(transform="none", polarity="split", bins=2, sensor=(50, 40), grid=(50, 40))
+    windows = random_windows(config, 1, 30_000)[np.zeros(40, int)]
+    n_events = BatchVolumes(config)(windows).sum() / 40
+    draws = of_nothing(unchanged(40, config), np.full(40, kind), RNG(0))
+    for volume in BatchVolumes(config)(windows, draws).astype(np.float64):
+        of_pixels, of_polarity = volume.sum(0), volume.sum((1, 2)).reshape(2, 2).sum(1)
+        y, x = np.nonzero(of_pixels)
+        if kind != EDGE:
+            assert volume.sum() == pytest.approx(n_events, rel=1e-5)
+        if kind == ONE_POLARITY:
+            assert of_polarity.min() == 0 and len(x) > 1_900
+        elif kind == HOT_PIXELS:
+            assert 1 <= len(x) <= 3
+        elif kind == PATCH:
+            assert np.ptp(x) < 26 and np.ptp(y) < 21 and len(x) > 0.8 * (np.ptp(x) + 1) * (np.ptp(y) + 1)
+        else:  # what is there in the second half lies beside what was there in the first
+            halves = [volume[k] + volume[2 + k] for k in range(2)]
+            first, second = (np.mgrid[:40, :50].reshape(2, -1) @ half.ravel() / half.sum() for half in halves)
+            assert np.hypot(*(second - first)) > 0.5 and volume.sum() > 0.02 * n_events

@@ -1,0 +1,204 @@
+"""Which volume, network and recipe `async-tnt train` takes by default: candidates on five data sets, held-out data.
+
+    python -m experiments.recipes [--cars N-CARS] [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
+                                  [--sets NAME ...] [--candidates NAME ...] [--seeds N] [--out FOLDER] [--json FILE]
+
+No test part is read: N-CARS, N-MNIST and POKER-DVS hold out the last recordings of each class of their training parts;
+HOTS' characters, of which there is one recording each, their last 35 ms; `sessions`, which is made here, a second
+session: another noise, other thresholds, other places and sizes. Finished trainings in --out are kept, interrupted
+ones resume, and what FILE has of other sets and candidates stays there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from async_tnt.progress import progress
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.training.data import TrainingData, dataset_data
+from async_tnt.training.fitting import fit
+from async_tnt.training.settings import default_config, settings_for
+from async_tnt.training.windows import Windows
+from experiments.bench_timing import machine
+from experiments.made_objects import SENSOR, WINDOW_US, Session, write
+from experiments.script_options import add_folder, exit_with, plain_parser, writable_file, write_outputs
+
+SPLIT = {"transform": "none", "polarity": "split"}
+EARLIER = {"learning_rate": 2e-3, "weight_decay": 1e-2, "warm_up": 0.05, "averaging": 0.0, "logarithm": False}
+FEW = 0.01
+"""Two candidates that differ by less are as good as each other here."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What differs from the default.
+
+    Parameters
+    ----------
+    volume : fields of `TNTConfig`.
+    longer_side : of the grid; None: the default one.
+    settings : fields of `TrainSettings`; `augmentation` as for `settings_for`.
+    """
+
+    volume: Mapping[str, Any] = field(default_factory=dict)
+    longer_side: int | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+CANDIDATES = {
+    "default": Candidate(),
+    "counts and times": Candidate({"representation": "count_time"}),
+    "time surface": Candidate({"representation": "time_surface"}),
+    "volume, 5 bins": Candidate({"representation": "volume", "bins": 5, **SPLIT}),
+    "60 pixels": Candidate(longer_side=60),
+    "conv4": Candidate(settings={"network": "conv4"}),
+    "no logarithm": Candidate(settings={"logarithm": False}),
+    "no average": Candidate(settings={"averaging": 0.0}),
+    "no late start": Candidate(settings={"augmentation": {"late_start": 0.0}}),
+    "earlier": Candidate({"representation": "volume", "bins": 9, **SPLIT}, 60, {**EARLIER, "network": "conv4"}),
+}
+EPOCHS = {"cars": 10, "nmnist": 10}
+"""Of large sets, for every candidate; of the others those that are the default."""
+
+
+def cars(folder: Path, config: Any) -> TrainingData:
+    return _read(folder / "n-cars_train", config, (120, 100))
+
+
+def nmnist(folder: Path, config: Any) -> TrainingData:
+    return _read(folder, config, (34, 34))
+
+
+def poker(folder: Path, config: Any) -> TrainingData:
+    return _read(folder / "pips_train", config, (35, 35), validation=0.34)
+
+
+def characters(folder: Path, config: Any) -> TrainingData:
+    """Windows of 35 ms; the third one, and what follows, is held out."""
+    data = _read(folder, config.replace(window_us=35_000), (32, 32), validation=0.0)
+    late = data.training.start_us >= 2 * 35_000
+    return replace(data, training=_some(data.training, ~late), validation=_some(data.training, late))
+
+
+def sessions(folder: Path, config: Any) -> TrainingData:
+    """Made in `folder`."""
+    parts = {}
+    for k, session in enumerate((Session(), Session(0.28, 0.2, 2.0, 0.8, (6.0, -4.0)))):
+        if not (made := folder / f"session{k}").is_dir():
+            write(made, 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session)
+        parts[k] = _read(made, config.replace(window_us=WINDOW_US), SENSOR, validation=0.0)
+    return replace(parts[0], validation=parts[1].training)
+
+
+SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
+    "cars": cars,
+    "nmnist": nmnist,
+    "poker": poker,
+    "characters": characters,
+    "sessions": sessions,
+}
+
+
+def _read(folder: Path, config: Any, sensor: tuple[int, int], validation: float = 0.2) -> TrainingData:
+    return dataset_data(
+        folder,
+        config,
+        pixels=PixelSelection(sensor=sensor),
+        validation=validation,
+        fit_grid=True,
+        fit_window=True,
+        progress=progress,
+    )
+
+
+def _some(windows: Windows, which: np.ndarray) -> Windows:
+    return windows[np.flatnonzero(which)]
+
+
+def _grid(sensor: tuple[int, int], longer_side: int) -> tuple[int, int]:
+    shrink = min(1.0, longer_side / max(sensor))
+    return max(8, round(shrink * sensor[0])), max(8, round(shrink * sensor[1]))
+
+
+def measure(name: str, data: TrainingData, candidate: Candidate, seed: int, run_folder: Path) -> dict[str, Any]:
+    """Held-out accuracy of one candidate on one set."""
+    config = data.config.replace(**candidate.volume)
+    if candidate.longer_side is not None:
+        config = config.replace(grid=_grid(config.sensor, candidate.longer_side))
+    settings = settings_for(config, len(data.training), epochs=EPOCHS.get(name), seed=seed, **{**candidate.settings})
+    fitted = fit(replace(data, config=config), settings, run_folder, progress=progress)
+    found = fitted.model.record["validation"]
+    return {
+        "seed": seed,
+        "per_window": found["per_window"],
+        "mean_over_time": float(np.mean(list(found["against_time_ms"].values()))),
+        "against_time_ms": found["against_time_ms"],
+        "sure_of_nothing": found["sure_of_nothing"],
+        "multiplications": fitted.model.multiplications,
+        "windows": found["windows"],
+    }
+
+
+def lines(report: Mapping[str, Any]) -> list[str]:
+    """Means over seeds: at the windows' ends, and over ten moments."""
+    printed = [f"{'held-out windows right':24}" + "".join(f"{name:>18}" for name in report["sets"])]
+    for candidate in CANDIDATES:
+        cells = []
+        for found in report["sets"].values():
+            rows = found.get(candidate, [])
+            pair = (np.mean([row[key] for row in rows]) for key in ("per_window", "mean_over_time"))
+            cells.append("/".join(f"{value:.3f}" for value in pair) if rows else "-")
+        if any(cell != "-" for cell in cells):
+            printed.append(f"{candidate:24}" + "".join(f"{cell:>18}" for cell in cells))
+    return printed
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Train, print and write."""
+    parser = plain_parser("recipes", __doc__)
+    for name in SETS:
+        if name != "sessions":
+            add_folder(parser, f"--{name}", f"the data set {name}")
+    parser.add_argument("--sets", nargs="+", choices=list(SETS), metavar="NAME", help="default: those with a folder")
+    parser.add_argument("--candidates", nargs="+", choices=list(CANDIDATES), default=list(CANDIDATES), metavar="NAME")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="of each candidate (default: 1)")
+    parser.add_argument("--out", type=Path, default=Path("recipes"), metavar="FOLDER", help="runs (default: recipes)")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    args = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    names = args.sets or [name for name in SETS if name == "sessions" or getattr(args, name) is not None]
+    report: dict[str, Any] = {"machine": machine("torch"), "sets": {}}
+    if args.json and args.json.exists():
+        report = json.loads(args.json.read_text(encoding="utf-8"))
+    for name in names:
+        _measure_set(name, args, report)
+    print("\n".join(lines(report)))
+    return 0
+
+
+def _measure_set(name: str, args: argparse.Namespace, report: dict[str, Any]) -> None:
+    folder = args.out / "sessions" if name == "sessions" else getattr(args, name)
+    if folder is None:
+        raise FileNotFoundError(f"no folder of {name}: give --{name}")
+    data = SETS[name](folder, default_config())
+    found = report["sets"].setdefault(name, {})
+    for candidate in args.candidates:
+        done = {row["seed"]: row for row in found.get(candidate, [])}
+        for seed in range(args.seeds):
+            if seed not in done:
+                run_folder = args.out / name / f"{candidate}{seed}".replace(" ", "_")
+                done[seed] = measure(name, data, CANDIDATES[candidate], seed, run_folder)
+                found[candidate] = [done[k] for k in sorted(done)]
+                write_outputs(args, report)
+
+
+if __name__ == "__main__":
+    exit_with(main)
