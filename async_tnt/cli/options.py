@@ -252,9 +252,10 @@ def command_words(
         value = getattr(args, action.dest)
         if action.type is Path or value == action.default or action.dest in leave_out:
             continue
-        if action.dest in ("start_from", "network"):
-            value = Path(value).name
-        text = shlex.join(map(str, value if isinstance(value, (list, tuple)) else [value]))
+        values = value if isinstance(value, (list, tuple)) else [value]
+        if action.dest in ("start_from", "network", "teacher"):
+            values = [Path(one).name for one in values]
+        text = shlex.join(map(str, values))
         name = action.option_strings[0]
         words.append(name if isinstance(value, bool) else f"{name} {text}")
     return " ".join(words)

@@ -86,6 +86,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.run_folder import plot_curves
 
     start = load_model(args.start_from) if args.start_from else None
+    teachers = [load_model(name) for name in args.teacher]
     data, settings, sources = _read(args, start, run_folder)
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)
@@ -96,7 +97,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         run_folder,
         start=start,
         motions=_other_motions(args, data, settings, start, run_folder),
-        teachers=[load_model(name) for name in args.teacher],
+        teachers=teachers,
         record={"command": _command(args)},
         sources=sources,
         progress=progress,

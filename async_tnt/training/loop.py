@@ -194,7 +194,7 @@ def _check(
     for teacher in teachers:
         if (teacher.config.sensor, teacher.classes) != (config.sensor, classes):
             raise ValueError(
-                f"`teachers` must have the sensor {config.sensor} and the classes {', '.join(classes)}, got "
+                f"each `teacher` must have the sensor {config.sensor} and the classes {', '.join(classes)}, got "
                 f"{teacher.config.sensor} and classes {', '.join(teacher.classes)}"
             )
 

@@ -215,7 +215,7 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
     with pytest.raises(ValueError, match="other teachers; delete it"):
         train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path)
     with pytest.raises(
-        ValueError, match=r"`teachers` must have the sensor \(34, 34\) and the classes across, down, got"
+        ValueError, match=r"each `teacher` must have the sensor \(34, 34\) and the classes across, down, got"
     ):
         other = replace(model, classes=("a", "b"))
         train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path / "other", teachers=[other])
