@@ -133,6 +133,13 @@ def _record() -> dict[str, Any]:
     return dict(load_model("digits").record)
 
 
+def nothing() -> str:
+    """What stands in a window, and how often it is decided."""
+    found = results("nothing")
+    rows = [[name, f"{row['windows']:,}", f"{100 * row['decided']:.1f} %"] for name, row in found["rows"].items()]
+    return table(["in the window", "windows", f"decided by {found['model']}"], rows)
+
+
 def early() -> str:
     """A choice of settings."""
     found = results("early")
