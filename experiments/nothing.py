@@ -120,7 +120,8 @@ def _of_kind(kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.r
     """The first window of a recording, elsewhere."""
     t = events["t"] - events["t"][0]
     t = t[t < window_us]
-    return _events(t, *kind(t / window_us, side, rng), side)
+    x, y, p = kind(t / window_us, side, rng)
+    return _events(t, x, y, p, side)
 
 
 def _objects(folder: Path, side: int, window_us: int, most: int) -> Iterator[np.ndarray]:
