@@ -152,7 +152,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     shown = commands(text)
     assert {words[0] for words in shown} == {"train", "mask", "evaluate", "run"}
     for words in shown:
-        quick = ["--epochs", "1" if "--motions" in words else "3"] if words[0] == "train" else []
+        quick = ["--epochs", "1" if "--motions" in words else "10"] if words[0] == "train" else []
         capsys.readouterr()
         assert main([*words, *quick]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation
