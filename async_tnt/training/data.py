@@ -128,7 +128,7 @@ def dataset_data(
     notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
     notes.append(f"held out by {how}: {counted}")
     if how == BY_NUMBER and len(held_out):
-        notes.append("the first of them may follow the last learned ones within seconds; `groups` keeps some together")
+        notes.append("the first of them may follow the last learned ones within seconds: see groups.csv")
     single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in validating.labels]
     if single and validation:
         notes.append(f"not held out, as there is only one short recording, or one group of them: {', '.join(single)}")

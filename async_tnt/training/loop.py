@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch.nn import functional as F
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 
 from async_tnt.config import TNTConfig
 from async_tnt.evaluation.scores import share_right
@@ -89,7 +90,7 @@ def train(
     ).to(device)
     placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
-    averaged = AveragedModel(pipeline, multi_avg_fn=get_ema_multi_avg_fn(settings.averaging), use_buffers=True)
+    averaged = AveragedModel(pipeline, avg_fn=partial(_average, settings.averaging), use_buffers=True)
     final: Any = averaged.module if settings.averaging else pipeline
     optimizer = _optimizer(pipeline, settings)
     files = dict(sources or {})
@@ -281,6 +282,12 @@ def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> 
         "per_recording": share_right(confusion_by_recording(probabilities, windows)),
         "validation_loss": float(np.mean([part.mean() for part in parts])),
     }
+
+
+def _average(share: float, before: torch.Tensor, now: torch.Tensor, n: int | torch.Tensor) -> torch.Tensor:
+    """Of the weights after n + 1 steps. The first ones keep less than `share`, or they would count for hundreds."""
+    kept = min(share, (1 + int(n)) / (10 + int(n)))
+    return before * kept + now * (1 - kept)
 
 
 def _optimizer(pipeline: Pipeline, settings: TrainSettings) -> torch.optim.Optimizer:
