@@ -78,7 +78,6 @@ CARS = DataSet(
     },
     others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
 )
-NEAR_PX = 2.0  # of the size of a crop
 TIMED = 12  # recordings of the test part
 COMPARED = 1000  # events of each of these, at most
 QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1", ("5", "50"))
@@ -104,24 +103,6 @@ def measure(data: DataSet, folder: Path, out: Path, recipe: str, seeds: int) -> 
         "machine": machine("torch"),
     }
     return {"title": data.title, "shown_ms": data.shown_ms, "others": data.others, "recipes": {recipe: found}}
-
-
-def geometry(data: DataSet, folder: Path) -> float:
-    """How often the class follows from the size of the crop alone: the share of test recordings that are of the class
-    whose training recordings have more crops of about this width and height."""
-    sizes, labels = [], []
-    for part in (data.train, data.test):
-        files = sorted((folder / part).glob("*/*.dat"))
-        labels.append(np.array([file.parent.name for file in files]))
-        events = (open_recording(file, sensor=(120, 100)).read() for file in files)
-        sizes.append(np.array([(one["x"].max() + 1, one["y"].max() + 1) for one in events], np.float64))
-    names = sorted(set(labels[0]))
-    right = 0
-    for size, label in zip(sizes[1], labels[1], strict=True):
-        near = np.exp(-np.square(sizes[0] - size).sum(1) / (2 * NEAR_PX**2))
-        votes = [near[labels[0] == name].sum() / (labels[0] == name).sum() for name in names]
-        right += names[int(np.argmax(votes))] == label
-    return float(right / len(labels[1]))
 
 
 def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:

@@ -62,6 +62,9 @@ CANDIDATES = {
     "conv4": Candidate(settings={"network": "conv4"}),
     "no logarithm": Candidate(settings={"logarithm": False}),
     "no average": Candidate(settings={"averaging": 0.0}),
+    "turned and thinned": Candidate(
+        settings={"augmentation": {"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3, "scale": 0.1}}
+    ),
     "no late start": Candidate(settings={"augmentation": {"late_start": 0.0}}),
     "earlier": Candidate({"representation": "volume", "bins": 9, **SPLIT}, 60, {**EARLIER, "network": "conv4"}),
 }

@@ -87,7 +87,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
     start = load_model(args.start_from) if args.start_from else None
     teachers = [load_model(name) for name in args.teacher]
-    data, settings, sources = _read(args, start, run_folder)
+    data, settings, sources = _read(args, start, teachers, run_folder)
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
@@ -130,7 +130,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
 
 def _read(
-    args: argparse.Namespace, start: Model | None, run_folder: Path
+    args: argparse.Namespace, start: Model | None, teachers: list[Model], run_folder: Path
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
     """The windows of DATASET, how to train on them, and what a resumed run is compared by.
 
@@ -172,7 +172,7 @@ def _read(
         config,
         pixels=pixels,
         sensor_source="`sensor`" if args.sensor else "--mask" if args.mask else "--start-from",
-        classes=None if start is None else start.classes,
+        classes=next((model.classes for model in (start, *teachers) if model is not None), None),
         validation=args.validation,
         groups=args.groups,
         fit_grid="grid" in fitted_to_data,

@@ -118,12 +118,14 @@ REFUSED_EARLY = [
     (("--test",), "trials_to_test.txt; found neither"),
     (("--out", "DATASET/m.safetensors"), "--out must lie outside of "),
     (("--start-from", "MODEL", "--grid", "8x8"), "must come without --start-from: volume and network"),
+    (("--teacher", "nowhere"), "no model file nowhere"),
 ]
 REFUSED = [
     (("--sensor", "640x480"), "of one sensor, got 640x480 (--sensor) and 34x34 (slanted/00.npz)"),
     (("--roi", "0,0,35,34", "--crop"), "must lie on the sensor of 34x34 pixels"),
     (("--start-from", "MODEL", "--roi", "0,0,20,20", "--crop"), "is for 128x128 pixels, got a region of 20"),
     (("--start-from", "MODEL", "--sensor", "128x128"), "unknown class slanted; known are flat, upright"),
+    (("--teacher", "digits"), "unknown class slanted, upright; known are 0, 1, 2, 3"),
 ]
 
 
