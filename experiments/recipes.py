@@ -55,9 +55,11 @@ class Candidate:
 
 CANDIDATES = {
     "default": Candidate(),
-    "counts and times": Candidate({"representation": "count_time"}),
-    "time surface": Candidate({"representation": "time_surface"}),
-    "volume, 5 bins": Candidate({"representation": "volume", "bins": 5, **SPLIT}),
+    "counts": Candidate({"representation": "count", "bins": 1, **SPLIT}),
+    "counts and times": Candidate({"representation": "count_time", "bins": 2, **SPLIT}),
+    "time surface": Candidate({"representation": "time_surface", "bins": 1, **SPLIT}),
+    "3 bins": Candidate({"representation": "volume", "bins": 3, **SPLIT}),
+    "5 bins": Candidate({"representation": "volume", "bins": 5, **SPLIT}),
     "60 pixels": Candidate(longer_side=60),
     "conv4": Candidate(settings={"network": "conv4"}),
     "no logarithm": Candidate(settings={"logarithm": False}),
@@ -116,8 +118,7 @@ def _read(folder: Path, config: Any, sensor: tuple[int, int], validation: float 
         config,
         pixels=PixelSelection(sensor=sensor),
         validation=validation,
-        fit_grid=True,
-        fit_window=True,
+        fitted=("grid", "window_us", "bins"),
         progress=progress,
     )
 

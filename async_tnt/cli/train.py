@@ -162,8 +162,10 @@ def _read(
         **{name: pixels.about.get(name) for name in ("roi", "crop", "mask")},
     }
     recordings = file_sizes(args.dataset, "Train")
-    fitted_to_data = () if start is not None else {"grid", "window_us"} - given.keys()
-    volume = {name: value for name, value in config.to_dict().items() if name not in ("sensor", *fitted_to_data)}
+    fitted = set() if start is not None else {"grid", "window_us"} - given.keys()
+    fitted |= set() if start is not None or args.volume else {"bins"}
+    later = {"sensor", *fitted} | ({"representation"} if "bins" in fitted else set())
+    volume = {name: value for name, value in config.to_dict().items() if name not in later}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
     load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network, **sources}, recordings)
@@ -175,8 +177,7 @@ def _read(
         classes=next((model.classes for model in (start, *teachers) if model is not None), None),
         validation=args.validation,
         groups=args.groups,
-        fit_grid="grid" in fitted_to_data,
-        fit_window="window_us" in fitted_to_data,
+        fitted=fitted,
         test=args.test,
         seed=args.seed,
         store=run_folder,

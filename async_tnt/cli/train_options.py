@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--grid", type=size_text, metavar="WxH", help="the volume's pixels (default: at most 120 along the longer side)"
     )
-    add_volume(network, "representation=count")
+    add_volume(network, "ON and OFF counts, or 5 bins, by the data")
     network.add_argument(
         "--network",
         metavar="NAME",

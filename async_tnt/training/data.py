@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from async_tnt.training.groups import (
     hold_out_last,
 )
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.settings import default_grid
+from async_tnt.training.settings import default_grid, with_bins
 from async_tnt.training.windows import Windows, make_windows
 from async_tnt.windows import N_JUDGED, TimeUnitCheck
 
@@ -69,8 +69,7 @@ def dataset_data(
     classes: tuple[str, ...] | None = None,
     validation: float = 0.2,
     groups: str | None = None,
-    fit_grid: bool = False,
-    fit_window: bool = False,
+    fitted: Collection[str] = (),
     test: bool = False,
     seed: int = 0,
     store: Path | None = None,
@@ -86,8 +85,9 @@ def dataset_data(
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
     groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder or in its
         `Train`, or else by number: the last recordings of each class.
-    fit_grid : the grid becomes the default one of the sensor, see `default_grid`.
-    fit_window : where no recording is as long as a window, windows become as long as the longest one.
+    fitted : what of `config` becomes the default of this data set. "grid": that of the sensor, see `default_grid`;
+        "window_us": where no recording is as long as a window, windows become as long as the longest one; "bins": time
+        bins where pixels fire often, see `with_bins`.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
     store : a folder for the events, see `read_dataset`.
@@ -96,11 +96,12 @@ def dataset_data(
     dataset = read_dataset(
         folder, pixels=pixels, sensor_source=sensor_source, classes=classes, store=store, progress=progress
     )
-    config = config.replace(sensor=dataset.sensor, grid=default_grid(dataset.sensor) if fit_grid else config.grid)
+    grid = default_grid(dataset.sensor) if "grid" in fitted else config.grid
+    config = config.replace(sensor=dataset.sensor, grid=grid)
     recordings, labels = dataset.recordings, dataset.recordings.labels
     notes = _notes(dataset, "the recordings")
     longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1
-    if fit_window and longest_us < config.window_us:
+    if "window_us" in fitted and longest_us < config.window_us:
         config = config.replace(window_us=-(-longest_us // 1000) * 1000)
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
     learned, held_out, how, counted = _split(folder, recordings, groups, validation, seed)
@@ -109,6 +110,11 @@ def dataset_data(
         return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
 
     training, validating, ended = _with_ends(windows_of(dataset, learned), windows_of(dataset, held_out), validation)
+    if "bins" in fitted:
+        events_a_pixel = training.events_a_pixel(config.window_us)
+        config = with_bins(config, events_a_pixel)
+        if config.representation == "volume":
+            notes.append(f"{config.bins} time bins, as an active pixel fires {events_a_pixel:.1f} times in a window")
     first = TimeUnitCheck(config)
     for i in range(len(training[:N_JUDGED])):
         first.add(len(training.events(i, config.window_us)[0]))

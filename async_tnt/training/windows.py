@@ -12,6 +12,8 @@ import numpy as np
 
 from async_tnt.training.recordings import COLUMNS, Recordings
 
+JUDGED = 500
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -44,6 +46,17 @@ class Windows:
         some, recordings = self._slice(i, 0, window_us), self.recordings
         t = recordings.t[some].astype(np.int64) - self.start_us[i]
         return t, recordings.x[some], recordings.y[some], recordings.p[some]
+
+    def events_a_pixel(self, window_us: int) -> float:
+        """Events of one polarity of a pixel that has any: the median of windows of `window_us`, of at most `JUDGED`
+        of them. An edge that passes once leaves one or two, one that moves over what it has left leaves more."""
+        shares = []
+        for i in np.linspace(0, len(self) - 1, min(JUDGED, len(self))).astype(int):
+            _, x, y, p = self.events(i, window_us)
+            if len(x):
+                pixels = (y.astype(np.int64) << 17) | (x.astype(np.int64) << 1) | (p > 0)
+                shares.append(len(x) / len(np.unique(pixels)))
+        return float(np.median(shares)) if shares else 0.0
 
     def cut(self, window_us: int, margin_us: int = 0) -> Windows:
         """The same windows of `window_us`, each on a recording of its own: a copy of its events, and of those in the

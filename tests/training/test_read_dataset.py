@@ -12,6 +12,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
+from async_tnt.training.settings import default_config
 
 SIZE = (64, 64)
 EVERYTHING = PixelSelection()
@@ -93,6 +94,19 @@ def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
     assert data.record["held_out_in_time"] == ["flat"] and len(data.validation) == 4 + 5
     (note,) = (line for line in data.notes if "the last windows of flat" in line)
     assert note.endswith("only another session tells more")
+
+
+@pytest.mark.parametrize(("events_a_pixel", "volume"), [(2, ("count", 1)), (3, ("volume", 5))])
+def test_where_pixels_fire_often_the_default_volume_has_time_bins(tmp_path, events_a_pixel, volume):
+    """In the same polarity and window: neither the other sign nor the next window adds to it."""
+    n = 40 * events_a_pixel
+    x, is_on = np.tile(np.arange(40), 3 * events_a_pixel), np.repeat([True, False, True], n)
+    t = np.arange(3 * n) + np.repeat([0, 0, 100_000], n)
+    for k, name in enumerate("aabb"):
+        write(tmp_path / name / f"{k}.npz", events_of(t, x, np.full(3 * n, k), is_on))
+    data = dataset_data(tmp_path, default_config(window_us=100_000), pixels=EVERYTHING, fitted={"bins"})
+    assert (data.config.representation, data.config.bins) == volume and data.config.polarity == "split"
+    assert any("time bins, as an active pixel fires" in line for line in data.notes) == (volume[1] == 5)
 
 
 def recording(times_us, pixels=None):
