@@ -1,0 +1,100 @@
+"""What `async-tnt train` gives without any option but the sensor's size: the test parts of three small data sets.
+
+    python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--seeds N] [--out FOLDER]
+                               [--json FILE]
+
+N-MNIST has Train and Test, POKER-DVS pips_train and pips_test; HOTS' characters are those of
+`examples/hots_characters.py`. N-CARS is the recipe `bare` of `experiments.cars`. Finished trainings in --out are kept,
+interrupted ones resume, and what FILE has of other sets stays there. A test part is read once by each network.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from async_tnt.progress import progress
+from async_tnt.sources.sensor import format_size
+from experiments.bench_timing import machine
+from experiments.made_objects import SENSOR, write
+from experiments.script_options import add_folder, exit_with, script_parser, write_outputs
+from experiments.table_numbers import cell, summary
+from experiments.unseen_motions import command
+
+SETS = {
+    "nmnist": ("N-MNIST", "", "Test", ""),
+    "poker": ("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35"),
+    "characters": ("HOTS' characters", "Train", "Test", "--sensor 32x32"),
+}
+"""Title, the folder that the command is given, the test part, and options."""
+
+
+def measure(folder: Path, name: str, seeds: int, out: Path, parts: tuple[str, str, str, str]) -> dict[str, Any]:
+    """Train on a set with each seed, and test."""
+    title, train, test, options = parts
+    out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    with progress(seeds, f"training on {title}") as bar:
+        for seed in range(seeds):
+            model = out / f"{name}{seed}.safetensors"
+            record = command("train", folder / train, *options.split(), "--seed", seed, "--out", model, "--json")
+            report = command("evaluate", model, folder / test, "--json")
+            names = "accuracy", "recordings", "window_accuracy", "windows"
+            rows.append({**{key: report[key] for key in names}, "multiplications": record["multiplications"]})
+            bar.update()
+    given = f"async-tnt train {folder.name}/{train}".rstrip("/")
+    return {"title": title, "command": f"{given} {options}".strip(), "networks": rows, "machine": machine("torch")}
+
+
+def lines(sets: dict[str, Any]) -> list[str]:
+    """For people."""
+    printed = []
+    for found in sets.values():
+        windows, recordings = (
+            cell(summary([row[key] for row in found["networks"]])) for key in ("window_accuracy", "accuracy")
+        )
+        last = found["networks"][-1]
+        printed.append(
+            f"{found['title']:18}{windows} of {last['windows']:,} windows, {recordings} of {last['recordings']:,} "
+            f"recordings right, {len(found['networks'])} networks"
+        )
+    return printed
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Train, test, print and write."""
+    parser = script_parser("bare", __doc__, "a made set and one epoch")
+    for name, (title, *_) in SETS.items():
+        add_folder(parser, f"--{name}", title)
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
+    parser.add_argument("--out", type=Path, default=Path("bare"), metavar="FOLDER", help="models (default: bare)")
+    args = parser.parse_args(argv)
+    folders = {name: getattr(args, name) for name in SETS if getattr(args, name) is not None}
+    if args.quick == bool(folders):
+        parser.error(f"give --quick, or one of --{', --'.join(SETS)}")
+    report: dict[str, Any] = {"sets": {}}
+    if args.json and args.json.exists():
+        report = json.loads(args.json.read_text(encoding="utf-8"))
+    for name, folder in folders.items():
+        report["sets"][name] = measure(folder, name, args.seeds, args.out, SETS[name])
+        write_outputs(args, report)
+    if args.quick:
+        report["sets"]["made"] = _quick()
+        write_outputs(args, report)
+    print("\n".join(lines(report["sets"])))
+    return 0
+
+
+def _quick() -> dict[str, Any]:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for part, n, seed in (("train", 6, 0), ("test", 3, 1)):
+            write(folder / part, n, (0.0,), seed)
+        parts = "made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1"
+        return measure(folder, "made", 1, folder / "models", parts)
+
+
+if __name__ == "__main__":
+    exit_with(main)
