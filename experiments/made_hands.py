@@ -1,0 +1,142 @@
+"""Recordings of single grey objects that a hand swings by two or three pixels in front of a sensor of 128x128.
+
+Half a swing takes 75 to 100 ms; in some recordings the hand turns round and comes back. Meanwhile the object turns by a
+few degrees and comes nearer or goes away. Pixels with events have about two, a sixth of which are after-pulses:
+another event of the same pixel within a millisecond, mostly of the other sign. This renders and simulates on its own:
+nothing here is shared with motion re-synthesis, which is measured on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+SENSOR = (128, 128)
+WINDOW_US = 100_000
+STEPS = 50
+SWING_PX, SWING_MS = (2.0, 3.0), (75.0, 100.0)
+BACK = 0.3
+"""Share of the recordings in which the hand turns round within the window."""
+TURN_DEG, NEARER = 2.0, 0.02
+"""Standard deviations of how far the object turns and grows in a swing."""
+SPREAD = np.radians(10.0)
+"""Standard deviation of a swing's direction about the one that is asked for."""
+AFTER, AFTER_US, AFTER_OTHER = 0.2, 1_000, 0.8
+"""Share of events with an after-pulse, the longest time until it, and the share of those of the other sign."""
+SOFT_PX = 0.7
+Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class HandSession:
+    """What differs from one day to the next.
+
+    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the first.
+    noise_hz : events of noise a second, of each pixel.
+    size : radius of the objects, in pixels.
+    place : where they are from the middle of the sensor, in pixels.
+    """
+
+    threshold: float = 0.2
+    mismatch: float = 0.1
+    noise_hz: float = 0.03
+    size: float = 17.0
+    place: tuple[float, float] = (0.0, 0.0)
+
+
+SESSIONS = HandSession(), HandSession(0.25, 0.18, 0.08, 15.0, (9.0, -6.0))
+
+
+def _box(x: np.ndarray, y: np.ndarray, a: float, b: float) -> np.ndarray:
+    return np.maximum(abs(x) - a, abs(y) - b)
+
+
+def _triangle(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.maximum(y - 0.6, 0.866 * abs(x) - 0.5 * y - 0.5)
+
+
+def _cross(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.minimum(_box(x, y, 1.0, 0.3), _box(x, y, 0.3, 1.0))
+
+
+SHAPES: Mapping[str, Distance] = {
+    "disc": lambda x, y: np.hypot(x, y) - 0.85,
+    "square": lambda x, y: _box(x, y, 0.75, 0.75),
+    "triangle": _triangle,
+    "cross": _cross,
+    "ring": lambda x, y: abs(np.hypot(x, y) - 0.85) - 0.07,
+    "frame": lambda x, y: abs(_box(x, y, 0.75, 0.75)) - 0.07,
+    "wire triangle": lambda x, y: abs(_triangle(x, y)) - 0.07,
+    "wire cross": lambda x, y: np.minimum(_box(x, y, 1.0, 0.08), _box(x, y, 0.08, 1.0)),
+}
+"""Name -> about the distance from the outline, negative inside, of an object of radius 1."""
+
+
+def record(name: str, direction: float, rng: np.random.Generator, session: HandSession) -> dict[str, np.ndarray]:
+    """Columns t, x, y, p of one recording of an object that a hand swings in `direction`, in radians."""
+    width, height = SENSOR
+    angle = direction + SPREAD * rng.standard_normal()
+    length, lasts = rng.uniform(*SWING_PX), rng.uniform(*SWING_MS) * 1e3 / WINDOW_US
+    begins, turns_at = rng.uniform(0, 1 - lasts), rng.uniform(0.4, 0.9)
+    is_back = rng.random() < BACK
+    origin = np.array([width, height]) / 2 + session.place + rng.uniform(-4, 4, 2)
+    size, posture = session.size * rng.uniform(0.85, 1.15), np.radians(rng.uniform(-12, 12))
+    grey = rng.choice([-1, 1]) * rng.uniform(0.4, 1.1)
+    turn, nearer = np.radians(TURN_DEG) * rng.standard_normal(), NEARER * rng.standard_normal()
+    slope = rng.uniform(-0.001, 0.001, 2)
+    threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
+    row, column = np.mgrid[:height, :width].astype(float)
+    level, parts = None, []
+    for step in range(STEPS + 1):
+        u = np.clip((step / STEPS - begins) / lasts, 0, 1)
+        way = (1 - np.cos(np.pi * u)) / 2
+        if is_back:  # out until it turns round, then back
+            way = (1 - np.cos(np.pi * u / turns_at)) / 2
+        gone = length * way
+        x, y = column - origin[0] - gone * np.cos(angle), row - origin[1] - gone * np.sin(angle)
+        cos, sin = np.cos(posture + turn * way), np.sin(posture + turn * way)
+        scale = size * (1 + nearer * way)
+        outline = scale * SHAPES[name]((cos * x + sin * y) / scale, (cos * y - sin * x) / scale)
+        light = slope[0] * column + slope[1] * row + grey / (1 + np.exp(np.clip(outline / SOFT_PX, -30, 30)))
+        if level is None:
+            level = light + threshold * rng.uniform(-1, 1, light.shape)
+            continue
+        n = np.trunc((light - level) / threshold).astype(int)
+        level = level + n * threshold
+        rows, columns = np.nonzero(n)
+        many = abs(n[rows, columns])
+        t = (step - 1 + rng.random(many.sum())) * WINDOW_US / STEPS
+        parts.append((t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many)))
+    n_noise = rng.poisson(session.noise_hz * width * height * WINDOW_US * 1e-6)
+    somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
+    parts.append((WINDOW_US * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
+    return _sorted(*_with_after_pulses(*(np.concatenate(one) for one in zip(*parts, strict=True)), rng))
+
+
+def _with_after_pulses(
+    t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, ...]:
+    again = rng.random(len(t)) < AFTER
+    later = t[again] + rng.uniform(20, AFTER_US, again.sum())
+    sign = np.where(rng.random(again.sum()) < AFTER_OTHER, ~p[again], p[again])
+    return tuple(map(np.concatenate, ((t, later), (x, x[again]), (y, y[again]), (p, sign))))
+
+
+def _sorted(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict[str, np.ndarray]:
+    order = np.argsort(t)
+    order = order[t[order] < WINDOW_US]
+    return {"t": t[order].astype(np.int64), "x": x[order], "y": y[order], "p": p[order]}
+
+
+def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: HandSession) -> Path:
+    """`n` recordings of each class, whose directions take turns, as `folder/<class>/<number>.npz`."""
+    for label, name in enumerate(SHAPES):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        for i in range(n):
+            rng = np.random.default_rng((seed, label, i))
+            columns = record(name, directions[i % len(directions)], rng, session)
+            np.savez(folder / name / f"{i:03}.npz", t=columns["t"], x=columns["x"], y=columns["y"], p=columns["p"])
+    return folder
