@@ -6,6 +6,7 @@
 Windows have the times of the bundled recordings' events, which stand somewhere else. `train` shows noise, events of one
 polarity, hot pixels, rectangular patches and straight edges to its networks; discs and corners, and other objects, only
 this command does. Here they are made by code of their own. The share is of windows whose class has .9 at their ends.
+Of other objects, those in folders that are named as a class of the model are left out.
 """
 
 from __future__ import annotations
@@ -110,9 +111,9 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
         )
         rows[name] = _share(processor, windows)
     for name, folder in folders.items():
-        rows[f"{name} (tested only)"] = _share(
-            processor, _objects(folder, config.sensor[0], config.window_us, n_windows)
-        )
+        files = [path for path in recordings_under([folder]) if path.parent.name not in (processor.classes or ())]
+        windows = _objects(files, config.sensor[0], config.window_us, n_windows)
+        rows[f"{name} (tested only)"] = _share(processor, windows)
     return {"machine": machine(), "model": Path(model).name, "sure": SURE, "rows": rows}
 
 
@@ -124,9 +125,8 @@ def _of_kind(kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.r
     return _events(t, x, y, p, side)
 
 
-def _objects(folder: Path, side: int, window_us: int, most: int) -> Iterator[np.ndarray]:
+def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterator[np.ndarray]:
     """The first window of other recordings, scaled down to the sensor where they are larger."""
-    files = recordings_under([folder])
     for file in files[:: max(1, len(files) // most)][:most]:
         events = open_recording(file).read()
         t = events["t"] - events["t"][0]
