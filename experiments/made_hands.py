@@ -113,7 +113,8 @@ def record(name: str, direction: float, rng: np.random.Generator, session: HandS
     n_noise = rng.poisson(session.noise_hz * width * height * WINDOW_US * 1e-6)
     somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
     parts.append((WINDOW_US * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
-    return _sorted(*_with_after_pulses(*(np.concatenate(one) for one in zip(*parts, strict=True)), rng))
+    t, px, py, p = (np.concatenate(one) for one in zip(*parts, strict=True))
+    return _sorted(*_with_after_pulses(t, px, py, p, rng))
 
 
 def _with_after_pulses(
