@@ -1,13 +1,19 @@
 """Recognizing objects in motions that were not recorded: with and without motion re-synthesis, on made data.
 
-    python -m experiments.unseen_motions [--seeds N] [--json FILE]
+    python -m experiments.unseen_motions [--set shapes|hands] [--seeds N] [--out FOLDER] [--json FILE]
 
-Six classes, each a pair of dark shapes in two greys on a sensor of 64x48 pixels, by a renderer of this folder's own
-(`made_objects.py`). All training recordings move to the right; they are tested moving to the right, and in seven other
-directions. The two commands differ by one option:
+shapes   six classes, each a pair of dark shapes in two greys on a sensor of 64x48 pixels (`made_objects.py`), which
+         move by 8 to 14 pixels
+hands    eight objects that a hand swings by two or three pixels in front of a sensor of 128x128 (`made_hands.py`);
+         also tested in a second session, and compared with training in all directions
 
-    async-tnt train OBJECTS --sensor 64x48 --window-us 50000
-    async-tnt train OBJECTS --sensor 64x48 --window-us 50000 --motions resynthesized
+Both have renderers of their own. All training recordings move to the right; they are tested moving to the right, and in
+other directions. The commands differ by one option:
+
+    async-tnt train OBJECTS --sensor WxH --window-us US
+    async-tnt train OBJECTS --sensor WxH --window-us US --motions resynthesized
+
+Finished trainings in --out are kept, and interrupted ones resume.
 """
 
 from __future__ import annotations
@@ -15,6 +21,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,41 +31,98 @@ from typing import Any
 import numpy as np
 
 from async_tnt.progress import progress
+from async_tnt.sources.sensor import format_size
+from experiments import made_hands, made_objects
 from experiments.bench_timing import machine
-from experiments.made_objects import CLASSES, SENSOR, WINDOW_US, write
 from experiments.script_options import exit_with, script_parser, write_outputs
 
-N_TRAIN, N_TEST = 200, 56
-RIGHT, OTHERS = (0.0,), tuple(np.pi / 4 * np.arange(1, 8))
-MODES = ("recorded", "resynthesized")
+EIGHTHS = tuple(np.pi / 4 * np.arange(8))
+RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
 
 
-def measure(seeds: int, n_train: int, n_test: int, extra: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Accuracy of both ways, tested in the recorded and in other motions."""
-    results: dict[str, list[dict[str, float]]] = {mode: [] for mode in MODES}
+@dataclass(frozen=True)
+class MadeSet:
+    """Made data, and what it is trained and tested on.
+
+    Parameters
+    ----------
+    write : of folder, number of recordings of each class, directions, and seed.
+    n_train, n_test : recordings of each class.
+    modes : name -> directions to train on, and the option `--motions`.
+    tests : name -> directions and how they are written.
+    """
+
+    classes: tuple[str, ...]
+    sensor: tuple[int, int]
+    window_us: int
+    write: Callable[..., Path]
+    n_train: int
+    n_test: int
+    modes: Mapping[str, tuple[tuple[float, ...], str]]
+    tests: Mapping[str, tuple[tuple[float, ...], Callable[..., Path]]]
+
+
+MODES = {"recorded": (RIGHT, "recorded"), "resynthesized": (RIGHT, "resynthesized")}
+HANDS = tuple(partial(made_hands.write, session=session) for session in made_hands.SESSIONS)
+SETS = {
+    "shapes": MadeSet(
+        made_objects.CLASSES,
+        made_objects.SENSOR,
+        made_objects.WINDOW_US,
+        made_objects.write,
+        200,
+        56,
+        MODES,
+        {"recorded motion": (RIGHT, made_objects.write), "other motions": (OTHERS, made_objects.write)},
+    ),
+    "hands": MadeSet(
+        tuple(made_hands.SHAPES),
+        made_hands.SENSOR,
+        made_hands.WINDOW_US,
+        HANDS[0],
+        160,
+        40,
+        {**MODES, "all directions": (EIGHTHS, "recorded")},
+        {
+            "recorded motion": (RIGHT, HANDS[0]),
+            "other motions": (OTHERS, HANDS[0]),
+            "opposite": ((np.pi,), HANDS[0]),
+            "perpendicular": ((np.pi / 2, -np.pi / 2), HANDS[0]),
+            "turned": (tuple(np.pi / 4 * np.array([1, 3, 5, 7])), HANDS[0]),
+            "other motions, another session": (OTHERS, HANDS[1]),
+        },
+    ),
+}
+
+
+def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Accuracy of each way to train, in each test."""
+    results: dict[str, list[dict[str, float]]] = {mode: [] for mode in made.modes}
     records = []
-    with TemporaryDirectory() as name, progress(2 * seeds, "training") as bar:
-        folder = Path(name)
+    with progress(len(made.modes) * seeds, "training") as bar:
         for seed in range(seeds):
-            objects = write(folder / f"objects{seed}", n_train, RIGHT, 3 * seed)
+            first = (len(made.tests) + 2) * seed
             tests = {
-                "recorded motion": write(folder / f"same{seed}", n_test, RIGHT, 3 * seed + 1),
-                "other motions": write(folder / f"other{seed}", n_test, OTHERS, 3 * seed + 2),
+                name: write(out / f"test{k}-{seed}", made.n_test, directions, first + 2 + k)
+                for k, (name, (directions, write)) in enumerate(made.tests.items())
             }
-            for mode in MODES:
-                model = folder / f"{mode}{seed}.safetensors"
-                size = f"{SENSOR[0]}x{SENSOR[1]}"
-                words = ["train", objects, "--sensor", size, "--window-us", WINDOW_US, "--motions", mode]
-                words += ["--seed", seed, "--out", model, "--json", *extra]
-                summary = command(*words)
-                records.append(summary.get("motions"))
+            for mode, (directions, motions) in made.modes.items():
+                objects = out / f"{'one' if directions == RIGHT else 'all'}-{seed}"
+                made.write(objects, made.n_train, directions, first + (directions != RIGHT))
+                model = out / f"{mode.replace(' ', '-')}{seed}.safetensors"
+                words = ["train", objects, "--sensor", format_size(made.sensor), "--window-us", made.window_us]
+                words += ["--motions", motions, "--seed", seed, "--out", model, "--json", *extra]
+                records.append(command(*words).get("motions"))
                 results[mode].append(
                     {test: command("evaluate", model, where, "--json")["accuracy"] for test, where in tests.items()}
                 )
                 bar.update()
     return {
-        "classes": CLASSES,
-        "recordings": {"training": n_train * len(CLASSES), "test, each": n_test * len(CLASSES)},
+        "classes": made.classes,
+        "recordings": {
+            "training": made.n_train * len(made.classes),
+            "test, each": made.n_test * len(made.classes),
+        },
         "seeds": list(range(seeds)),
         "accuracy": {
             mode: {test: {"mean": float(np.mean(values)), "seeds": values} for test, values in _columns(rows).items()}
@@ -87,9 +153,17 @@ def _mean(rows: list[dict[str, float]], test: str) -> float:
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("unseen_motions", __doc__, "one seed, few recordings and epochs")
+    parser.add_argument("--set", choices=list(SETS), default="shapes", help="which made data (default: shapes)")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="data and networks (default: 3)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: not kept)")
     args = parser.parse_args(argv)
-    report = measure(1, 10, 7, ("--epochs", "3")) if args.quick else measure(args.seeds, N_TRAIN, N_TEST)
+    made = SETS[args.set]
+    with TemporaryDirectory() as name:
+        out = Path(name) if args.out is None else args.out
+        if args.quick:
+            report = measure(replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3"))
+        else:
+            report = measure(made, args.seeds, out)
     for mode, tests in report["accuracy"].items():
         print(f"{mode:16}" + "".join(f"{test}: {found['mean']:.3f}   " for test, found in tests.items()))
     print(f"gap {report['gap']:.3f}, gained {report['gained']:.3f}")

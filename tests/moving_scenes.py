@@ -10,10 +10,10 @@ WINDOW_US = 105_000
 SENSOR = (34, 34)
 
 
-def blobs(rng, sensor=SENSOR, n=6):
+def blobs(rng, sensor=SENSOR, n=6, spread=7.0):
     """A function of (x, y): log luminance of a few dark smooth bars and discs about the middle of the sensor."""
     size = min(sensor) / 34
-    centres = (np.array(sensor) - 1) / 2 + rng.uniform(-7, 7, (n, 2)) * size
+    centres = (np.array(sensor) - 1) / 2 + rng.uniform(-spread, spread, (n, 2)) * size
     angles, lengths, depths = rng.uniform(0, np.pi, n), rng.uniform(0, 8, n) * size, rng.uniform(0.5, 1.6, n)
 
     def at(x, y):

@@ -34,6 +34,8 @@ __all__ = ["add_arguments", "main"]
 
 NUMBERS, CURVES, CONFUSION = ".json", ".curves.png", ".confusion.png"
 """What is written beside the model."""
+FEW_PATHS = 0.2
+"""Share of windows whose motion is found, below which there is a warning."""
 FEW = 20
 """Held-out recordings of a class below which its windows are reported, too."""
 TITLES = {"validation": "held out", "validation_motions": "held out, in other motions", "test": "Test"}
@@ -235,11 +237,19 @@ def _other_motions(
         progress=progress,
     )
     record = motions.record
+    without = ", ".join(f"{reason} {n}" for reason, n in record["without_path"].items())
     note(
-        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only",
+        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only"
+        + (f" ({without})" if without else ""),
         "recorded windows, and the same motion simulated again:",
         *side_by_side(record["match"]).splitlines(),
     )
+    if record["with_path"] < FEW_PATHS * record["windows"]:
+        note(
+            "warning: so few motions hardly change what is learned. Re-synthesis needs windows in which one object "
+            "moves as a whole by two pixels and more, with some hundred events: try another --window-us, or --roi with "
+            "--crop"
+        )
     _draw_motions(motions, data, run_folder / "motions" / "motions.png")
     return motions
 

@@ -35,14 +35,15 @@ from functools import cached_property
 import numpy as np
 
 from async_tnt.kernels.moving_image import contrast_frames, evidence_terms
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, is_after_pulse
 
 N_FRAMES = 16
 BAND = np.pi / 2  # of the frequencies that a path is found by, in radians per cell
 PHASE_VARIANCE, WALK_VARIANCE = 1 / 3, 0.01
 ROUGHNESS, LEVEL = 16.0, 1.0  # Q = ROUGHNESS |D|^2 + LEVEL
-MOST_CELLS = 40
-"""Cells along the sensor's longer side: larger sensors are averaged over squares of pixels."""
+MOST_CELLS, OBJECT_CELLS, FEWEST_CELLS = 80, 16, 40
+"""Larger sensors are averaged over squares of pixels, cells: at most so many along the sensor's longer side, and about
+so many across what moves, but at least so many along the sensor: a path of two pixels is not seen in cells of four."""
 MARGIN = 14
 """Cells beyond the sensor, so that what leaves it on one side does not come in on the other."""
 SPARSENESS, COUPLING, STEPS = 3.0, 3.0, 40
@@ -57,18 +58,17 @@ class MovingImage:
     ----------
     sensor : (width, height), in pixels.
     window_us : length of the windows.
+    cell : sensor pixels along a side of a cell, see `cell_for`.
 
     Attributes
     ----------
-    cell : sensor pixels along a side of a cell.
     rows, columns : cells of the sensor.
     shape : (rows, columns) of the torus; odd, so that no frequency is its own opposite.
     whitening : float64, (K, K), W with W V W^T = 1, for the mean of a cell's pixels.
     """
 
-    def __init__(self, sensor: tuple[int, int], window_us: int) -> None:
-        self.sensor, self.window_us = sensor, window_us
-        self.cell = -(-max(sensor) // MOST_CELLS)
+    def __init__(self, sensor: tuple[int, int], window_us: int, cell: int = 1) -> None:
+        self.sensor, self.window_us, self.cell = sensor, window_us, cell
         self.columns, self.rows = (-(-side // self.cell) for side in sensor)
         self.shape = fft_size(self.rows + MARGIN), fft_size(self.columns + MARGIN)
         k = np.arange(1, N_FRAMES + 1)
@@ -97,9 +97,12 @@ class MovingImage:
         return (ROUGHNESS * squared_differences(*self.band) + LEVEL).ravel()
 
     def frames(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> np.ndarray:
-        """c: the change of log luminance since the start, (N, K, rows, columns), from N windows' events."""
+        """c: the change of log luminance since the start, (N, K, rows, columns), from N windows' events but for
+        after-pulses."""
         frames = np.empty((len(windows), N_FRAMES, self.rows, self.columns))
-        for (t, x, y, p), out in zip(windows, frames, strict=True):
+        for window, out in zip(windows, frames, strict=True):
+            seen = ~is_after_pulse(window)
+            t, x, y, p = (column[seen] for column in window)
             contrast_frames(t, x, y, p, self.window_us, pixels.step_on, pixels.step_off, self.cell, out)
         return frames
 
@@ -141,6 +144,13 @@ class MovingImage:
         mean = b / (h + self.band_prior)
         power = float((weights * (np.abs(band) ** 2).sum(1)).sum())
         return float((weights * (2 * (mean.conj() * b).real - h * np.abs(mean) ** 2)).sum()) / max(power, 1e-12)
+
+
+def cell_for(windows: Sequence[Columns], sensor: tuple[int, int]) -> int:
+    """Sensor pixels along a side of a cell, by the median of how far the middle 70 % of each window's events reach."""
+    reach = [max(np.ptp(np.quantile(axis, (0.15, 0.85))) for axis in (x, y)) for _, x, y, _ in windows if len(x)]
+    wanted = round(float(np.median(reach)) / OBJECT_CELLS) if reach else 1
+    return int(np.clip(wanted, -(-max(sensor) // MOST_CELLS), -(-max(sensor) // FEWEST_CELLS)))
 
 
 def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> np.ndarray:

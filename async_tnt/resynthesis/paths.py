@@ -1,8 +1,15 @@
 """How the image of a window moves: its path, found from its events alone, and paths that were not recorded.
 
 The path that is found is the one of the highest evidence. First a dictionary of straight paths, `DIRECTIONS` x
-`LENGTHS` x speed profiles: the evidence of all of them is one product with a table. From the best of them on,
-Levenberg-Marquardt steps over the K points of the path, which is kept smooth by a prior on its second differences.
+`LENGTHS` x speed profiles, some of which turn round and come back: the evidence of all of them is one product with a
+table. From the best of them on, Levenberg-Marquardt steps over the K points of the path, which is kept smooth by a
+prior on its second differences.
+
+Whether the path may be relied on is asked against noise and against several objects. Its evidence must exceed that of
+all paths that lead the other way, by `MIN_MARGIN`. It must explain a share of the signal that noise of as many events
+does not reach. And in each half of the picture, left, right, above and below the middle of the events, it must be more
+likely than its reverse: of two objects that move oppositely, one is as well explained by the other's path with the
+opposite contrast, but for what tells both ways apart.
 
 Other motions are drawn at random around the length of the recorded ones:
 
@@ -28,15 +35,19 @@ from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage
 DIRECTIONS = 16
 LENGTHS = (1.0, 1.75, 3.0, 5.0, 8.0, 12.0)  # in cells
 PROFILES = ((0.0, 1.0), (0.0, 0.6), (0.2, 0.8), (0.4, 1.0))  # from when to when it moves, as shares of the window
+TURNS = (0.4, 0.55, 0.7, 0.85)
+"""When a path that comes back turns round."""
+BACK_LENGTHS = LENGTHS[:4]
 BEND = 0.2
 """Standard deviation of a path's second differences, in cells."""
 MOST_STEPS, LONGEST_STEP, SMALLEST_GAIN = 20, 1.0, 0.05
 
 OTHER_LENGTHS, SHORTEST_TIME, WIDEST_BEND, PLACE_SHARE = (0.5, 2.0), 0.4, 0.4, 1 / 11
 
-MIN_EVENTS = 50
-MIN_EXPLAINED = 0.7
-MIN_MARGIN = 20.0
+MIN_EVENTS, MIN_MARGIN, MIN_LENGTH = 50, 6.0, 0.1
+MOST_EXPLAINED = 0.5
+"""Of the signal must be explained: the square of the events of a cell, at most this. Dense noise has paths of high
+margin, which explain little; few events have no such paths, and little of them is explained."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,22 +58,32 @@ class MotionPath:
     ----------
     positions : float64, (K, 2). Displacement (x, y) since the window's start, in sensor pixels, at the end of each of
         K equal parts of the window.
-    evidence : logarithm of how much likelier the path makes the events.
     margin : by how much evidence the best path of the dictionary exceeds all that lead the other way.
     explained : share of the signal that the moving image explains.
+    agreement : by how much evidence the path exceeds its reverse, in the half of the picture where it does so least.
     n_events : in the window.
+    events_a_cell : the same of each of the picture's cells, in the mean.
     """
 
     positions: np.ndarray
-    evidence: float
-    margin: float
-    explained: float
-    n_events: int
+    margin: float = np.inf
+    explained: float = 1.0
+    agreement: float = np.inf
+    n_events: int = MIN_EVENTS
+    events_a_cell: float = 0.0
 
     @property
-    def found(self) -> bool:
-        """Whether the path may be relied on; not with few events, several objects, or an ambiguous direction."""
-        return self.n_events >= MIN_EVENTS and self.explained >= MIN_EXPLAINED and self.margin >= MIN_MARGIN
+    def refused(self) -> str:
+        """Why the path may not be relied on; empty where it may."""
+        enough = min(self.events_a_cell**2, MOST_EXPLAINED)
+        reasons = {
+            "few events": self.n_events < MIN_EVENTS,
+            "no motion": self.length < MIN_LENGTH,
+            "ambiguous direction": self.margin < MIN_MARGIN,
+            "noise": self.explained < enough,
+            "several objects": self.agreement < 0,
+        }
+        return next((reason for reason, holds in reasons.items() if holds), "")
 
     @property
     def length(self) -> float:
@@ -85,12 +106,18 @@ class PathFinder:
         bend = np.diff(np.eye(N_FRAMES + 1)[:, 1:], 2, axis=0) / BEND  # the start, which is 0, is one of the points
         self._stiffness = bend.T @ bend
 
-    def find(self, band: np.ndarray, n_events: Sequence[int]) -> list[MotionPath]:
-        """A path for each of N windows, of `MovingImage.band_of` their spectra."""
-        paths = []
-        for one, scores, n in zip(band, self.scores(band), n_events, strict=True):
-            positions, evidence = self.refine(one[None], self.dictionary[int(scores.argmax())])
-            paths.append(self._path(one, positions, evidence, self._margin(scores), n))
+    def find(self, band: np.ndarray, halves: np.ndarray, n_events: Sequence[int]) -> list[MotionPath]:
+        """A path for each of N windows, of `MovingImage.band_of` their spectra, (N, F, K), and those of their halves,
+        (N, 4, F, K)."""
+        model, paths = self.model, []
+        for one, parts, scores, n in zip(band, halves, self.scores(band), n_events, strict=True):
+            positions, _ = self.refine(one[None], self.dictionary[int(scores.argmax())])
+            agreement = min(
+                model.evidence(part[None], positions)[0] - model.evidence(part[None], -positions)[0] for part in parts
+            )
+            explained = model.explained(one, positions)
+            a_cell = n / (model.rows * model.columns)
+            paths.append(MotionPath(positions * model.cell, self._margin(scores), explained, agreement, n, a_cell))
         return paths
 
     def scores(self, band: np.ndarray) -> np.ndarray:
@@ -134,10 +161,14 @@ class PathFinder:
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         share = np.arange(1, N_FRAMES + 1) / N_FRAMES
-        profiles = [share] + [minimum_jerk((share - start) / (end - start)) for start, end in PROFILES]
-        paths = np.einsum("ad,l,pk->alpkd", direction, np.array(LENGTHS), np.array(profiles))
-        placed: np.ndarray = paths.reshape(-1, N_FRAMES, 2)
-        return placed
+        out = [share] + [minimum_jerk((share - start) / (end - start)) for start, end in PROFILES]
+        back = [(1 - np.cos(np.pi * share / turn)) / 2 for turn in TURNS]
+        return np.concatenate(
+            [
+                np.einsum("ad,l,pk->alpkd", direction, np.array(lengths), np.array(profiles)).reshape(-1, N_FRAMES, 2)
+                for lengths, profiles in ((LENGTHS, out), (BACK_LENGTHS, back))
+            ]
+        )
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
@@ -150,12 +181,9 @@ class PathFinder:
         freedom = 0.5 * (weights * np.log1p(h / prior)).sum(-1)
         return np.ascontiguousarray(table.transpose(1, 0, 2), np.complex64), freedom
 
-    def _path(self, band: np.ndarray, positions: np.ndarray, evidence: float, margin: float, n: int) -> MotionPath:
-        return MotionPath(positions * self.model.cell, evidence, margin, self.model.explained(band, positions), n)
-
     def _margin(self, scores: np.ndarray) -> float:
-        ends = self.dictionary[:, -1]
-        backwards = ends @ ends[int(scores.argmax())] < -1e-9  # perpendicular ones are not, whatever is rounded
+        leads = self.dictionary.mean(1)  # a path that comes back ends where it began
+        backwards = leads @ leads[int(scores.argmax())] < -1e-9  # perpendicular ones are not, whatever is rounded
         return float(scores.max() - scores[backwards].max())
 
     def _bending(self, path: np.ndarray) -> float:

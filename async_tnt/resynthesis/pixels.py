@@ -1,5 +1,5 @@
-"""What recordings tell about the pixels of their sensor (thresholds of ON against OFF, refractory time, noise), and the
-pixels that other motions are simulated with.
+"""What recordings tell about the pixels of their sensor (thresholds of ON against OFF, refractory time, noise, after-
+pulses), and the pixels that other motions are simulated with.
 
 How large the thresholds are, the events do not tell: contrast is measured in thresholds.
 """
@@ -20,6 +20,8 @@ MISMATCH = 0.12
 """Of the simulated thresholds from pixel to pixel, as in `PixelModel`."""
 THRESHOLD_SPREAD, REFRACTORY_SPREAD = 0.1, 0.4
 LARGEST_RATIO = 4.0
+AFTER_US = 1_000
+"""Within this time after an event, one of the other sign at its pixel is an after-pulse: no light turned back."""
 REFRACTORY_SHARE = 0.01
 """Share of the intervals between a pixel's events that may be shorter than the longest possible refractory time."""
 
@@ -34,6 +36,7 @@ class MeasuredPixels:
     refractory_us : time that a pixel is held in reset after an event.
     noise_hz : events per pixel and second where nothing moves.
     noise_on_share : share of these that are ON.
+    after_share : share of events with an after-pulse.
     """
 
     step_on: float = 1.0
@@ -41,6 +44,7 @@ class MeasuredPixels:
     refractory_us: float = 0.0
     noise_hz: float = 0.0
     noise_on_share: float = 0.5
+    after_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,26 @@ class SimulatedPixels:
             noise_on_share=self.measured.noise_on_share,
         )
 
+    def with_after_pulses(self, events: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Events, in order, and the after-pulses of some of them; `rng` draws."""
+        if not self.measured.after_share:
+            return events
+        later = events[rng.random(len(events)) < self.measured.after_share]
+        later["t"] += rng.integers(1, AFTER_US, len(later))
+        later["p"] ^= 1
+        both = np.concatenate([events, later])
+        return both[np.argsort(both["t"], kind="stable")]
+
+
+def is_after_pulse(window: Columns) -> np.ndarray:
+    """Which events follow one of the other sign at their pixel within `AFTER_US`: bool, (n,)."""
+    t, x, y, p = window
+    order = np.lexsort((y, x))  # stable: by pixel, and by time within each
+    same = (np.diff(x[order]) == 0) & (np.diff(y[order]) == 0) & (p[order[1:]] != p[order[:-1]])
+    after = np.zeros(len(t), bool)
+    after[order[1:]] = same & (np.diff(t[order].astype(np.int64)) <= AFTER_US)
+    return after
+
 
 def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int) -> MeasuredPixels:
     """Measure the pixels on some windows; the refractory time is the longest that the intervals allow.
@@ -79,10 +103,13 @@ def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_u
       because some pixels fire all the time.
     """
     width, height = sensor
-    n_on = n_off = n_lonely = n_quiet = 0
+    n_on = n_off = n_lonely = n_quiet = n_after = 0
     n_lonely_on = 0.0
     intervals = [np.empty(0, np.int64)]
-    for t, x, y, p in windows:
+    for window in windows:
+        after = is_after_pulse(window)
+        n_after += int(after.sum())
+        t, x, y, p = (column[~after] for column in window)
         pixel = y.astype(np.int64) * width + x
         counts = np.bincount(pixel, minlength=width * height).reshape(height, width)
         quiet = neighbours(counts).ravel() == 0
@@ -102,7 +129,9 @@ def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_u
     step_on = float(np.sqrt(np.clip(ratio, 1 / LARGEST_RATIO, LARGEST_RATIO)))
     all_intervals = np.concatenate(intervals)
     shortest = float(np.quantile(all_intervals, REFRACTORY_SHARE)) if len(all_intervals) else 0.0
-    return MeasuredPixels(step_on, 1 / step_on, shortest, float(noise / (window_us * 1e-6)), noise_on_share)
+    after_share = n_after / max(1, n_on + n_off)
+    noise_hz = float(noise / (window_us * 1e-6))
+    return MeasuredPixels(step_on, 1 / step_on, shortest, noise_hz, noise_on_share, after_share)
 
 
 def neighbours(counts: np.ndarray) -> np.ndarray:

@@ -80,6 +80,7 @@ class MovedImage:
         events = np.concatenate(parts).astype(EVENT_DTYPE, copy=False)
         if len(parts) > 1:
             events = events[np.argsort(events["t"], kind="stable")]
+        events = pixels.with_after_pulses(events, rng)
         return events[events["t"] < self.model.window_us]  # the last half microsecond is rounded up
 
     def pictures(self, displacement: np.ndarray, first: int = 0, n_rows: int | None = None) -> np.ndarray:
@@ -104,14 +105,15 @@ class Reconstruction:
     ----------
     sensor : (width, height), in pixels.
     window_us : length of the windows.
+    cell : sensor pixels along a side of the cells that a path is found on, see `cell_for`.
 
     Attributes
     ----------
     model : the windows' `MovingImage`.
     """
 
-    def __init__(self, sensor: tuple[int, int], window_us: int) -> None:
-        self.model = MovingImage(sensor, window_us)
+    def __init__(self, sensor: tuple[int, int], window_us: int, cell: int = 1) -> None:
+        self.model = MovingImage(sensor, window_us, cell)
         self._finder = PathFinder(self.model)
 
     def __call__(
@@ -124,22 +126,31 @@ class Reconstruction:
         windows : t, x, y, p of each.
         pixels : measured on recordings.
         """
-        for first, spectra in self._batches(windows, pixels):
+        for first in range(0, len(windows), BATCH):
+            some = windows[first : first + BATCH]
+            frames = self.model.frames(some, pixels)
+            spectra = self.model.spectra(frames)
             band = self.model.band_of(spectra)
-            n_events = [len(t) for t, _, _, _ in windows[first : first + BATCH]]
-            paths = self._finder.find(band, n_events)
-            moving = np.flatnonzero([path.found for path in paths])
+            paths = self._finder.find(band, self._halves(some, frames, band), [len(t) for t, _, _, _ in some])
+            moving = np.flatnonzero([not path.refused for path in paths])
             positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2) / self.model.cell
             images = dict(zip(moving, find_images(self.model, spectra[moving], positions), strict=True))
             for i, path in enumerate(paths):
                 yield path, MovedImage(self.model, images[i], path) if i in images else None
 
+    def _halves(self, windows: Sequence[Columns], frames: np.ndarray, band: np.ndarray) -> np.ndarray:
+        """The band of what is left, right, above and below the middle of each window's events, (N, 4, F, K)."""
+        halves = np.empty((len(band), 4, *band.shape[1:]), np.complex128)
+        for k, axis in enumerate((1, 2)):  # of (t, x, y, p)
+            cut = frames.copy()
+            for one, columns in zip(cut, windows, strict=True):
+                middle = int(np.median(columns[axis])) // self.model.cell if len(columns[axis]) else 0
+                one[(..., slice(middle, None)) if axis == 1 else (..., slice(middle, None), slice(None))] = 0
+            halves[:, 2 * k] = self.model.band_of(self.model.spectra(cut))
+            halves[:, 2 * k + 1] = band - halves[:, 2 * k]
+        return halves
+
     def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
         """The image of one `window` whose `path` is known, with measured `pixels`."""
         spectra = self.model.spectra(self.model.frames([window], pixels))
         return MovedImage(self.model, find_images(self.model, spectra, path.positions[None] / self.model.cell)[0], path)
-
-    def _batches(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> Iterator[tuple[int, np.ndarray]]:
-        """The number of a batch's first window, and the spectra of its windows."""
-        for first in range(0, len(windows), BATCH):
-            yield first, self.model.spectra(self.model.frames(windows[first : first + BATCH], pixels))

@@ -15,7 +15,7 @@ from async_tnt.progress import Bar, no_progress
 from async_tnt.training.data import TrainingData
 from async_tnt.training.evaluation import evaluate
 from async_tnt.training.loop import train
-from async_tnt.training.moved_windows import Motions
+from async_tnt.training.moved_windows import MIN_MOVED, Motions
 from async_tnt.training.pipeline import pipeline_of
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
@@ -105,7 +105,7 @@ def fit(
         found = found.at_temperature(temperature)
         summary |= {"validation": found.to_dict(), "temperature": round(temperature, 5)}
         scores = Scores(data.classes, found.recording_confusion, found.confusion)
-    if motions is not None and len(motions.validation):
+    if motions is not None and len(motions.validation) >= MIN_MOVED:
         moved = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
         summary["validation_motions"] = {name: moved[name] for name in moved if "recording" not in name}
     return Fitted(replace(model, record=summary), scores, history)

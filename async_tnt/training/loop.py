@@ -23,7 +23,7 @@ from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
-from async_tnt.training.moved_windows import Motions
+from async_tnt.training.moved_windows import MIN_MOVED, Motions
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export, pipeline_of
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
@@ -154,7 +154,7 @@ def train(
                     **_validate(final, validation, settings),
                 }
             )
-            if motions is not None:
+            if motions is not None and len(motions.validation) >= MIN_MOVED:
                 moved = _validate(final, motions.validation, settings)
                 history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
             checkpoint = {

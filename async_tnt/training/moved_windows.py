@@ -4,7 +4,8 @@ An .npz file has n consecutive windows:
 
     moved_0, moved_1, ...   structured (t, x, y, p): events of all n under one random motion each, end to end: those of
                             window i from i * window_us on
-    found                   bool, (n,): whether its path was found; without one a window has no events here
+    refused                 str, (n,): why its path may not be relied on, empty where it may; without one a window has
+                            no events here
     positions               float64, (n, K, 2): its path, see `MotionPath.positions`
 """
 
@@ -23,6 +24,9 @@ from async_tnt.files import replacing
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows
+
+MIN_MOVED = 50
+"""Held-out windows under other motions: the accuracy of fewer says nothing, and is not given."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +95,12 @@ class Motions:
 
 
 def write_moved(
-    path: Path, moved: Sequence[Sequence[np.ndarray]], found: np.ndarray, positions: np.ndarray, window_us: int
+    path: Path, moved: Sequence[Sequence[np.ndarray]], refused: np.ndarray, positions: np.ndarray, window_us: int
 ) -> None:
     """Write a file: the events of each variation's windows, times from the window's start."""
-    times = np.int32 if len(found) * window_us < 1 << 31 else np.int64
+    times = np.int32 if len(refused) * window_us < 1 << 31 else np.int64
     stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
-    arrays = {"found": found, "positions": positions}
+    arrays = {"refused": refused, "positions": positions}
     for v, windows in enumerate(moved):
         events = np.concatenate(windows)
         events["t"] += np.repeat(window_us * np.arange(len(windows)), [len(one) for one in windows])
@@ -125,16 +129,16 @@ def moved_recordings(files: Sequence[Path], variation: int, labels: np.ndarray, 
     parts: dict[str, list[np.ndarray]] = {name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()}
     offsets = [np.zeros(1, np.int64)]
     for path in files:
-        found, events = read_arrays(path, "found", f"moved_{variation}")
+        refused, events = read_arrays(path, "refused", f"moved_{variation}")
         decoder.reset()
         try:
             *columns, n = decoder.decode(events)
         except (ValueError, TypeError) as error:
             raise damaged(path, error) from None
         t = columns[0][:n]
-        ends = np.searchsorted(t, config.window_us * np.arange(1, len(found) + 1))
+        ends = np.searchsorted(t, config.window_us * np.arange(1, len(refused) + 1))
         if ends[-1] != n:
-            raise damaged(path, f"`t` must be within {len(found)} windows, got {t[-1]}")
+            raise damaged(path, f"`t` must be within {len(refused)} windows, got {t[-1]}")
         t %= config.window_us
         for (name, dtype), column in zip(COLUMNS.items(), columns, strict=True):
             parts[name].append(column[:n].astype(dtype))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import zlib
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -26,7 +27,7 @@ from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.files import write_text
 from async_tnt.progress import Bar, no_progress
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
-from async_tnt.resynthesis.moving_image import N_FRAMES
+from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
 from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels
 from async_tnt.resynthesis.reconstruction import N_PICTURES, shares
 from async_tnt.training.moved_windows import (
@@ -99,18 +100,19 @@ def resynthesize(
     chunks += _chunks("held-out", held_out, config, folder, 1)
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     if missing or not manifest.exists():
-        reconstruction = Reconstruction(config.sensor, config.window_us)
         some = np.sort(np.random.default_rng(settings.seed).permutation(len(training))[:N_CALIBRATION])
         columns = [training.events(i, config.window_us) for i in some]
-        calibration = calibrate(reconstruction, columns, settings.seed)
+        cell = cell_for(columns, config.sensor)
+        calibration = calibrate(Reconstruction(config.sensor, config.window_us, cell), columns, settings.seed)
         content = {
             "made_from": made_from,
             "pixels": asdict(calibration.pixels),
+            "cell": cell,
             "length_px": calibration.length,
             "match": calibration.match,
         }
         write_text(manifest, json.dumps(content, indent=1) + "\n")
-        job = partial(_move, config=config, calibration=calibration, masked=masked, seed=settings.seed)
+        job = partial(_move, config=config, cell=cell, calibration=calibration, masked=masked, seed=settings.seed)
         n_all, n_missing = (sum(len(chunk.windows) for chunk in some) for some in (chunks, missing))
         with (
             progress(n_all, "re-synthesizing motions", done=n_all - n_missing) as bar,
@@ -156,13 +158,14 @@ def _move(
     chunk: _Chunk,
     *,
     config: TNTConfig,
+    cell: int,
     calibration: Calibration,
     masked: np.ndarray | None,
     seed: int,
 ) -> int:
     """Find the paths and images of a chunk's windows, and write its file. Returns how many windows it has."""
     windows = chunk.windows
-    reconstruction = Reconstruction(config.sensor, config.window_us)
+    reconstruction = Reconstruction(config.sensor, config.window_us, cell)
     columns = [windows.events(i, config.window_us) for i in range(len(windows))]
     moved: list[list[np.ndarray]] = [[np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)]
     paths = []
@@ -174,8 +177,8 @@ def _move(
             rng = _generator(seed, chunk.part, chunk.first + i, v)
             one, _ = image.moved(calibration.length, calibration.pixels, rng)
             moved[v][i] = one if masked is None else one[~masked[one["y"], one["x"]]]
-    found, positions = np.array([path.found for path in paths]), np.array([path.positions for path in paths])
-    write_moved(chunk.file, moved, found, positions, config.window_us)
+    refused, positions = np.array([path.refused for path in paths]), np.array([path.positions for path in paths])
+    write_moved(chunk.file, moved, refused, positions, config.window_us)
     return len(windows)
 
 
@@ -194,37 +197,40 @@ def _open(
 ) -> Motions:
     content = _read_manifest(folder / MANIFEST)
     files = {part: [chunk.file for chunk in chunks if chunk.part == part] for part in PARTS}
-    found, paths = _paths(files["training"], len(training))
-    moving = np.flatnonzero(_paths(files["held-out"], len(held_out))[0])
+    refused, paths = _paths(files["training"])
+    found = refused == ""
+    moving = np.flatnonzero(_paths(files["held-out"])[0] == "")
     moved = moved_recordings(files["held-out"], 0, held_out.labels, config)
     record = {
         **asdict(settings),
         "windows": len(training),
         "with_path": int(found.sum()),
+        "without_path": dict(Counter(refused[~found].tolist()).most_common()),
         "held_out_windows": len(held_out),
         "held_out_with_path": len(moving),
-        **{name: content[name] for name in ("length_px", "pixels", "match")},
+        **{name: content[name] for name in ("cell", "length_px", "pixels", "match")},
     }
     validation = Windows(moved, moving, np.zeros(len(moving), np.int64))
     return Motions(files["training"], training, found, paths, validation, config, settings, record)
 
 
-def _paths(files: list[Path], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the path of each of `n` windows was found, bool, (n,), and the paths, (n, K, 2)."""
-    found, paths = [np.empty(0, bool)], [np.empty((0, N_FRAMES, 2))]
+def _paths(files: list[Path]) -> tuple[np.ndarray, np.ndarray]:
+    """Why the path of each of n windows may not be relied on, str, (n,), empty where it may; and the paths, (n, K, 2),
+    in pixels."""
+    refused, paths = [np.empty(0, "<U1")], [np.empty((0, N_FRAMES, 2))]
     for path in files:
-        one, positions = read_arrays(path, "found", "positions")
-        if one.dtype != bool or one.ndim != 1 or positions.shape != (len(one), N_FRAMES, 2):
-            raise damaged(path, f"`found` has shape {one.shape}, `positions` {positions.shape}")
-        found.append(one)
+        one, positions = read_arrays(path, "refused", "positions")
+        if one.dtype.kind != "U" or one.ndim != 1 or positions.shape != (len(one), N_FRAMES, 2):
+            raise damaged(path, f"`refused` has shape {one.shape}, `positions` {positions.shape}")
+        refused.append(one)
         paths.append(positions)
-    return np.concatenate(found), np.concatenate(paths)
+    return np.concatenate(refused), np.concatenate(paths)
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        wanted = {name: content[name] for name in ("made_from", "length_px", "pixels", "match")}
+        wanted = {name: content[name] for name in ("made_from", "cell", "length_px", "pixels", "match")}
         return {**wanted, "made_from": dict(wanted["made_from"])}
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise damaged(path, repr(error)) from None
@@ -235,7 +241,7 @@ def examples(motions: Motions, classes: tuple[str, ...]) -> list[ResynthesizedWi
     found = np.flatnonzero(motions.found)
     labels, firsts = np.unique(motions.training.labels[found], return_index=True)
     which = found[firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]]
-    reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us)
+    reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us, motions.record["cell"])
     return [_example(motions, reconstruction, int(i), classes) for i in which]
 
 
@@ -243,7 +249,7 @@ def _example(motions: Motions, reconstruction: Reconstruction, i: int, classes: 
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
     columns = motions.training.events(i, motions.config.window_us)
-    found = MotionPath(motions.paths[i], evidence=0.0, margin=np.inf, explained=1.0, n_events=len(columns[0]))
+    found = MotionPath(motions.paths[i])
     image = reconstruction.image(columns, measured, found)
     path = found.at(shares())
     seed, n_others = motions.settings.seed, min(N_OTHERS, motions.settings.variations)

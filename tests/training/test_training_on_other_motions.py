@@ -99,12 +99,16 @@ def test_what_an_epoch_shows(windows, made):
             np.testing.assert_array_equal(shown.events(i, WINDOW_US)[0], windows[0].events(order[i], WINDOW_US)[0])
 
 
-def test_training_is_validated_on_other_motions_too(windows, made, tmp_path):
+@pytest.mark.parametrize(("at_least", "is_told"), [(4, True), (5, False)])
+def test_training_is_validated_on_other_motions_if_they_are_many(
+    windows, made, tmp_path, monkeypatch, at_least, is_told
+):
     motions, _ = made
+    monkeypatch.setattr("async_tnt.training.loop.MIN_MOVED", at_least)
     settings = TrainSettings(epochs=3, batch=8, balance=True)
     result = train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"), motions=motions)
     row = result.history[-1]
-    assert {"per_window", "motions_per_window", "motions_validation_loss"} <= set(row)
+    assert "per_window" in row and ({"motions_per_window", "motions_validation_loss"} <= set(row)) == is_told
     with pytest.raises(ValueError, match="motions"):
         train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"))
 
@@ -156,6 +160,6 @@ def test_the_command(tmp_path, program):
     code, printed, err = program("train", tmp_path / "data", *words, "--json")
     assert code == 0 and "motion found in 10 of 10 windows" in err and "events per window" in err
     summary = json.loads(printed)
-    assert summary["motions"]["with_path"] == 10 and summary["validation_motions"]["windows"] == 2
+    assert summary["motions"]["with_path"] == 10 and "validation_motions" not in summary  # of two windows
     assert load_model(tmp_path / "m.safetensors").record["motions"]["variations"] == 2  # no more than epochs
     assert (tmp_path / "runs" / "m" / "motions" / "motions.png").read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,173 @@
+"""In how many windows motion re-synthesis finds a path, and how often it is right; and how often where nothing moves.
+
+    python -m experiments.found_paths [--nmnist N-MNIST] [--windows N] [--json FILE] [--quick]
+
+N-MNIST's three saccades, with all and with a fifth of their events: right is within 45 degrees of the median of those
+at full rate. Made hand motion: within 45 degrees of the direction of the swing. Noise is made here: uniform, all pixels
+flickering at once, of one polarity, in pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.resynthesis import MotionPath, Reconstruction
+from async_tnt.resynthesis.moving_image import cell_for
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, measure_pixels
+from async_tnt.sources.files.nmnist import read_nmnist
+from experiments import made_hands
+from experiments.bench_timing import machine
+from experiments.digits_data import SACCADE_US
+from experiments.script_options import add_folder, exit_with, run_script, script_parser
+
+SIDE = 34
+RATES = 1.0, 0.2
+FEWEST, MOST = 50, 3_000
+
+
+def paths_of(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int, pixels: MeasuredPixels) -> Any:
+    """The `MotionPath` of each window."""
+    reconstruction = Reconstruction(sensor, window_us, cell_for(windows, sensor))
+    return [path for path, _ in reconstruction(windows, pixels)]
+
+
+def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
+    """How many paths were found, and how many of these and of all lead within 45 degrees of `angles`, in radians."""
+    leads = np.array([path.positions.mean(0) for path in paths])
+    off = np.abs(np.angle(np.exp(1j * (np.arctan2(leads[:, 1], leads[:, 0]) - angles))))
+    found = np.array([not path.refused for path in paths])
+    return {
+        "windows": len(paths),
+        "found": float(found.mean()),
+        "right": float((off[found] < np.pi / 4).mean()) if found.any() else None,
+        "opposite": float((off[found] > 3 * np.pi / 4).mean()) if found.any() else None,
+        "right_of_all": float((off < np.pi / 4).mean()),
+        "refused": dict(Counter(path.refused for path in paths if path.refused).most_common()),
+    }
+
+
+def saccades(folder: Path, n: int) -> dict[str, Any]:
+    """N-MNIST's saccades, at each rate."""
+    rng = np.random.default_rng(0)
+    files = [Path(name) for name in rng.permutation(sorted(map(str, folder.glob("Train/*/*.bin"))))[:n]]
+    rows: dict[str, Any] = {}
+    angles: dict[int, float] = {}
+    for rate in RATES:
+        for saccade in range(3):
+            windows = []
+            for file in files:
+                events = read_nmnist(file)
+                t = events["t"] - saccade * SACCADE_US
+                kept = (t >= 0) & (t < SACCADE_US) & (rng.random(len(t)) < rate)
+                windows.append(_columns((t[kept], *(events[name][kept] for name in "xyp"))))
+            pixels = measure_pixels(windows, (SIDE, SIDE), SACCADE_US)
+            paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, pixels)
+            ends = np.median([path.positions[-1] for path in paths], axis=0)
+            true = angles.setdefault(saccade, np.arctan2(ends[1], ends[0]))
+            rows[f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"] = judged(paths, np.full(n, true))
+    return rows
+
+
+def swings(n: int) -> dict[str, Any]:
+    """Made hand motion of both sessions, in all directions."""
+    rows = {}
+    for k, session in enumerate(made_hands.SESSIONS):
+        windows, angles = [], 2 * np.pi * np.arange(n) / n
+        for i, angle in enumerate(angles):
+            name = list(made_hands.SHAPES)[i % len(made_hands.SHAPES)]
+            made = made_hands.record(name, float(angle), np.random.default_rng((k, i)), session)
+            windows.append(_columns(made[c] for c in "txyp"))
+        pixels = measure_pixels(windows, made_hands.SENSOR, made_hands.WINDOW_US)
+        paths = paths_of(windows, made_hands.SENSOR, made_hands.WINDOW_US, pixels)
+        rows[f"hand motion, session {k + 1}"] = judged(paths, angles)
+    return rows
+
+
+def _uniform(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    t = np.sort(rng.integers(0, SACCADE_US, n))
+    return [t, *rng.integers(0, SIDE, (2, n)), rng.integers(0, 2, n)]
+
+
+def _flicker(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    _, x, y, _ = _uniform(n, rng)
+    halves = 2 * rng.integers(3, 12)
+    which = np.sort(rng.integers(0, halves, n))
+    return [np.sort(which * SACCADE_US // halves + rng.integers(0, 500, n)), x, y, which % 2]
+
+
+def _one_polarity(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    t, x, y, _ = _uniform(n, rng)
+    return [t, x, y, np.full(n, rng.integers(0, 2))]
+
+
+def _pairs(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    t, x, y, _ = _uniform(n // 2, rng)
+    return [t.repeat(2), x.repeat(2), y.repeat(2), np.tile([0, 1], n // 2)]
+
+
+def _hot_pixels(n: int, rng: np.random.Generator) -> list[np.ndarray]:
+    t, x, y, p = _uniform(n, rng)
+    hot = rng.integers(0, SIDE, (rng.integers(1, 6), 2))[:, :, None]
+    which, often = rng.integers(0, len(hot), n), rng.random(n) < 0.7
+    return [t, np.where(often, hot[which, 0, 0], x), np.where(often, hot[which, 1, 0], y), p]
+
+
+NOISE: dict[str, Callable[[int, np.random.Generator], list[np.ndarray]]] = {
+    "uniform": _uniform,
+    "flicker": _flicker,
+    "one polarity": _one_polarity,
+    "pairs": _pairs,
+    "hot pixels": _hot_pixels,
+}
+
+
+def noise(n: int) -> dict[str, Any]:
+    """Windows in which nothing moves."""
+    rng, rows = np.random.default_rng(0), {}
+    for name, make in NOISE.items():
+        windows = []
+        for _ in range(n):
+            windows.append(_columns(make(int(np.exp(rng.uniform(np.log(FEWEST), np.log(MOST)))), rng)))
+        paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, MeasuredPixels())
+        rows[f"noise, {name}"] = {"windows": n, "found": float(np.mean([not path.refused for path in paths]))}
+    return rows
+
+
+def _columns(columns: Iterable[np.ndarray]) -> Columns:
+    t, x, y, p = columns
+    return t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)
+
+
+def measure(nmnist: Path | None, n: int) -> dict[str, Any]:
+    """All rows."""
+    rows = {**(saccades(nmnist, n) if nmnist else {}), **swings(n), **noise(n)}
+    return {"machine": machine(), "rows": rows}
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """For people."""
+    printed = []
+    for name, row in report["rows"].items():
+        right = (
+            "" if row.get("right") is None else f", {row['right']:.3f} of these right, {row['opposite']:.3f} opposite"
+        )
+        printed.append(f"{name:46}{row['found']:.3f} of {row['windows']} found{right}")
+    return printed
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print and write."""
+    parser = script_parser("found_paths", __doc__, "eight windows of each kind")
+    add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
+    parser.add_argument("--windows", type=int, default=200, metavar="N", help="of each kind (default: 200)")
+    args = parser.parse_args(argv)
+    return run_script(parser, argv, lambda quick: measure(args.nmnist, 8 if quick else args.windows), lines)
+
+
+if __name__ == "__main__":
+    exit_with(main)
