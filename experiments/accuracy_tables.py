@@ -129,6 +129,15 @@ def unseen_objects() -> str:
     return table(["trained on motions", *(f"tested in {test}" for test in tests)], rows)
 
 
+def found_paths() -> str:
+    """In how many windows a path is found, and how often it is right."""
+    rows = []
+    for name, row in results("found_paths")["rows"].items():
+        shares = (percent(row[key]) if row.get(key) is not None else "" for key in ("found", "right", "opposite"))
+        rows.append([name, str(row["windows"]), *shares])
+    return table(["", "windows", "path found", "right of these", "opposite"], rows)
+
+
 def _record() -> dict[str, Any]:
     return dict(load_model("digits").record)
 

@@ -105,3 +105,28 @@ def representations() -> str:
     times = [f"{ms} ms" for ms in EQUAL_MS]
     head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]
     return f"{table(head, rows)}\n\nCosts: {about_machine(*measured)}"
+
+
+def bare() -> str:
+    """`train` without options: mean over the networks and their standard deviation."""
+    rows = []
+    for found in results("bare")["sets"].values():
+        networks = found["networks"]
+        shares = (cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy"))
+        sizes = (f"{networks[0][key]:,}" for key in ("windows", "recordings"))
+        rows.append([found["title"], str(len(networks)), *(f"{s} of {n}" for s, n in zip(shares, sizes, strict=True))])
+    return table(["data set", "networks", "windows", "recordings"], rows)
+
+
+def recipes() -> str:
+    """Candidates of a default: held-out windows right at their ends, and in the mean over ten moments."""
+    sets = results("recipes")["sets"]
+    candidates = list(dict.fromkeys(name for found in sets.values() for name in found))
+    rows = []
+    for name in candidates:
+        cells = []
+        for found in sets.values():
+            means = ([row[key] for row in found.get(name, [])] for key in ("per_window", "mean_over_time"))
+            cells.append(" / ".join(_mean(values) if values else "-" for values in means))
+        rows.append([name, *cells])
+    return table(["", *sets], rows)
