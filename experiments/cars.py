@@ -276,7 +276,7 @@ def draw(report: dict[str, Any]) -> Any:
         events.plot([row["events"] for row in rows], [row["accuracy"] for row in rows], **look)
     for name, share in report["others"].items():
         time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
-        note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 3), ha="right", color=ON)
+        note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 9), ha="right", color=ON)
     found = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
     found = [rows for rows in found if all(row["median_ms"] is not None for row in rows)]  # that windows reach
     ms = [np.mean([row["median_ms"] for row in rows]) for rows in found]
@@ -284,7 +284,9 @@ def draw(report: dict[str, Any]) -> Any:
         levels.plot(ms, [np.mean([row[name] for row in rows]) for rows in found], "o-", color=colour, ms=3, label=words)
     for rows, x in zip(found, ms, strict=True):
         if rows[0]["level"] >= 0.9:
-            note(levels, f"{rows[0]['level']:g}", (x, np.mean([row["accuracy"] for row in rows])), (3, -11))
+            right = np.mean([row["accuracy"] for row in rows])
+            aside, align = (-3, "right") if x > ms[-1] / 2 else (4, "left")
+            note(levels, f"{rows[0]['level']:g}", (x, right), (aside, -12), ha=align)
     time.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 1.02 * end_ms))
     events.set(xlabel="first events of the window", xscale="log")
     events.xaxis.set_major_formatter(lambda count, _: f"{count:,.0f}")
