@@ -8,6 +8,7 @@ intervals are most like the recorded ones is taken.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -98,12 +99,13 @@ def _reconstruct(
     pixels: MeasuredPixels,
 ) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
     """Path, image and recorded events of those windows whose path is found."""
-    found = reconstruction(windows, pixels)
+    found = list(reconstruction(windows, pixels))
     moving = [(path, image, structured(one)) for (path, image), one in zip(found, windows, strict=True) if image]
     if not moving:
+        reasons = ", ".join(f"{why} {n}" for why, n in Counter(path.refused for path, _ in found).most_common())
         raise ValueError(
-            f"no motion was found in any of {len(windows)} windows: re-synthesis needs windows in which one image "
-            "moves as a whole, with some hundred events each"
+            f"no motion was found in any of {len(windows)} windows ({reasons}): re-synthesis needs windows in "
+            "which one image moves as a whole, with some hundred events each"
         )
     paths, images, recorded = zip(*moving, strict=True)
     return list(paths), list(images), list(recorded)
