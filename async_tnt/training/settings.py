@@ -45,7 +45,7 @@ LONGER_SIDE = 120
 """Of a default grid."""
 BINS, OFTEN = 5, 2.25
 """Of a default volume: time bins where an active pixel fires `OFTEN` or more times in a window. Its counts blur what
-moves that far, and cost up to .1; where pixels fire less (N-CARS 1.7; N-MNIST 3.2), bins cost .02."""
+moves that far, and cost up to .1; where pixels fire less (N-CARS 1.7; N-MNIST 3.2), bins cost .03."""
 MIN_EPOCHS, MIN_STEPS, STEPS_AN_EPOCH = 20, 4_000, 50
 """Of a data set by default: epochs; steps of the optimizer, which decide where windows are few; steps between two
 checkpoints."""
