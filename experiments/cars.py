@@ -110,7 +110,6 @@ def measure(data: DataSet, folder: Path, out: Path, recipe: str, seeds: int) -> 
         "title": data.title,
         "shown_ms": data.shown_ms,
         "others": data.others,
-        "by_crop_size": by_crop_size(folder / data.train, folder / data.test),
         "recipes": {recipe: found},
     }
 
@@ -316,8 +315,9 @@ def main(argv: list[str] | None = None) -> int:
         if quick:
             return _quick()
         report: dict[str, Any] = {}
+        by_size = by_crop_size(args.folder / CARS.train, args.folder / CARS.test)
         for name in args.recipes:
-            found = measure(CARS, args.folder, args.out, name, args.seeds)
+            found = {**measure(CARS, args.folder, args.out, name, args.seeds), "by_crop_size": by_size}
             if args.json and args.json.exists():  # read now, as another run may have written it meanwhile
                 report = json.loads(args.json.read_text(encoding="utf-8"))
             report = with_earlier(found, report, recipes) if report else found
@@ -332,7 +332,8 @@ def _quick() -> dict[str, Any]:
         folder = Path(name)
         for part, n, seed in ((QUICK.train, 6, 0), (QUICK.test, 3, 1)):
             write(folder / part, n, (0.0,), seed)
-        return measure(QUICK, folder, folder / "models", "bare", 1)
+        by_size = by_crop_size(folder / QUICK.train, folder / QUICK.test)
+        return {**measure(QUICK, folder, folder / "models", "bare", 1), "by_crop_size": by_size}
 
 
 if __name__ == "__main__":

@@ -126,15 +126,18 @@ NOISE: dict[str, Callable[[int, np.random.Generator], list[np.ndarray]]] = {
 }
 
 
+def noise_windows(kind: str, n: int, rng: np.random.Generator) -> list[Columns]:
+    """`n` windows of a kind of `NOISE`, of any number of events."""
+    counts = (int(np.exp(rng.uniform(np.log(FEWEST), np.log(MOST)))) for _ in range(n))
+    return [_columns(NOISE[kind](count, rng)) for count in counts]
+
+
 def noise(n: int) -> dict[str, Any]:
     """Windows in which nothing moves."""
     rng, rows = np.random.default_rng(0), {}
-    for name, make in NOISE.items():
-        windows = []
-        for _ in range(n):
-            windows.append(_columns(make(int(np.exp(rng.uniform(np.log(FEWEST), np.log(MOST)))), rng)))
-        paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, MeasuredPixels())
-        rows[f"noise, {name}"] = {"windows": n, "found": float(np.mean([not path.refused for path in paths]))}
+    for kind in NOISE:
+        paths = paths_of(noise_windows(kind, n, rng), (SIDE, SIDE), SACCADE_US, MeasuredPixels())
+        rows[f"noise, {kind}"] = {"windows": n, "found": float(np.mean([not path.refused for path in paths]))}
     return rows
 
 

@@ -2,17 +2,19 @@
 
 Half a swing takes 75 to 100 ms; in some recordings the hand turns round and comes back. Meanwhile the object turns by a
 few degrees and comes nearer or goes away. Pixels with events have about two, a sixth of which are after-pulses:
-another event of the same pixel within a millisecond, mostly of the other sign. This renders and simulates on its own:
-nothing here is shared with motion re-synthesis, which is measured on it.
+another event of the same pixel within a millisecond, mostly of the other sign. Nothing here is shared
+with motion re-synthesis, which is measured on it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from experiments.made_objects import in_order, pixel_events
 
 SENSOR = (128, 128)
 WINDOW_US = 100_000
@@ -89,32 +91,22 @@ def record(name: str, direction: float, rng: np.random.Generator, session: HandS
     slope = rng.uniform(-0.001, 0.001, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
     row, column = np.mgrid[:height, :width].astype(float)
-    level, parts = None, []
-    for step in range(STEPS + 1):
-        u = np.clip((step / STEPS - begins) / lasts, 0, 1)
-        way = (1 - np.cos(np.pi * u)) / 2
-        if is_back:  # out until it turns round, then back
-            way = (1 - np.cos(np.pi * u / turns_at)) / 2
-        gone = length * way
-        x, y = column - origin[0] - gone * np.cos(angle), row - origin[1] - gone * np.sin(angle)
-        cos, sin = np.cos(posture + turn * way), np.sin(posture + turn * way)
-        scale = size * (1 + nearer * way)
-        outline = scale * SHAPES[name]((cos * x + sin * y) / scale, (cos * y - sin * x) / scale)
-        light = slope[0] * column + slope[1] * row + grey / (1 + np.exp(np.clip(outline / SOFT_PX, -30, 30)))
-        if level is None:
-            level = light + threshold * rng.uniform(-1, 1, light.shape)
-            continue
-        n = np.trunc((light - level) / threshold).astype(int)
-        level = level + n * threshold
-        rows, columns = np.nonzero(n)
-        many = abs(n[rows, columns])
-        t = (step - 1 + rng.random(many.sum())) * WINDOW_US / STEPS
-        parts.append((t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many)))
-    n_noise = rng.poisson(session.noise_hz * width * height * WINDOW_US * 1e-6)
-    somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
-    parts.append((WINDOW_US * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
-    t, px, py, p = (np.concatenate(one) for one in zip(*parts, strict=True))
-    return _sorted(*_with_after_pulses(t, px, py, p, rng))
+
+    def seen() -> Iterator[np.ndarray]:
+        for share in np.arange(STEPS + 1) / STEPS:
+            u = np.clip((share - begins) / lasts, 0, 1)
+            way = (1 - np.cos(np.pi * (u / turns_at if is_back else u))) / 2  # out, and where it turns round, back
+            gone = length * way
+            x, y = column - origin[0] - gone * np.cos(angle), row - origin[1] - gone * np.sin(angle)
+            cos, sin = np.cos(posture + turn * way), np.sin(posture + turn * way)
+            scale = size * (1 + nearer * way)
+            outline = scale * SHAPES[name]((cos * x + sin * y) / scale, (cos * y - sin * x) / scale)
+            yield slope[0] * column + slope[1] * row + grey / (1 + np.exp(np.clip(outline / SOFT_PX, -30, 30)))
+
+    t, x, y, p = pixel_events(seen(), threshold, session.noise_hz, WINDOW_US, STEPS, rng)
+    t, x, y, p = _with_after_pulses(t, x, y, p, rng)
+    inside = t < WINDOW_US
+    return in_order(t[inside], x[inside], y[inside], p[inside])
 
 
 def _with_after_pulses(
@@ -124,12 +116,6 @@ def _with_after_pulses(
     later = t[again] + rng.uniform(20, AFTER_US, again.sum())
     sign = np.where(rng.random(again.sum()) < AFTER_OTHER, ~p[again], p[again])
     return tuple(map(np.concatenate, ((t, later), (x, x[again]), (y, y[again]), (p, sign))))
-
-
-def _sorted(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict[str, np.ndarray]:
-    order = np.argsort(t)
-    order = order[t[order] < WINDOW_US]
-    return {"t": t[order].astype(np.int64), "x": x[order], "y": y[order], "p": p[order]}
 
 
 def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: HandSession) -> Path:

@@ -5,6 +5,7 @@ This renders and simulates on its own: nothing here is shared with the augmentat
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -62,33 +63,54 @@ def record(
     fine_y, fine_x = np.mgrid[: height * SUBPIXELS, : width * SUBPIXELS] / SUBPIXELS
     origin = np.array([width, height]) / 2 + session.place + rng.uniform(-2, 2, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
+
+    def seen() -> Iterator[np.ndarray]:
+        for u in np.arange(STEPS + 1) / STEPS:
+            gone = length * (u + speed_up * u * (1 - u) - 0.5)
+            x = fine_x - origin[0] - gone * np.cos(direction)
+            y = fine_y - origin[1] - gone * np.sin(direction)
+            light = np.exp(slope[0] * x + slope[1] * y)
+            for shape, place, size, turn, grey in objects:
+                a, b = (x - place[0]) / size, (y - place[1]) / size
+                hit = inside(shape, np.cos(turn) * a + np.sin(turn) * b, np.cos(turn) * b - np.sin(turn) * a)
+                light = np.where(hit, light * np.exp(grey), light)
+            yield np.log(light.reshape(height, SUBPIXELS, width, SUBPIXELS).mean((1, 3)))
+
+    return in_order(*pixel_events(seen(), threshold, session.noise_hz, WINDOW_US, STEPS, rng))
+
+
+def pixel_events(
+    seen: Iterable[np.ndarray],
+    threshold: np.ndarray,
+    noise_hz: float,
+    window_us: int,
+    steps: int,
+    rng: np.random.Generator,
+) -> list[np.ndarray]:
+    """t, x, y, p of what pixels with thresholds (H, W) give while they see the log luminance of `steps` + 1 pictures,
+    and of noise; not in order, times float."""
     level, parts = None, []
-    for step in range(STEPS + 1):
-        u = step / STEPS
-        gone = length * (u + speed_up * u * (1 - u) - 0.5)
-        x = fine_x - origin[0] - gone * np.cos(direction)
-        y = fine_y - origin[1] - gone * np.sin(direction)
-        light = np.exp(slope[0] * x + slope[1] * y)
-        for shape, place, size, turn, grey in objects:
-            a, b = (x - place[0]) / size, (y - place[1]) / size
-            hit = inside(shape, np.cos(turn) * a + np.sin(turn) * b, np.cos(turn) * b - np.sin(turn) * a)
-            light = np.where(hit, light * np.exp(grey), light)
-        seen = np.log(light.reshape(height, SUBPIXELS, width, SUBPIXELS).mean((1, 3)))
+    for step, light in enumerate(seen):
         if level is None:
-            level = seen + threshold * rng.uniform(-1, 1, seen.shape)
+            level = light + threshold * rng.uniform(-1, 1, light.shape)
             continue
-        n = np.trunc((seen - level) / threshold).astype(int)
+        n = np.trunc((light - level) / threshold).astype(int)
         level = level + n * threshold
         rows, columns = np.nonzero(n)
         many = abs(n[rows, columns])
-        t = (step - 1 + rng.random(many.sum())) * WINDOW_US / STEPS
+        t = (step - 1 + rng.random(many.sum())) * window_us / steps
         parts.append((t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many)))
-    n_noise = rng.poisson(session.noise_hz * width * height * WINDOW_US * 1e-6)
+    height, width = threshold.shape
+    n_noise = rng.poisson(noise_hz * width * height * window_us * 1e-6)
     somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
-    parts.append((WINDOW_US * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
-    t, px, py, p = (np.concatenate(column) for column in zip(*parts, strict=True))
+    parts.append((window_us * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def in_order(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns by time, in whole microseconds."""
     order = np.argsort(t)
-    return {"t": t[order].astype(np.int64), "x": px[order], "y": py[order], "p": p[order]}
+    return {"t": t[order].astype(np.int64), "x": x[order], "y": y[order], "p": p[order]}
 
 
 def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: Session = Session()) -> Path:

@@ -11,6 +11,7 @@ from async_tnt.resynthesis.moving_image import cell_for
 from async_tnt.resynthesis.paths import minimum_jerk
 from async_tnt.resynthesis.pixels import MeasuredPixels
 from async_tnt.simulation.simulator import PixelModel, simulate
+from experiments.found_paths import NOISE, noise_windows
 
 PIXELS = MeasuredPixels()
 
@@ -39,43 +40,11 @@ def test_paths_and_images_are_found(reconstruction, profile):
     assert np.median(likeness) > 0.9 and np.min(likeness) > 0.7
 
 
-def uniform(rng, n):
-    return noise(rng, n)
-
-
-def of_one_polarity(rng, n):
-    t, x, y, p = noise(rng, n)
-    return t, x, y, np.full_like(p, rng.integers(0, 2))
-
-
-def in_pairs(rng, n):
-    """Each event is followed by one of the other sign at its pixel."""
-    t, x, y, _ = noise(rng, n // 2)
-    return t.repeat(2), x.repeat(2), y.repeat(2), np.tile(np.array([0, 1], np.uint8), n // 2)
-
-
-def at_hot_pixels(rng, n):
-    t, x, y, p = noise(rng, n)
-    hot, i = rng.integers(0, 34, (2, rng.integers(1, 6))), rng.random(n) < 0.7
-    which = rng.integers(0, hot.shape[1], n)
-    return t, np.where(i, hot[0][which], x).astype(np.uint16), np.where(i, hot[1][which], y).astype(np.uint16), p
-
-
-def everywhere_at_once(rng, n):
-    """The light flickers: most pixels are ON, then OFF, together."""
-    t, x, y, _ = noise(rng, n)
-    periods = rng.integers(3, 12)
-    phase = rng.integers(0, 2 * periods, n)
-    t = (phase * WINDOW_US // (2 * periods) + t % 500).astype(np.int64)
-    order = np.argsort(t, kind="stable")
-    return t[order], x, y, (phase[order] % 2).astype(np.uint8)
-
-
-@pytest.mark.parametrize("make", [uniform, of_one_polarity, in_pairs, at_hot_pixels, everywhere_at_once])
-def test_noise_has_no_path(reconstruction, make):
+@pytest.mark.parametrize("kind", NOISE)
+def test_noise_has_no_path(reconstruction, kind):
     """Of any number of events, from few to three for each pixel."""
     rng = np.random.default_rng(2)
-    windows = [make(rng, int(np.exp(rng.uniform(np.log(50), np.log(3_000))))) for _ in range(40)]
+    windows = noise_windows(kind, 40, rng)
     assert [path.refused for path, _ in reconstruction(windows, PIXELS)].count("") == 0
 
 
