@@ -239,7 +239,9 @@ def _other_motions(
     record = motions.record
     without = ", ".join(f"{reason} {n}" for reason, n in record["without_path"].items())
     note(
-        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only"
+        f"motion found in {record['with_path']} of {record['windows']} windows"
+        + (f", in {record['with_neighbours']} only with those beside them" if record["with_neighbours"] else "")
+        + "; the others are used as recorded only"
         + (f" ({without})" if without else ""),
         "recorded windows, and the same motion simulated again:",
         *side_by_side(record["match"]).splitlines(),
@@ -263,7 +265,7 @@ def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
     from async_tnt.training.resynthesis import examples
     from async_tnt.views.figure_resynthesis import write_resynthesis
 
-    if motions.found.any():
+    if motions.spans.any():
         write_resynthesis(examples(motions, data.classes), path)
 
 

@@ -101,33 +101,43 @@ def evidence_terms(spectra, path, frequencies_x, frequencies_y, weights, prior, 
 
 
 @compiled
-def move_periodic(frames, image, dx, dy, first_row, origin, step):
+def _around(i, n):
+    """i % n without a division, quickly where `i` is near [0, n)."""
+    while i >= n:
+        i -= n
+    while i < 0:
+        i += n
+    return i
+
+
+@compiled
+def move_periodic(frames, image, places, first_row, origin, step):
     """Pictures of a fine image that repeats itself, moved over the sensor, bilinear between its places.
 
-    frames[k, y, x] = image at column (x - origin - dx[k]) step and row (first_row + y - origin - dy[k]) step
+    frames[k, y, x] = image at column (u - origin) step and row (v - origin) step,  (u, v) = places[k] @ (x, y, 1)
 
     Parameters
     ----------
     frames : float64, (K, H, W). Overwritten.
     image : float64, (h, w).
-    dx, dy : float64, (K,), in sensor pixels, finite.
+    places : float64, (K, 2, 3), finite: which place of the image, in sensor pixels, each pixel sees.
     first_row : of the sensor, in `frames`.
     origin : where the image's first place is, in sensor pixels.
     step : places of the image in a sensor pixel.
     """
     n_rows, n_columns = image.shape
     for k in range(frames.shape[0]):
+        along_x, along_y, aside = places[k, 0] * step
+        down_x, down_y, down = places[k, 1] * step
+        aside, down = (aside - origin * step) % n_columns, (down - origin * step) % n_rows
         for y in range(frames.shape[1]):
-            row = (first_row + y - origin - dy[k]) * step
-            top = np.floor(row)
-            y_frac = row - top
-            i = int(top) % n_rows
-            below = i + 1 if i + 1 < n_rows else 0
             for x in range(frames.shape[2]):
-                column = (x - origin - dx[k]) * step
-                left = np.floor(column)
-                x_frac = column - left
-                j = int(left) % n_columns
+                column = along_x * x + along_y * (first_row + y) + aside
+                row = down_x * x + down_y * (first_row + y) + down
+                left, top = np.floor(column), np.floor(row)
+                x_frac, y_frac = column - left, row - top
+                i, j = _around(int(top), n_rows), _around(int(left), n_columns)
+                below = i + 1 if i + 1 < n_rows else 0
                 right = j + 1 if j + 1 < n_columns else 0
                 upper = (1.0 - x_frac) * image[i, j] + x_frac * image[i, right]
                 lower = (1.0 - x_frac) * image[below, j] + x_frac * image[below, right]

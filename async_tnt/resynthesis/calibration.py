@@ -17,7 +17,7 @@ import numpy as np
 
 from async_tnt.events import structured
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels, measure_pixels
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels, measure_pixels, part_of
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction
 
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
@@ -56,7 +56,7 @@ def calibrate(
     Parameters
     ----------
     reconstruction : of windows of their sensor and length.
-    windows : of recordings; a hundred are enough.
+    windows : of recordings, with their neighbours' events or without; a hundred are enough.
     seed : of the simulation.
 
     Raises
@@ -64,7 +64,7 @@ def calibrate(
     ValueError : no window's path was found.
     """
     model = reconstruction.model
-    measured = measure_pixels(windows, model.sensor, model.window_us)
+    measured = measure_pixels([part_of(one, model.window_us) for one in windows], model.sensor, model.window_us)
     paths, images, recorded = _reconstruct(reconstruction, windows, measured)
     target = describe(recorded, model.sensor)
     candidates = []
@@ -100,7 +100,8 @@ def _reconstruct(
 ) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
     """Path, image and recorded events of those windows whose path is found."""
     found = list(reconstruction(windows, pixels))
-    moving = [(path, image, structured(one)) for (path, image), one in zip(found, windows, strict=True) if image]
+    parts = [part_of(one, reconstruction.model.window_us) for one in windows]
+    moving = [(path, image, structured(one)) for (path, image), one in zip(found, parts, strict=True) if image]
     if not moving:
         reasons = ", ".join(f"{why} {n}" for why, n in Counter(path.refused for path, _ in found).most_common())
         raise ValueError(

@@ -35,7 +35,7 @@ from functools import cached_property
 import numpy as np
 
 from async_tnt.kernels.moving_image import contrast_frames, evidence_terms
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, is_after_pulse
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, is_after_pulse, part_of
 
 N_FRAMES = 16
 BAND = np.pi / 2  # of the frequencies that a path is found by, in radians per cell
@@ -96,14 +96,15 @@ class MovingImage:
         """Q of the band's frequencies, (F,), x changes fastest."""
         return (ROUGHNESS * squared_differences(*self.band) + LEVEL).ravel()
 
-    def frames(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> np.ndarray:
-        """c: the change of log luminance since the start, (N, K, rows, columns), from N windows' events but for
-        after-pulses."""
+    def frames(self, windows: Sequence[Columns], pixels: MeasuredPixels, span: int = 1) -> np.ndarray:
+        """c: the change of log luminance since the start, (N, K, rows, columns), from the events but for after-pulses
+        of N windows, or of `span` windows in whose middle each is."""
         frames = np.empty((len(windows), N_FRAMES, self.rows, self.columns))
         for window, out in zip(windows, frames, strict=True):
-            seen = ~is_after_pulse(window)
-            t, x, y, p = (column[seen] for column in window)
-            contrast_frames(t, x, y, p, self.window_us, pixels.step_on, pixels.step_off, self.cell, out)
+            part = part_of(window, self.window_us, span)
+            seen = ~is_after_pulse(part)
+            t, x, y, p = (column[seen] for column in part)
+            contrast_frames(t, x, y, p, span * self.window_us, pixels.step_on, pixels.step_off, self.cell, out)
         return frames
 
     def spectra(self, frames: np.ndarray) -> np.ndarray:
@@ -203,7 +204,7 @@ def finer(image: np.ndarray, factor: int) -> np.ndarray:
 
 def centre_of(image: np.ndarray) -> np.ndarray:
     """(x, y) of the middle of the image's edges, in cells: the mean direction on the torus, weighted by |D L|^2."""
-    power = (np.roll(image, -1, axis=1) - image) ** 2 + (np.roll(image, -1, axis=0) - image) ** 2
+    power = sum((np.roll(image, -1, axis) - np.roll(image, 1, axis)) ** 2 for axis in (0, 1))
     centre = []
     for axis, n in ((0, image.shape[1]), (1, image.shape[0])):
         angle = np.angle((power.sum(axis) * np.exp(2j * np.pi * np.arange(n) / n)).sum())

@@ -18,6 +18,7 @@ length      half to double the recorded motions' length
 time        half of them last the whole window; the others .4 to 1 of it, somewhere in it
 speed       half of them constant, half minimum jerk
 shape       half of them straight; the others also go sideways meanwhile, by up to .4 of their length
+turn        meanwhile they turn by up to 6 degrees, and grow or shrink by up to 6 %
 place       at half time the object's centre lies between where it was recorded at half time and the sensor's
             centre, and up to an eleventh of the sensor's smaller side (3 of 34 pixels) beside
 """
@@ -43,6 +44,7 @@ BEND = 0.2
 MOST_STEPS, LONGEST_STEP, SMALLEST_GAIN = 20, 1.0, 0.05
 
 OTHER_LENGTHS, SHORTEST_TIME, WIDEST_BEND, PLACE_SHARE = (0.5, 2.0), 0.4, 0.4, 1 / 11
+WIDEST_TURN, LARGEST_GROWTH = np.radians(6.0), 0.06
 
 MIN_EVENTS, MIN_MARGIN, MIN_LENGTH = 50, 6.0, 0.1
 MOST_EXPLAINED = 0.5
@@ -56,13 +58,14 @@ class MotionPath:
 
     Parameters
     ----------
-    positions : float64, (K, 2). Displacement (x, y) since the window's start, in sensor pixels, at the end of each of
-        K equal parts of the window.
+    positions : float64, (K, 2). Displacement (x, y) since the path's start, in sensor pixels, at the end of each of
+        K equal parts of its time.
     margin : by how much evidence the best path of the dictionary exceeds all that lead the other way.
     explained : share of the signal that the moving image explains.
     agreement : by how much evidence the path exceeds its reverse, in the half of the picture where it does so least.
-    n_events : in the window.
+    n_events : that it was found in.
     events_a_cell : the same of each of the picture's cells, in the mean.
+    span : of how many windows it is the path; the window itself is the middle one.
     """
 
     positions: np.ndarray
@@ -71,6 +74,7 @@ class MotionPath:
     agreement: float = np.inf
     n_events: int = MIN_EVENTS
     events_a_cell: float = 0.0
+    span: int = 1
 
     @property
     def refused(self) -> str:
@@ -87,15 +91,26 @@ class MotionPath:
 
     @property
     def length(self) -> float:
-        """Distance between the two places of the path that are the furthest apart, in pixels."""
-        places = np.concatenate([np.zeros((1, 2)), self.positions])
+        """Distance between the two places of the window that are the furthest apart, in pixels."""
+        places = self.at(np.arange(N_FRAMES + 1) / N_FRAMES)
         return float(np.linalg.norm(places[:, None] - places, axis=2).max())
 
     def at(self, shares: np.ndarray) -> np.ndarray:
-        """Displacement at `shares` of the window, (n, 2), in straight lines between the positions."""
-        places = np.arange(N_FRAMES + 1) / N_FRAMES
+        """Displacement since the window's start at `shares` of the window, (n, 2)."""
+        displacement: np.ndarray = self._since_the_start((self.span - 1) / 2 + shares) - self.before
+        return displacement
+
+    @property
+    def before(self) -> np.ndarray:
+        """Displacement at the window's start since that of the path, (2,)."""
+        before: np.ndarray = self._since_the_start(np.array([(self.span - 1) / 2]))[0]
+        return before
+
+    def _since_the_start(self, windows: np.ndarray) -> np.ndarray:
+        """Displacement after so many windows, (n, 2), in straight lines between the positions."""
+        places = self.span * np.arange(N_FRAMES + 1) / N_FRAMES
         positions = np.concatenate([np.zeros((1, 2)), self.positions])
-        return np.stack([np.interp(shares, places, positions[:, axis]) for axis in (0, 1)], axis=1)
+        return np.stack([np.interp(windows, places, positions[:, axis]) for axis in (0, 1)], axis=1)
 
 
 class PathFinder:
@@ -106,7 +121,7 @@ class PathFinder:
         bend = np.diff(np.eye(N_FRAMES + 1)[:, 1:], 2, axis=0) / BEND  # the start, which is 0, is one of the points
         self._stiffness = bend.T @ bend
 
-    def find(self, band: np.ndarray, halves: np.ndarray, n_events: Sequence[int]) -> list[MotionPath]:
+    def find(self, band: np.ndarray, halves: np.ndarray, n_events: Sequence[int], span: int = 1) -> list[MotionPath]:
         """A path for each of N windows, of `MovingImage.band_of` their spectra, (N, F, K), and those of their halves,
         (N, 4, F, K)."""
         model, paths = self.model, []
@@ -117,7 +132,9 @@ class PathFinder:
             )
             explained = model.explained(one, positions)
             a_cell = n / (model.rows * model.columns)
-            paths.append(MotionPath(positions * model.cell, self._margin(scores), explained, agreement, n, a_cell))
+            paths.append(
+                MotionPath(positions * model.cell, self._margin(scores), explained, agreement, n, a_cell, span)
+            )
         return paths
 
     def scores(self, band: np.ndarray) -> np.ndarray:
@@ -196,12 +213,12 @@ def minimum_jerk(share: np.ndarray) -> np.ndarray:
     return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
 
 
-def random_motion(length: float, shares: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Displacement at `shares` of the window, (n, 2), 0 at half time.
+def random_motion(length: float, shares: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement at `shares` of the window, (n, 2), and turn, (n, 2), see `MovedImage.pictures`; 0 at half time.
 
     Parameters
     ----------
-    length : of the recorded motions; the result's unit.
+    length : of the recorded motions; the displacement's unit.
     shares : float64, (n,), increasing from 0 to 1.
     """
     length = length * rng.uniform(*OTHER_LENGTHS)
@@ -211,15 +228,18 @@ def random_motion(length: float, shares: np.ndarray, rng: np.random.Generator) -
     constant, curved = rng.random(2) < 0.5
     bend = rng.uniform(-WIDEST_BEND, WIDEST_BEND) if curved else 0.0
     bend_starts = rng.uniform(0.0, 0.5)
+    turn = rng.uniform(-1, 1, 2) * (WIDEST_TURN, LARGEST_GROWTH)
 
     def position(share: np.ndarray) -> np.ndarray:
         u = np.clip((share - starts) / lasts, 0.0, 1.0)
-        forward = length * (u if constant else minimum_jerk(u))
-        aside = length * bend * minimum_jerk((u - bend_starts) / 0.5)
-        cos, sin = np.cos(angle), np.sin(angle)
-        return np.stack([forward * cos - aside * sin, forward * sin + aside * cos], axis=-1)
+        forward = u if constant else minimum_jerk(u)
+        aside = bend * minimum_jerk((u - bend_starts) / 0.5)
+        cos, sin = length * np.cos(angle), length * np.sin(angle)
+        displacement = forward * cos - aside * sin, forward * sin + aside * cos
+        return np.stack([*displacement, forward * turn[0], forward * turn[1]], axis=-1)
 
-    return np.asarray(position(shares) - position(np.array(0.5)))
+    motion = position(shares) - position(np.array(0.5))
+    return motion[:, :2], motion[:, 2:]
 
 
 def random_place(recorded: np.ndarray, sensor: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

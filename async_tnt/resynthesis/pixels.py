@@ -14,7 +14,8 @@ import numpy as np
 from async_tnt.simulation.simulator import PixelModel
 
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""t, x, y, p of one window's events, in order; t in microseconds since the window's start."""
+"""t, x, y, p of one window's events, in order; t in microseconds since the window's start. May have those of its
+neighbours, too: before 0, and from the window's end on."""
 
 MISMATCH = 0.12
 """Of the simulated thresholds from pixel to pixel, as in `PixelModel`."""
@@ -82,6 +83,14 @@ class SimulatedPixels:
         later["p"] ^= 1
         both = np.concatenate([events, later])
         return both[np.argsort(both["t"], kind="stable")]
+
+
+def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
+    """The events of `span` windows with `window` in their middle; times since the first one's start."""
+    t, x, y, p = window
+    before_us = (span - 1) // 2 * window_us
+    first, last = np.searchsorted(t, (-before_us, window_us + before_us))
+    return t[first:last] + before_us, x[first:last], y[first:last], p[first:last]
 
 
 def is_after_pulse(window: Columns) -> np.ndarray:

@@ -10,7 +10,7 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.kernels.moving_image import move_periodic
 from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage, centre_of, find_images, finer
 from async_tnt.resynthesis.paths import MotionPath, PathFinder, random_motion, random_place
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels, part_of
 from async_tnt.simulation.simulator import simulate
 
 N_PICTURES = 52
@@ -19,6 +19,8 @@ FINENESS = 3
 """Places of the image along a cell: between them it is interpolated, which does not blur it visibly."""
 MOST_VALUES = 1 << 22
 """Of pictures in memory: a large sensor is simulated in bands of rows."""
+SPAN = 3
+"""Windows that tell a path together where one alone does not: that of before, itself, and the next."""
 BATCH = 64
 """Windows at a time: some 40 MB of spectra and images."""
 
@@ -29,7 +31,7 @@ class MovedImage:
     Parameters
     ----------
     model : of the window.
-    image : float64, (rows, columns) of the torus, in thresholds.
+    image : float64, (rows, columns) of the torus, in thresholds, where it is at the path's start.
     path : how it was recorded.
     """
 
@@ -37,7 +39,7 @@ class MovedImage:
         self.model, self.path = model, path
         self._fine = finer(image, FINENESS)
         self._origin = (model.cell - 1) / 2  # the middle of the first cell, in sensor pixels
-        self._halfway = path.at(np.array([0.5]))[0]
+        self._halfway = path.before + path.at(np.array([0.5]))[0]
         centre = self._origin + model.cell * centre_of(image) + self._halfway
         torus, middle = model.cell * np.array(model.shape[::-1]), (np.array(model.sensor) - 1) / 2
         # the torus has no first cell: of the equivalent places, the one nearest to the sensor's centre
@@ -45,7 +47,7 @@ class MovedImage:
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
         """Events of simulated `pixels` under the motion that was recorded; `rng` draws."""
-        return self.events(self.path.at(shares()), pixels, rng)
+        return self.events(self.path.before + self.path.at(shares()), np.zeros((N_PICTURES, 2)), pixels, rng)
 
     def moved(self, length: float, pixels: SimulatedPixels, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Events under a random motion, and the motion: displacement since the window's start, (n, 2), in pixels.
@@ -56,13 +58,15 @@ class MovedImage:
         pixels : of the simulated sensor.
         rng : draws the motion, the pixels and their noise.
         """
-        motion = random_motion(length, shares(), rng)
+        motion, turn = random_motion(length, shares(), rng)
         place = random_place(self._centre, self.model.sensor, rng)
         displacement = self._halfway + (place - self._centre) + motion
-        return self.events(displacement, pixels, rng), motion - motion[0]
+        return self.events(displacement, turn, pixels, rng), motion - motion[0]
 
-    def events(self, displacement: np.ndarray, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
-        """Events of `pixels` while the image moves by `displacement`, (N_PICTURES, 2), in sensor pixels; `rng` draws.
+    def events(
+        self, displacement: np.ndarray, turn: np.ndarray, pixels: SimulatedPixels, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Events of `pixels` while the image moves by `displacement` and turns, see `pictures`; `rng` draws.
 
         Returns
         -------
@@ -74,7 +78,8 @@ class MovedImage:
         n_rows = max(1, MOST_VALUES // (N_PICTURES * width))
         parts = []
         for first in range(0, height, n_rows):
-            part = simulate(self.pictures(displacement, first, min(n_rows, height - first)), times_us, rng, drawn)
+            pictures = self.pictures(displacement, turn, first, min(n_rows, height - first))
+            part = simulate(pictures, times_us, rng, drawn)
             part["y"] += first
             parts.append(part)
         events = np.concatenate(parts).astype(EVENT_DTYPE, copy=False)
@@ -83,13 +88,32 @@ class MovedImage:
         events = pixels.with_after_pulses(events, rng)
         return events[events["t"] < self.model.window_us]  # the last half microsecond is rounded up
 
-    def pictures(self, displacement: np.ndarray, first: int = 0, n_rows: int | None = None) -> np.ndarray:
-        """What `n_rows` of the sensor's rows (None: all) from `first` on see at each `displacement`, (n, 2): shape
-        (n, n_rows, width), in thresholds."""
+    def pictures(
+        self, displacement: np.ndarray, turn: np.ndarray | None = None, first: int = 0, n_rows: int | None = None
+    ) -> np.ndarray:
+        """What the sensor sees of the moving image.
+
+        Parameters
+        ----------
+        displacement : float64, (n, 2): of the image's centre since the path's start, in sensor pixels.
+        turn : float64, (n, 2): by which angle it is turned about its centre, in radians, from x to y, and the
+            logarithm of its size; None: 0.
+        first, n_rows : the sensor's rows; None: all from `first` on.
+
+        Returns
+        -------
+        float64, (n, n_rows, width), in thresholds.
+        """
         width, height = self.model.sensor
-        dx, dy = np.ascontiguousarray(displacement.T)
-        pictures = np.empty((len(dx), height - first if n_rows is None else n_rows, width))
-        move_periodic(pictures, self._fine, dx, dy, first, self._origin, FINENESS / self.model.cell)
+        angle, growth = np.zeros((2, len(displacement))) if turn is None else turn.T
+        cos, sin = np.exp(-growth) * np.cos(angle), np.exp(-growth) * np.sin(angle)
+        back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)  # from the sensor to the image
+        start = self._centre - self._halfway
+        places = np.empty((len(displacement), 2, 3))
+        places[..., :2] = back
+        places[..., 2] = start - np.einsum("kij,kj->ki", back, start + displacement)
+        pictures = np.empty((len(places), height - first if n_rows is None else n_rows, width))
+        move_periodic(pictures, self._fine, places, first, self._origin, FINENESS / self.model.cell)
         return pictures
 
 
@@ -123,20 +147,38 @@ class Reconstruction:
 
         Parameters
         ----------
-        windows : t, x, y, p of each.
+        windows : t, x, y, p of each. Where a window alone does not tell, its neighbours' events help, if there are any.
         pixels : measured on recordings.
         """
         for first in range(0, len(windows), BATCH):
             some = windows[first : first + BATCH]
-            frames = self.model.frames(some, pixels)
-            spectra = self.model.spectra(frames)
-            band = self.model.band_of(spectra)
-            paths = self._finder.find(band, self._halves(some, frames, band), [len(t) for t, _, _, _ in some])
-            moving = np.flatnonzero([not path.refused for path in paths])
-            positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2) / self.model.cell
-            images = dict(zip(moving, find_images(self.model, spectra[moving], positions), strict=True))
-            for i, path in enumerate(paths):
-                yield path, MovedImage(self.model, images[i], path) if i in images else None
+            found = self._reconstruct(some, pixels, 1)
+            wider = [i for i, one in enumerate(some) if found[i][0].refused and self._has_neighbours(one)]
+            for i, one in zip(wider, self._reconstruct([some[i] for i in wider], pixels, SPAN), strict=True):
+                if not one[0].refused:
+                    found[i] = one
+            yield from found
+
+    def _has_neighbours(self, window: Columns) -> bool:
+        return len(part_of(window, self.model.window_us, SPAN)[0]) > len(part_of(window, self.model.window_us)[0])
+
+    def _reconstruct(
+        self, windows: Sequence[Columns], pixels: MeasuredPixels, span: int
+    ) -> list[tuple[MotionPath, MovedImage | None]]:
+        """Path and image of each window, found in `span` windows together."""
+        if not windows:
+            return []
+        parts = [part_of(one, self.model.window_us, span) for one in windows]
+        frames = self.model.frames(windows, pixels, span)
+        spectra = self.model.spectra(frames)
+        band = self.model.band_of(spectra)
+        paths = self._finder.find(band, self._halves(parts, frames, band), [len(t) for t, _, _, _ in parts], span)
+        moving = np.flatnonzero([not path.refused for path in paths])
+        positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2) / self.model.cell
+        images = dict(zip(moving, find_images(self.model, spectra[moving], positions), strict=True))
+        return [
+            (path, MovedImage(self.model, images[i], path) if i in images else None) for i, path in enumerate(paths)
+        ]
 
     def _halves(self, windows: Sequence[Columns], frames: np.ndarray, band: np.ndarray) -> np.ndarray:
         """The band of what is left, right, above and below the middle of each window's events, (N, 4, F, K)."""
@@ -152,5 +194,5 @@ class Reconstruction:
 
     def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
         """The image of one `window` whose `path` is known, with measured `pixels`."""
-        spectra = self.model.spectra(self.model.frames([window], pixels))
+        spectra = self.model.spectra(self.model.frames([window], pixels, path.span))
         return MovedImage(self.model, find_images(self.model, spectra, path.positions[None] / self.model.cell)[0], path)

@@ -6,7 +6,8 @@ An .npz file has n consecutive windows:
                             window i from i * window_us on
     refused                 str, (n,): why its path may not be relied on, empty where it may; without one a window has
                             no events here
-    positions               float64, (n, K, 2): its path, see `MotionPath.positions`
+    spans                   int64, (n,): of how many windows its path is, see `MotionPath`; 0 where it is refused
+    positions               float64, (n, K, 2): its path, see `MotionPath`
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.files import replacing
+from async_tnt.resynthesis import MotionPath
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows
@@ -63,8 +65,8 @@ class Motions:
     ----------
     files : their other motions, one file after the other.
     training : as recorded.
-    found : bool, (N,): which of them have other motions.
-    paths : float64, (N, K, 2): how they moved, see `MotionPath.positions`.
+    spans, paths : int64, (N,), and float64, (N, K, 2): how they moved, see `MotionPath`; a span of 0 where there is no
+        path to rely on, and no other motions.
     validation : the windows that are held out, under another motion each; those whose path was found.
     config : of the volumes; its sensor and the length of its windows are used.
     settings : how they were made.
@@ -73,7 +75,7 @@ class Motions:
 
     files: list[Path]
     training: Windows
-    found: np.ndarray
+    spans: np.ndarray
     paths: np.ndarray
     validation: Windows
     config: TNTConfig
@@ -82,7 +84,7 @@ class Motions:
 
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
         """The windows `order` as an epoch shows them: under another motion, or as they were recorded."""
-        is_moved = self.found[order] & (rng.random(len(order)) >= self.settings.recorded)
+        is_moved = (self.spans[order] > 0) & (rng.random(len(order)) >= self.settings.recorded)
         window_us = self.config.window_us
         margin_us = max(window_us // 10, round(1e3 * Augmentation().start_ms))  # augmentation moves their starts
         recorded = self.training[order[~is_moved]].cut(window_us, margin_us)
@@ -94,13 +96,15 @@ class Motions:
         return Windows(recorded.recordings + moved, recording, start_us)
 
 
-def write_moved(
-    path: Path, moved: Sequence[Sequence[np.ndarray]], refused: np.ndarray, positions: np.ndarray, window_us: int
-) -> None:
+def write_moved(path: Path, moved: Sequence[Sequence[np.ndarray]], paths: Sequence[MotionPath], window_us: int) -> None:
     """Write a file: the events of each variation's windows, times from the window's start."""
-    times = np.int32 if len(refused) * window_us < 1 << 31 else np.int64
+    times = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
     stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
-    arrays = {"refused": refused, "positions": positions}
+    arrays = {
+        "refused": np.array([path.refused for path in paths]),
+        "spans": np.array([0 if path.refused else path.span for path in paths]),
+        "positions": np.array([path.positions for path in paths]),
+    }
     for v, windows in enumerate(moved):
         events = np.concatenate(windows)
         events["t"] += np.repeat(window_us * np.arange(len(windows)), [len(one) for one in windows])

@@ -28,7 +28,7 @@ from async_tnt.files import write_text
 from async_tnt.progress import Bar, no_progress
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
-from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels
+from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels, part_of
 from async_tnt.resynthesis.reconstruction import N_PICTURES, shares
 from async_tnt.training.moved_windows import (
     Motions,
@@ -101,7 +101,8 @@ def resynthesize(
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     if missing or not manifest.exists():
         some = np.sort(np.random.default_rng(settings.seed).permutation(len(training))[:N_CALIBRATION])
-        columns = [training.events(i, config.window_us) for i in some]
+        around_us = config.window_us * training.neighbours(config.window_us)
+        columns = [training.events(i, config.window_us, around_us[i]) for i in some]
         cell = cell_for(columns, config.sensor)
         calibration = calibrate(Reconstruction(config.sensor, config.window_us, cell), columns, settings.seed)
         content = {
@@ -130,6 +131,7 @@ class _Chunk:
     part: str
     first: int
     windows: Windows
+    around_us: np.ndarray
     window_us: int
     variations: int
     folder: Path
@@ -139,18 +141,19 @@ class _Chunk:
         return self.folder / f"{self.part}_{self.first:06}.npz"
 
     def __getstate__(self) -> dict[str, Any]:
-        """For another process: with the events of these windows instead of all."""
-        return {**self.__dict__, "windows": self.windows.cut(self.window_us)}
+        """For another process: with the events of these windows and their neighbours instead of all."""
+        return {**self.__dict__, "windows": self.windows.cut(self.window_us, int(self.around_us.max(initial=0)))}
 
 
 def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int) -> list[_Chunk]:
     """All windows of a part, those of one file in each."""
     n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
     step = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
+    around_us = config.window_us * windows.neighbours(config.window_us)  # of those that may be seen
     chunks = []
     for first in range(0, len(windows), step):
-        some = windows[first : first + step]
-        chunks.append(_Chunk(part, first, some, config.window_us, variations, folder))
+        some = slice(first, first + step)
+        chunks.append(_Chunk(part, first, windows[some], around_us[some], config.window_us, variations, folder))
     return chunks
 
 
@@ -166,7 +169,7 @@ def _move(
     """Find the paths and images of a chunk's windows, and write its file. Returns how many windows it has."""
     windows = chunk.windows
     reconstruction = Reconstruction(config.sensor, config.window_us, cell)
-    columns = [windows.events(i, config.window_us) for i in range(len(windows))]
+    columns = [windows.events(i, config.window_us, around_us) for i, around_us in enumerate(chunk.around_us)]
     moved: list[list[np.ndarray]] = [[np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)]
     paths = []
     for i, (path, image) in enumerate(reconstruction(columns, calibration.pixels.measured)):
@@ -177,8 +180,7 @@ def _move(
             rng = _generator(seed, chunk.part, chunk.first + i, v)
             one, _ = image.moved(calibration.length, calibration.pixels, rng)
             moved[v][i] = one if masked is None else one[~masked[one["y"], one["x"]]]
-    refused, positions = np.array([path.refused for path in paths]), np.array([path.positions for path in paths])
-    write_moved(chunk.file, moved, refused, positions, config.window_us)
+    write_moved(chunk.file, moved, paths, config.window_us)
     return len(windows)
 
 
@@ -197,34 +199,34 @@ def _open(
 ) -> Motions:
     content = _read_manifest(folder / MANIFEST)
     files = {part: [chunk.file for chunk in chunks if chunk.part == part] for part in PARTS}
-    refused, paths = _paths(files["training"])
-    found = refused == ""
-    moving = np.flatnonzero(_paths(files["held-out"])[0] == "")
+    refused, spans, paths = _paths(files["training"])
+    moving = np.flatnonzero(_paths(files["held-out"])[1])
     moved = moved_recordings(files["held-out"], 0, held_out.labels, config)
     record = {
         **asdict(settings),
         "windows": len(training),
-        "with_path": int(found.sum()),
-        "without_path": dict(Counter(refused[~found].tolist()).most_common()),
+        "with_path": int((spans > 0).sum()),
+        "with_neighbours": int((spans > 1).sum()),
+        "without_path": dict(Counter(refused[spans == 0].tolist()).most_common()),
         "held_out_windows": len(held_out),
         "held_out_with_path": len(moving),
         **{name: content[name] for name in ("cell", "length_px", "pixels", "match")},
     }
     validation = Windows(moved, moving, np.zeros(len(moving), np.int64))
-    return Motions(files["training"], training, found, paths, validation, config, settings, record)
+    return Motions(files["training"], training, spans, paths, validation, config, settings, record)
 
 
-def _paths(files: list[Path]) -> tuple[np.ndarray, np.ndarray]:
-    """Why the path of each of n windows may not be relied on, str, (n,), empty where it may; and the paths, (n, K, 2),
-    in pixels."""
-    refused, paths = [np.empty(0, "<U1")], [np.empty((0, N_FRAMES, 2))]
+def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
+    """`refused`, `spans` and `positions` of all files."""
+    parts = [(np.empty(0, "<U1"), np.empty(0, np.int64), np.empty((0, N_FRAMES, 2)))]
     for path in files:
-        one, positions = read_arrays(path, "refused", "positions")
-        if one.dtype.kind != "U" or one.ndim != 1 or positions.shape != (len(one), N_FRAMES, 2):
-            raise damaged(path, f"`refused` has shape {one.shape}, `positions` {positions.shape}")
-        refused.append(one)
-        paths.append(positions)
-    return np.concatenate(refused), np.concatenate(paths)
+        refused, spans, positions = read_arrays(path, "refused", "spans", "positions")
+        n = refused.size
+        shapes = refused.shape, spans.shape, positions.shape
+        if refused.dtype.kind != "U" or spans.dtype != np.int64 or shapes != ((n,), (n,), (n, N_FRAMES, 2)):
+            raise damaged(path, f"`refused`, `spans` and `positions` have shapes {shapes}")
+        parts.append((refused, spans, positions))
+    return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
@@ -238,7 +240,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 def examples(motions: Motions, classes: tuple[str, ...]) -> list[ResynthesizedWindow]:
     """Windows of different classes, as far as there are, with their first variations, made once more for a picture."""
-    found = np.flatnonzero(motions.found)
+    found = np.flatnonzero(motions.spans)
     labels, firsts = np.unique(motions.training.labels[found], return_index=True)
     which = found[firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]]
     reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us, motions.record["cell"])
@@ -248,18 +250,20 @@ def examples(motions: Motions, classes: tuple[str, ...]) -> list[ResynthesizedWi
 def _example(motions: Motions, reconstruction: Reconstruction, i: int, classes: tuple[str, ...]) -> ResynthesizedWindow:
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
-    columns = motions.training.events(i, motions.config.window_us)
-    found = MotionPath(motions.paths[i])
+    around_us = motions.config.window_us * motions.training.neighbours(motions.config.window_us)[i]
+    columns = motions.training.events(i, motions.config.window_us, around_us)
+    found = MotionPath(motions.paths[i], span=int(motions.spans[i]))
     image = reconstruction.image(columns, measured, found)
     path = found.at(shares())
+    halfway = found.before + path[len(path) // 2 : len(path) // 2 + 1]
     seed, n_others = motions.settings.seed, min(N_OTHERS, motions.settings.variations)
     others = [
         image.moved(motions.record["length_px"], pixels, _generator(seed, "training", i, v)) for v in range(n_others)
     ]
     return ResynthesizedWindow(
         classes[motions.training.labels[i]],
-        structured(columns),
-        image.pictures(path[len(path) // 2 : len(path) // 2 + 1])[0],
+        structured(part_of(columns, motions.config.window_us)),
+        image.pictures(halfway)[0],
         image.as_recorded(pixels, np.random.default_rng(seed)),
         [path, *(motion for _, motion in others)],
         [events for events, _ in others],

@@ -6,6 +6,7 @@ neighbouring window, as the windows of a live stream start at the stream's first
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,11 +42,21 @@ class Windows:
         labels: np.ndarray = self.recordings.labels[self.recording]
         return labels
 
-    def events(self, i: int, window_us: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """t, x, y, p of window `i`, `window_us` long; t int64, microseconds since the window's start."""
-        some, recordings = self._slice(i, 0, window_us), self.recordings
+    def events(
+        self, i: int, window_us: int, around_us: Sequence[int] = (0, 0)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """t, x, y, p of window `i`, `window_us` long, and of so long before and after it; t int64, microseconds since
+        the window's start."""
+        some, recordings = self._slice(i, -around_us[0], window_us + around_us[1]), self.recordings
         t = recordings.t[some].astype(np.int64) - self.start_us[i]
         return t, recordings.x[some], recordings.y[some], recordings.p[some]
+
+    def neighbours(self, window_us: int) -> np.ndarray:
+        """How many of the windows beside each, before and after it, are among these: int64, (N, 2), 0 or 1."""
+        starts = list(zip(self.recording.tolist(), self.start_us.tolist(), strict=True))
+        there = set(starts)
+        beside = [[(r, t - window_us) in there, (r, t + window_us) in there] for r, t in starts]
+        return np.array(beside, np.int64).reshape(-1, 2)
 
     def events_a_pixel(self, window_us: int) -> float:
         """Events of one polarity of a pixel that has any: the median of windows of `window_us`, of at most `JUDGED`

@@ -102,6 +102,6 @@ def test_pictures_move_as_the_reference_moves_an_image():
     frames = np.empty((1, 5, 7))
     errors = []
     for factor in (3, 30):
-        move_periodic(frames, finer(image, factor), np.array([1.3]), np.array([-0.6]), 0, 0.0, factor)
+        move_periodic(frames, finer(image, factor), np.array([[[1, 0, -1.3], [0, 1, 0.6]]]), 0, 0.0, factor)
         errors.append(np.abs(frames[0] - expected).max())
     assert errors[0] < 0.25 and errors[1] < 0.003

@@ -5,8 +5,9 @@ import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.resynthesis import Reconstruction, calibrate
+from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, calibrate
 from async_tnt.resynthesis.calibration import describe
+from async_tnt.resynthesis.moving_image import N_FRAMES
 from async_tnt.resynthesis.paths import random_motion
 from async_tnt.resynthesis.pixels import measure_pixels
 from async_tnt.simulation.simulator import PixelModel
@@ -102,7 +103,7 @@ def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
 
 def test_random_motions_keep_to_their_ranges():
     rng = np.random.default_rng(0)
-    motions = np.array([random_motion(6.0, SHARES, rng) for _ in range(2_000)])
+    motions, turns = map(np.array, zip(*(random_motion(6.0, SHARES, rng) for _ in range(2_000)), strict=True))
     net = motions[:, -1] - motions[:, 0]
     lengths = np.hypot(*net.T)
     assert 3 - 1e-9 <= lengths.min() < 3.2 and 12 < lengths.max() <= 12 * np.hypot(1, 0.4)
@@ -110,7 +111,26 @@ def test_random_motions_keep_to_their_ranges():
     assert directions.min() > 190 and directions.max() < 310
     still = np.mean(np.hypot(*(motions[:, 3] - motions[:, 0]).T) < 1e-9)  # those that start later
     assert 0.2 < still < 0.5
-    np.testing.assert_allclose([np.interp(0.5, SHARES, motion[:, 0]) for motion in motions], 0, atol=0.05)
+    np.testing.assert_allclose([np.interp(0.5, SHARES, motion[:, 0]) for motion in motions], 0, atol=0.1)
+    turned = np.abs(turns[:, -1] - turns[:, 0]).max(0)
+    assert (turned > 0.98 * np.array([np.radians(6), 0.06])).all() and (turned <= [np.radians(6), 0.06]).all()
+
+
+@pytest.mark.parametrize("turn, growth", [(np.pi / 6, 0.0), (0.0, np.log(1.3)), (-0.4, -0.2)])
+def test_an_image_turns_and_grows_about_its_centre(turn, growth):
+    """The moments of a long spot: its centre only moves, its longer axis turns, and both axes grow."""
+    model = Reconstruction((48, 48), WINDOW_US).model
+    y, x = np.mgrid[: model.shape[0], : model.shape[1]]
+    spot = np.exp(-(((x - 20) / 5) ** 2 + ((y - 25) / 3) ** 2) / 2)
+    image = MovedImage(model, spot, MotionPath(np.zeros((N_FRAMES, 2))))
+    (picture,) = image.pictures(np.array([[4.0, -2.0]]), np.array([[turn, growth]]))
+    places = np.stack(np.meshgrid(np.arange(48), np.arange(48)), -1).reshape(-1, 2)
+    weights = picture.ravel() / picture.sum()
+    centre = weights @ places
+    np.testing.assert_allclose(centre, [24, 23], atol=0.05)
+    size, axes = np.linalg.eigh((places - centre).T @ (weights[:, None] * (places - centre)))
+    np.testing.assert_allclose(np.sqrt(size), np.exp(growth) * np.array([3, 5]), rtol=0.02)
+    assert np.tan(turn) == pytest.approx(axes[1, 1] / axes[0, 1], abs=0.01)
 
 
 def test_noise_does_not_count_where_on_is_compared_with_off():

@@ -9,7 +9,7 @@ from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, s
 from async_tnt.resynthesis import Reconstruction
 from async_tnt.resynthesis.moving_image import cell_for
 from async_tnt.resynthesis.paths import minimum_jerk
-from async_tnt.resynthesis.pixels import MeasuredPixels
+from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels, part_of
 from async_tnt.simulation.simulator import PixelModel, simulate
 from experiments.found_paths import NOISE, noise_windows
 
@@ -38,6 +38,28 @@ def test_paths_and_images_are_found(reconstruction, profile):
         likeness.append(np.corrcoef(moved.ravel(), seen.ravel())[0, 1])
     assert np.median(errors) < 0.8 and np.max(errors) < 2.5
     assert np.median(likeness) > 0.9 and np.min(likeness) > 0.7
+
+
+def test_neighbours_tell_what_a_window_does_not():
+    """A third of a slow motion has too few events; with those of before and after, its own part of the path is found,
+    and its image where it is halfway through the window."""
+    rng, third = np.random.default_rng(5), WINDOW_US // 3
+    net, scenes = np.array([6.0, 0.0]), [blobs(rng) for _ in range(16)]
+    whole = [recorded(scene, straight(net), rng) for scene in scenes]
+    masks = [rng.random(len(t)) < 0.3 for t, *_ in whole]
+    kept = [tuple(column[mask] for column in columns) for mask, columns in zip(masks, whole, strict=True)]
+    wide = [(t - third, *rest) for t, *rest in kept]
+    thirds = Reconstruction(SENSOR, third)
+    alone = [path.refused for path, _ in thirds([part_of(window, third) for window in wide], PIXELS)]
+    found = list(thirds(wide, PIXELS))
+    assert alone.count("") < 4 <= 10 < [path.refused for path, _ in found].count("")
+    for scene, (path, image) in zip(scenes, found, strict=True):
+        if path.span == 3 and not path.refused:
+            np.testing.assert_allclose(path.at(np.array([1.0]))[0], net / 3, atol=1.5)
+            moved = image.pictures(path.before + path.at(np.array([0.5])))[0]
+            seen = pictures(scene, [net / 2])[0]
+            assert np.corrcoef(moved.ravel(), seen.ravel())[0, 1] > 0.6
+            assert image.as_recorded(SimulatedPixels(PIXELS), rng)["t"].max() < third
 
 
 @pytest.mark.parametrize("kind", NOISE)

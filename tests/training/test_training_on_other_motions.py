@@ -55,7 +55,7 @@ def contents(folder):
 
 def test_every_window_but_noise_has_other_motions(windows, made):
     motions, folder = made
-    assert motions.found.tolist() == [True] * 12 + [False] * 2
+    assert motions.spans.tolist() == [1] * 12 + [0] * 2
     assert motions.validation.labels.tolist() == [0, 0, 1, 1]
     assert (motions.record["windows"], motions.record["with_path"]) == (14, 12)
     assert (motions.record["held_out_windows"], motions.record["held_out_with_path"]) == (6, 4)
@@ -63,6 +63,16 @@ def test_every_window_but_noise_has_other_motions(windows, made):
     np.testing.assert_allclose(motions.paths[1:12:2, -1], np.tile([0, 6], (6, 1)), atol=1.6)
     moved = moved_recordings([folder / "training_000005.npz"], 1, np.arange(5), CONFIG)
     assert np.diff(moved.offsets).min() > 50
+
+
+def test_only_windows_of_the_set_are_neighbours(windows):
+    """What stands beside a window but is not trained on, or is held out, tells nothing of its motion."""
+    every = windows[0]
+    first, second = (np.flatnonzero(every.start_us == start_us)[:4] for start_us in (0, WINDOW_US))
+    both = every[np.concatenate([first, second])]
+    assert both.neighbours(WINDOW_US).tolist() == [[0, 1]] * 4 + [[1, 0]] * 4
+    assert every[first].neighbours(WINDOW_US).tolist() == [[0, 0]] * 4
+    assert len(every.events(0, WINDOW_US, (0, WINDOW_US))[0]) > len(every.events(0, WINDOW_US)[0])
 
 
 def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(windows, made, tmp_path, monkeypatch):

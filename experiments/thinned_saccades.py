@@ -1,0 +1,37 @@
+"""Windows of N-MNIST, one saccade each, with a fifth of their events: real motion with as few events as hands give.
+
+N-MNIST's pixels with events have five in a saccade; those of an object that a hand moves have about two.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.digits_data import CLASSES, SACCADE_US
+
+SENSOR = (34, 34)
+KEPT = 0.2
+
+
+def write(folder: Path, n: int, saccades: tuple[int, ...], seed: int, source: Path) -> Path:
+    """Windows of `n` recordings of each digit, of which each shows one of `saccades` in turn, as
+    `folder/<digit>/<number>.npz`.
+
+    source : N-MNIST's Train or Test, with `<digit>/*.bin`.
+    """
+    rng = np.random.default_rng(seed)
+    for digit in CLASSES:
+        files = sorted((source / digit).glob("*.bin"))
+        if len(files) < n:
+            raise ValueError(f"{source / digit} must hold at least {n} recordings, got {len(files)}")
+        (folder / digit).mkdir(parents=True, exist_ok=True)
+        for i, k in enumerate(rng.permutation(len(files))[:n]):
+            events = read_nmnist(files[k])
+            t = events["t"] - saccades[i % len(saccades)] * SACCADE_US
+            kept = (t >= 0) & (t < SACCADE_US) & (rng.random(len(t)) < KEPT)
+            x, y, p = (events[name][kept] for name in "xyp")
+            np.savez(folder / digit / f"{i:03}.npz", t=t[kept], x=x, y=y, p=p)
+    return folder
