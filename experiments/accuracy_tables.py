@@ -5,8 +5,11 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from async_tnt import load_model
 from experiments.page_parts import percent, results, short, table
+from experiments.unseen_motions import share_closed
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 
@@ -120,13 +123,35 @@ def polarity() -> str:
     return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
 
 
-def unseen_objects() -> str:
-    accuracy = results("unseen_motions")["accuracy"]
-    tests = list(accuracy["recorded"])
-    rows = [
-        [mode, *(f"{found[test]['mean']:.3f}".removeprefix("0") for test in tests)] for mode, found in accuracy.items()
-    ]
-    return table(["trained on motions", *(f"tested in {test}" for test in tests)], rows)
+def unseen_shapes() -> str:
+    return _unseen("unseen_motions")
+
+
+def unseen_hands() -> str:
+    return _unseen("unseen_hands")
+
+
+def unseen_saccades() -> str:
+    return _unseen("unseen_saccades")
+
+
+def unseen_volumes() -> str:
+    return _unseen("unseen_volumes")
+
+
+def _unseen(name: str) -> str:
+    """Means over seeds by what was trained on and tested in, with the range of several."""
+    accuracy = results(name)["accuracy"]
+    tests = list(next(iter(accuracy.values())))
+    rows = [[mode, *(_with_range(found[test]["seeds"]) for test in tests)] for mode, found in accuracy.items()]
+    if closed := share_closed(accuracy):
+        rows.append(["*of the gap closed*", *(percent(closed[test]) if test in closed else "" for test in tests)])
+    return table(["trained on", *(f"tested in {test}" for test in tests)], rows)
+
+
+def _with_range(values: list[float]) -> str:
+    texts = [f"{value:.3f}".removeprefix("0") for value in (float(np.mean(values)), min(values), max(values))]
+    return texts[0] if len(values) == 1 else f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
 def found_paths() -> str:

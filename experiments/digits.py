@@ -2,9 +2,9 @@
 
     python -m experiments.digits [--nmnist FOLDER] [--mnist FOLDER] [--out FOLDER]
 
-Four trainings, each continuing the one before, on N-MNIST's recordings, simulated ones, and both under other motions;
-the last one also shows noise. Finished steps in --out are kept, interrupted ones resume. It takes an hour for the
-motions and half an hour for the trainings, and writes OUT/digits.safetensors.
+Five trainings, each continuing the one before, on N-MNIST's recordings, simulated ones, and both under other motions;
+the last two also show windows without a digit. Finished steps in --out are kept, interrupted ones resume. It takes an
+hour for the motions and another for the trainings, and writes OUT/digits.safetensors.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ class Step:
     recorded : share of the windows that an epoch shows as they were recorded.
     variations : other motions of each window.
     augmentation : of all windows.
+    averaging : of the weights, see `TrainSettings`.
+    is_taught : half of the target is what the model of the step before says.
     """
 
     epochs: int
@@ -48,13 +50,16 @@ class Step:
     recorded: float
     variations: int = 8
     augmentation: Augmentation = Augmentation()  # noqa: RUF009  (frozen)
+    averaging: float = 0.0
+    is_taught: bool = False
 
 
 STEPS = {
     "first": Step(20, 0.002, 0.5),
     "second": Step(8, 0.001, 0.5),
     "third": Step(12, 0.001, 0.6),
-    "digits": Step(8, 0.0005, 0.6, 2, Augmentation(partial=0.5, nothing=0.2)),
+    "fourth": Step(8, 0.0005, 0.6, 2, Augmentation(partial=0.5, nothing=0.2)),
+    "digits": Step(20, 0.001, 0.6, 2, Augmentation(partial=0.5, nothing=0.15), averaging=0.9995, is_taught=True),
 }
 
 
@@ -62,7 +67,12 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
     """Train step by step; the last model has been tested, and is written to `out`."""
     model = None
     for name, step in steps.items():
-        settings = TrainSettings(epochs=step.epochs, learning_rate=step.rate, augmentation=step.augmentation)
+        settings = TrainSettings(
+            epochs=step.epochs,
+            learning_rate=step.rate,
+            augmentation=step.augmentation,
+            averaging=step.averaging,
+        )
         motions = resynthesize(
             data.training,
             data.validation,
@@ -72,7 +82,8 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
             workers=available_cores(),
             progress=progress,
         )
-        fitted = fit(data, settings, out / name, start=model, motions=motions, progress=progress)
+        teachers = [model] if model is not None and step.is_taught else []
+        fitted = fit(data, settings, out / name, start=model, motions=motions, teachers=teachers, progress=progress)
         if step is list(steps.values())[-1]:
             fitted = fitted.tested(data)
         model = fitted.model

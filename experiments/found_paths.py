@@ -2,9 +2,10 @@
 
     python -m experiments.found_paths [--nmnist N-MNIST] [--windows N] [--json FILE] [--quick]
 
-N-MNIST's three saccades, with all and with a fifth of their events: right is within 45 degrees of the median of those
-at full rate. Made hand motion: within 45 degrees of the direction of the swing. Noise is made here: uniform, all pixels
-flickering at once, of one polarity, in pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
+N-MNIST's three saccades, with all and with a fifth of their events, and thirds of saccades with a fifth, alone and with
+the windows beside them: right is within 45 degrees of the median of those at full rate. Made hand motion: within 45
+degrees of the direction of the swing. Noise is made here: uniform, all pixels flickering at once, of one polarity, in
+pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import numpy as np
 
 from async_tnt.resynthesis import MotionPath, Reconstruction
 from async_tnt.resynthesis.moving_image import cell_for
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, measure_pixels
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, measure_pixels, part_of
+from async_tnt.resynthesis.reconstruction import SPAN
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments import made_hands
 from experiments.bench_timing import machine
@@ -28,6 +30,8 @@ from experiments.script_options import add_folder, exit_with, run_script, script
 SIDE = 34
 RATES = 1.0, 0.2
 FEWEST, MOST = 50, 3_000
+PARTS = np.arange(1, 17) / 16
+"""Of a window, at whose ends a path's places are looked at."""
 
 
 def paths_of(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int, pixels: MeasuredPixels) -> Any:
@@ -38,7 +42,7 @@ def paths_of(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int
 
 def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
     """How many paths were found, and how many of these and of all lead within 45 degrees of `angles`, in radians."""
-    leads = np.array([path.positions.mean(0) for path in paths])
+    leads = np.array([path.at(PARTS).mean(0) for path in paths])
     off = np.abs(np.angle(np.exp(1j * (np.arctan2(leads[:, 1], leads[:, 0]) - angles))))
     found = np.array([not path.refused for path in paths])
     return {
@@ -57,19 +61,32 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
     files = [Path(name) for name in rng.permutation(sorted(map(str, folder.glob("Train/*/*.bin"))))[:n]]
     rows: dict[str, Any] = {}
     angles: dict[int, float] = {}
+
+    def cut(file: Path, from_us: int, until_us: int, rate: float, start_us: int) -> Columns:
+        events = read_nmnist(file)
+        kept = (events["t"] >= from_us) & (events["t"] < until_us) & (rng.random(len(events)) < rate)
+        return _columns((events["t"][kept] - start_us, *(events[name][kept] for name in "xyp")))
+
     for rate in RATES:
         for saccade in range(3):
-            windows = []
-            for file in files:
-                events = read_nmnist(file)
-                t = events["t"] - saccade * SACCADE_US
-                kept = (t >= 0) & (t < SACCADE_US) & (rng.random(len(t)) < rate)
-                windows.append(_columns((t[kept], *(events[name][kept] for name in "xyp"))))
+            start_us = saccade * SACCADE_US
+            windows = [cut(file, start_us, start_us + SACCADE_US, rate, start_us) for file in files]
             pixels = measure_pixels(windows, (SIDE, SIDE), SACCADE_US)
             paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, pixels)
             ends = np.median([path.positions[-1] for path in paths], axis=0)
             true = angles.setdefault(saccade, np.arctan2(ends[1], ends[0]))
             rows[f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"] = judged(paths, np.full(n, true))
+    third, rate = SACCADE_US // 3, min(RATES)
+    starts = third * (np.arange(n) % 9)
+    wide = [
+        cut(file, start - third, start + 2 * third, rate, start)
+        for file, start in zip(files, starts.tolist(), strict=True)
+    ]
+    true_of = np.array([angles[k] for k in (starts // SACCADE_US).tolist()])
+    for name, span in (("alone", 1), ("with those beside", SPAN)):
+        windows = wide if span > 1 else [part_of(one, third) for one in wide]
+        paths = paths_of(windows, (SIDE, SIDE), third, pixels)
+        rows[f"N-MNIST, thirds of saccades, {rate:.0%}, {name}"] = judged(paths, true_of)
     return rows
 
 

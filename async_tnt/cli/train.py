@@ -213,7 +213,7 @@ def _other_motions(
     args: argparse.Namespace, data: TrainingData, settings: TrainSettings, start: Model | None, run_folder: Path
 ) -> Motions | None:
     """The windows under other motions, made in the run folder or found there; None with --motions recorded."""
-    from async_tnt.resynthesis.calibration import side_by_side
+    from async_tnt.resynthesis.calibration import side_by_side, unlike
     from async_tnt.training.moved_windows import MotionSettings
     from async_tnt.training.resynthesis import resynthesize
     from async_tnt.training.run_folder import identity_of, load_checkpoint
@@ -252,6 +252,8 @@ def _other_motions(
             "moves as a whole by two pixels and more, with some hundred events: try another --window-us, or --roi with "
             "--crop"
         )
+    if names := unlike(record["match"]):
+        note(f"warning: recorded and simulated windows differ in {', '.join(names)}: compare motions.png, and held out")
     _draw_motions(motions, data, run_folder / "motions" / "motions.png")
     return motions
 
@@ -266,7 +268,8 @@ def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
     from async_tnt.views.figure_resynthesis import write_resynthesis
 
     if motions.spans.any():
-        write_resynthesis(examples(motions, data.classes), path)
+        moved, refused = examples(motions, data.classes)
+        write_resynthesis(moved, path, refused)
 
 
 def _draw_confusion(out: Path, scores: Scores) -> Path:

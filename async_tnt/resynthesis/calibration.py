@@ -28,6 +28,8 @@ UNITS = {"active pixels": "%", "same-pixel interval": "ms", "ON share": "%", "ON
 """What a number's name starts with, before a comma -> its unit; the others have none."""
 CLOCK_MS = 1e-3  # shorter intervals are 0 in whole microseconds
 MOST_STEPS, NEAR_ENOUGH = 8, 0.005
+UNLIKE = 4 / 3
+"""Ratio of a simulated number to the recorded one that is worth a warning."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,21 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
         "same-pixel interval, median": float(median) * 1e-3,
         "ON share": 100.0 * _ratio(n_on, n_events),
     }
+
+
+def unlike(match: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """The numbers of `Calibration.match` of which one is `UNLIKE` times the other or more.
+
+    Examples
+    --------
+    >>> recorded = {"ON share": 50.0, "active pixels": 2.0}
+    >>> unlike({"recorded": recorded, "resynthesized": {"ON share": 40.0, "active pixels": 2.8}})
+    ['active pixels']
+    """
+    recorded, simulated = match["recorded"], match["resynthesized"]
+    small = CLOCK_MS  # of an interval; the other numbers are larger
+    ratios = {name: max(recorded[name], small) / max(simulated[name], small) for name in recorded}
+    return [name for name, ratio in ratios.items() if not 1 / UNLIKE < ratio < UNLIKE]
 
 
 def _ratio(part: float, whole: float) -> float:

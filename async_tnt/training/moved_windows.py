@@ -65,8 +65,8 @@ class Motions:
     ----------
     files : their other motions, one file after the other.
     training : as recorded.
-    spans, paths : int64, (N,), and float64, (N, K, 2): how they moved, see `MotionPath`; a span of 0 where there is no
-        path to rely on, and no other motions.
+    refused : str, (N,): why there is no path to rely on, and so no other motions; empty where there is.
+    spans, paths : int64, (N,), and float64, (N, K, 2): how they moved, see `MotionPath`; a span of 0 where refused.
     validation : the windows that are held out, under another motion each; those whose path was found.
     config : of the volumes; its sensor and the length of its windows are used.
     settings : how they were made.
@@ -75,6 +75,7 @@ class Motions:
 
     files: list[Path]
     training: Windows
+    refused: np.ndarray
     spans: np.ndarray
     paths: np.ndarray
     validation: Windows

@@ -40,7 +40,7 @@ from async_tnt.training.moved_windows import (
 )
 from async_tnt.training.run_folder import other_run, windows_checksum
 from async_tnt.training.windows import Windows
-from async_tnt.views.figure_resynthesis import ResynthesizedWindow
+from async_tnt.views.figure_resynthesis import RefusedWindow, ResynthesizedWindow
 
 MANIFEST = "motions.json"
 N_CALIBRATION = 128
@@ -48,8 +48,8 @@ N_CALIBRATION = 128
 MOST_WINDOWS, MOST_EVENTS = 500, 300_000
 """Of a file, as recorded: their variations are in memory together."""
 PARTS = ("training", "held-out")
-N_EXAMPLES, N_OTHERS = 5, 4
-"""Windows of a picture, and other motions of each."""
+N_EXAMPLES, N_OTHERS, N_REFUSED = 5, 4, 2
+"""Windows of a picture, other motions of each, and windows without any."""
 
 
 def resynthesize(
@@ -213,7 +213,7 @@ def _open(
         **{name: content[name] for name in ("cell", "length_px", "pixels", "match")},
     }
     validation = Windows(moved, moving, np.zeros(len(moving), np.int64))
-    return Motions(files["training"], training, spans, paths, validation, config, settings, record)
+    return Motions(files["training"], training, refused, spans, paths, validation, config, settings, record)
 
 
 def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
@@ -238,13 +238,23 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         raise damaged(path, repr(error)) from None
 
 
-def examples(motions: Motions, classes: tuple[str, ...]) -> list[ResynthesizedWindow]:
-    """Windows of different classes, as far as there are, with their first variations, made once more for a picture."""
+def examples(motions: Motions, classes: tuple[str, ...]) -> tuple[list[ResynthesizedWindow], list[RefusedWindow]]:
+    """For a picture: windows of different classes, as far as there are, with their first variations, made once more;
+    and one for each of the most frequent reasons that there are none."""
     found = np.flatnonzero(motions.spans)
     labels, firsts = np.unique(motions.training.labels[found], return_index=True)
     which = found[firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]]
     reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us, motions.record["cell"])
-    return [_example(motions, reconstruction, int(i), classes) for i in which]
+    return [_example(motions, reconstruction, int(i), classes) for i in which], _refused(motions, classes)
+
+
+def _refused(motions: Motions, classes: tuple[str, ...]) -> list[RefusedWindow]:
+    refused = []
+    for reason in list(motions.record["without_path"])[:N_REFUSED]:
+        i = int(np.flatnonzero(motions.refused == reason)[0])
+        columns = motions.training.events(i, motions.config.window_us)
+        refused.append(RefusedWindow(classes[motions.training.labels[i]], structured(columns), reason))
+    return refused
 
 
 def _example(motions: Motions, reconstruction: Reconstruction, i: int, classes: tuple[str, ...]) -> ResynthesizedWindow:

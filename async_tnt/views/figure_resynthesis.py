@@ -51,8 +51,25 @@ class ResynthesizedWindow:
     others: Sequence[np.ndarray]
 
 
-def draw_resynthesis(windows: Sequence[ResynthesizedWindow]) -> Figure:
-    """Events as recorded, the image and path found in them, and events of that image under this and other paths.
+@dataclass(frozen=True)
+class RefusedWindow:
+    """A window without a path that may be relied on.
+
+    Parameters
+    ----------
+    name : of its class.
+    recorded : its events, with fields x, y, p.
+    reason : why its path may not be relied on.
+    """
+
+    name: str
+    recorded: np.ndarray
+    reason: str
+
+
+def draw_resynthesis(windows: Sequence[ResynthesizedWindow], refused: Sequence[RefusedWindow] = ()) -> Figure:
+    """Events as recorded, the image and path found in them, and events of that image under this and other paths; and
+    windows in which none was found.
 
     Raises
     ------
@@ -63,7 +80,9 @@ def draw_resynthesis(windows: Sequence[ResynthesizedWindow]) -> Figure:
     n_others = len(windows[0].others)
     height, width = windows[0].image.shape
     high = SIDE * height / width
-    figure = new_figure(TOP + len(windows) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1)
+    figure = new_figure(
+        TOP + (len(windows) + len(refused)) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1
+    )
     headline(figure, "motion re-synthesis")
     titles = ["as recorded", "image, path found", "the same path", *(f"other path {i + 1}" for i in range(n_others))]
     for column, title in enumerate(titles):
@@ -76,25 +95,38 @@ def draw_resynthesis(windows: Sequence[ResynthesizedWindow]) -> Figure:
         paths = [None, window.motions[0], *window.motions]
         everything = [_counts(window.recorded, window.image.shape), window.image, *pictures]
         for column, (picture, path) in enumerate(zip(everything, paths, strict=True)):
-            axes = axes_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
-            if column == 1:
-                axes.imshow(picture, cmap="gray")
-            else:
-                axes.imshow(picture, cmap=polarity_map(), vmin=-STRONGEST, vmax=STRONGEST)
-            axes.set(xticks=[], yticks=[])
-            axes.spines[:].set_visible(True)
-            axes.spines[:].set_color(PALE)
+            axes = _draw_picture(figure, column, top, picture, is_image=column == 1)
             if path is not None:
                 _draw_path(axes, path, (width, height))
+    for row, one in enumerate(refused, len(windows)):
+        top = TOP + row * (high + GAP)
+        write_at(figure, LEFT - 0.1, top + high / 2, shortened(one.name, 14), ha="right")
+        _draw_picture(figure, 0, top, _counts(one.recorded, (height, width)), is_image=False)
+        write_at(figure, LEFT + SIDE + 2 * GAP, top + high / 2, f"no path: {one.reason}")
     polarity_legend(figure)
     return figure
 
 
-def write_resynthesis(windows: Sequence[ResynthesizedWindow], path: Path, *, dpi: int = 150) -> Path:
+def write_resynthesis(
+    windows: Sequence[ResynthesizedWindow], path: Path, refused: Sequence[RefusedWindow] = (), *, dpi: int = 150
+) -> Path:
     """`draw_resynthesis` into a file, .png, .svg or .pdf; replaced atomically if it exists. Returns its path."""
     with styled():
-        save(draw_resynthesis(windows), path, dpi)
+        save(draw_resynthesis(windows, refused), path, dpi)
     return path
+
+
+def _draw_picture(figure: Figure, column: int, top: float, picture: np.ndarray, *, is_image: bool) -> Any:
+    high = SIDE * picture.shape[0] / picture.shape[1]
+    axes = axes_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
+    if is_image:
+        axes.imshow(picture, cmap="gray")
+    else:
+        axes.imshow(picture, cmap=polarity_map(), vmin=-STRONGEST, vmax=STRONGEST)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(True)
+    axes.spines[:].set_color(PALE)
+    return axes
 
 
 def _counts(events: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,6 +1,7 @@
 """How `digits` was trained: its recordings, and its steps, each of which continues the one before."""
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from small_sets import idx_bytes
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.progress import no_progress
-from experiments.digits import CONFIG, STEPS, Step, train_digits
+from experiments.digits import CONFIG, STEPS, train_digits
 from experiments.digits_data import (
     FIRST_INDEX,
     digits_data,
@@ -54,7 +55,7 @@ def test_each_step_continues_the_one_before_and_the_last_is_tested(nmnist, mnist
     data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=no_progress)
     assert (data.record["real_recordings"], data.record["simulated_recordings"]) == (40, 5)
     assert len(data.training) == 135 and len(data.tests["test"][0]) == 30
-    steps = {name: Step(1, step.rate, step.recorded, 1, step.augmentation) for name, step in list(STEPS.items())[2:]}
+    steps = {name: replace(step, epochs=1, variations=1) for name, step in list(STEPS.items())[3:]}
     model = train_digits(data, steps, tmp_path)
-    assert sorted(path.name for path in tmp_path.glob("*.safetensors")) == ["digits.safetensors", "third.safetensors"]
+    assert sorted(path.name for path in tmp_path.glob("*.safetensors")) == ["digits.safetensors", "fourth.safetensors"]
     assert model.record["started_from"]["seed"] == 0 and model.record["test"]["recordings"] == 10

@@ -52,11 +52,15 @@ def test_resynthesis_shows_counts_the_image_and_paths():
     image = np.arange(15.0).reshape(3, 5)
     right, down = (np.linspace(0, 2, 5)[:, None] * np.array(way) for way in ((1, 0), (0, 1)))
     window = figure_resynthesis.ResynthesizedWindow("cup", one, image, one[:1], [right, down], [one[2:]])
-    axes = figure_resynthesis.draw_resynthesis([window, window]).axes
-    found = pictures(axes[:4])
+    refused = figure_resynthesis.RefusedWindow("pen", one, "several objects")
+    figure = figure_resynthesis.draw_resynthesis([window, window], [refused])
+    axes = figure.axes
+    found = pictures([*axes[:4], axes[8]])
+    np.testing.assert_array_equal(found[4], found[0])
+    assert {"cup", "pen", "no path: several objects"} <= {text.get_text() for text in figure.texts}
     assert found[0][2, 1] == 2 and found[0][0, 4] == -1 and np.abs(found[0]).sum() == 3
     np.testing.assert_array_equal(found[1], image)
-    assert found[2].sum() == 1 and found[3].sum() == -1 and len(axes) == 8
+    assert found[2].sum() == 1 and found[3].sum() == -1 and len(axes) == 9
     net = [np.subtract(*(each.lines[0].get_xydata()[k] for k in (-1, 0))) for each in axes[1:4]]
     np.testing.assert_allclose(net, [(2, 0), (2, 0), (0, 2)])
     with pytest.raises(ValueError, match="at least one window"):
