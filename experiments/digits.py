@@ -9,7 +9,7 @@ hour for the motions and another for the trainings, and writes OUT/digits.safete
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -20,10 +20,13 @@ from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData
-from async_tnt.training.fitting import fit
+from async_tnt.training.evaluation import evaluate
+from async_tnt.training.fitting import Fitted, fit, moments_ms
 from async_tnt.training.moved_windows import MotionSettings
+from async_tnt.training.pipeline import pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.settings import TrainSettings
+from async_tnt.training.temperature import calibrated
 from experiments.digits_data import digits_data
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 
@@ -43,6 +46,7 @@ class Step:
     augmentation : of all windows.
     averaging : of the weights, see `TrainSettings`.
     is_taught : half of the target is what the model of the step before says.
+    kept : share of that model's weights in this step's (Wortsman et al. 2022, arXiv:2109.01903).
     """
 
     epochs: int
@@ -52,6 +56,7 @@ class Step:
     augmentation: Augmentation = Augmentation()  # noqa: RUF009  (frozen)
     averaging: float = 0.0
     is_taught: bool = False
+    kept: float = 0.0
 
 
 STEPS = {
@@ -59,7 +64,7 @@ STEPS = {
     "second": Step(8, 0.001, 0.5),
     "third": Step(12, 0.001, 0.6),
     "fourth": Step(8, 0.0005, 0.6, 2, Augmentation(partial=0.5, nothing=0.2)),
-    "digits": Step(20, 0.001, 0.6, 2, Augmentation(partial=0.5, nothing=0.15), averaging=0.9995, is_taught=True),
+    "digits": Step(20, 0.001, 0.6, 2, Augmentation(partial=0.5, nothing=0.15), 0.9995, is_taught=True, kept=0.27),
 }
 
 
@@ -82,14 +87,28 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
             workers=available_cores(),
             progress=progress,
         )
-        teachers = [model] if model is not None and step.is_taught else []
+        teachers: list[Model] = [model] if model is not None and step.is_taught else []
         fitted = fit(data, settings, out / name, start=model, motions=motions, teachers=teachers, progress=progress)
+        if model is not None and step.kept:
+            fitted = mixed(model, fitted, step.kept, data)
         if step is list(steps.values())[-1]:
             fitted = fitted.tested(data)
         model = fitted.model
         model.save(out / f"{name}.safetensors")
     assert model is not None
     return model
+
+
+def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fitted:
+    """The model with `kept` of the weights before and the rest of `fitted`, calibrated again on what is held out."""
+    weights = {name: kept * before.weights[name] + (1 - kept) * after for name, after in fitted.model.weights.items()}
+    model = replace(fitted.model, weights=weights, record={**fitted.model.record, "kept": kept})
+    if not len(data.validation):
+        return replace(fitted, model=model)
+    found = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
+    model, temperature = calibrated(model, found.temperature)
+    record = {**model.record, "validation": found.to_dict(), "temperature": round(temperature, 5)}
+    return replace(fitted, model=replace(model, record=record))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -45,6 +45,7 @@ RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
 OF_NMNIST = "saccades", "volumes"
 SETS = "shapes", "hands", *OF_NMNIST
 MOVED = "--motions", "resynthesized"
+HARDLY = 0.03
 VOLUMES = {
     "counts": (),
     "5 bins": ("--volume", "representation=volume,bins=5,polarity=split,transform=none"),
@@ -181,12 +182,13 @@ def command(*words: object) -> dict[str, Any]:
 
 def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
     """In each test of other motions: the share of the gap between training on one and on all directions that
-    re-synthesis closes; none where there is no such comparison."""
+    re-synthesis closes; none where there is no such comparison, or hardly a gap."""
     if "all directions" not in accuracy:
         return {}
     means = {mode: {test: found["mean"] for test, found in tests.items()} for mode, tests in accuracy.items()}
     one, moved, every = (means[mode] for mode in ("recorded", "resynthesized", "all directions"))
-    return {test: (moved[test] - one[test]) / (every[test] - one[test]) for test in one if test != "recorded motion"}
+    gaps = {test: every[test] - one[test] for test in one if test != "recorded motion"}
+    return {test: (moved[test] - one[test]) / gap for test, gap in gaps.items() if gap > HARDLY}
 
 
 def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:
