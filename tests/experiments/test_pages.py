@@ -70,7 +70,7 @@ def test_statements_of_the_results_page_hold():
     alone, every_ms = ({row["settings"]["confidence"]: row for row in group} for group in groups)
     for level in (0.9, 0.95, 0.98, 0.99):
         row = alone[level]
-        assert 1.2 < float(tables.same_moment_ms(early, row["accuracy"])) / row["mean_ms"] < 1.6
+        assert 1.2 < float(tables.same_moment_ms(early, row["accuracy"])) / row["mean_ms"] < 1.65
         assert every_ms[level]["accuracy"] >= row["accuracy"]
         assert 5 < row["evaluations_until"] / every_ms[level]["evaluations_until"] < 8.5
         assert row["accuracy"] == pytest.approx(level, abs=0.025)  # calibrated
@@ -87,6 +87,9 @@ def test_statements_of_the_results_page_hold():
     objects = tables.results("unseen_motions")["accuracy"]
     found = [objects[mode]["other motions"]["mean"] for mode in ("recorded", "resynthesized")]
     assert [f"{share:.3f}" for share in found] == ["0.284", "0.903"]
+    few = {name: tables.results(f"unseen_{name}")["accuracy"] for name in ("saccades", "hands")}
+    closed = [f"{tables.share_closed(of)['other motions']:.2f}" for of in few.values()]
+    assert closed == ["0.92", "0.76"]
     intervals = {(d["row"], d["against"], d["column"]): d for d in tables.results("table")["differences"]}
     for row in ("running-unsigned-translated", "line-unsigned-translated"):
         of = intervals[row, "raw-unsigned-translated", "1/others"]
