@@ -40,10 +40,9 @@ recordings, the test 1,000 others of these, 100 per digit. The standard error is
 running centroid, t_max 4, nine bins of 105 ms on 34 x 34 pixels, 16 and 32 convolution channels, 64 hidden units,
 137,738 weights.
 
-It was trained in five steps, which `python -m experiments.digits` repeats: an hour on two cores for the other motions,
-and more than one on one for the trainings. The last two also show windows without a digit: the fourth scattered events,
-the fifth all five kinds of `train`, where half of its target is what the fourth model says. Of the weights, .27 are
-the fourth model's and .73 the average over the fifth step; the probabilities are calibrated.
+It was trained in five steps, which `python -m experiments.digits` repeats in hours. The fourth also shows scattered
+events, the fifth all kinds of nothing of `train`; half of its target is what the fourth model says. .27 of the weights
+are the fourth model's, .73 the average over the fifth step; the probabilities are calibrated.
 
 Data: 7,201 real and 20,000 simulated recordings of MNIST training images from 5,000 on; 799 real ones were held out.
 Augmentation: the window's start moves by up to 5 ms, events by 1.5 px, rotation 10 degrees, scale and shear 10 %, up
@@ -55,8 +54,7 @@ Of the first eight trainings with motions, 7 was taken: as good as any, and the 
 bundled samples right, so these are no test. 8 and 9 continue it with noise; 9 was taken, which is right sooner and
 decides less noise. Four more continue 9, or each other, with all kinds of nothing, for 4 to 16 epochs; none had .992 of
 the held-out windows and all of the bundled samples. 10 has all but one sample; of nine shares of 9's weights in it, 11
-has the one with all samples and at most .05 of each kind of nothing that training showed. 7, 8, 9, 11 and one of the
-four have classified the test recordings; these numbers chose nothing."""
+has all samples and at most .05 of each kind shown. 7, 8, 9, 11 and one of the four have read the test; it chose none."""
 
 CARS = """\
 N-CARS (A. Sironi et al. 2018, [arXiv:1803.07913](https://arxiv.org/abs/1803.07913)): 15,422 recordings to train on (one
@@ -111,8 +109,7 @@ of one seed, whose held-out accuracy was still rising at the end."""
 FEW = """\
 Trained in one direction, or in all; means of seeds (lowest to highest). Saccades: 4,800 recordings of N-MNIST's
 Train show the first one, or all three in turn; the 1,000 of Test show each. Hands: eight dark objects, 1,280 recordings
-that move to the right, or in eight directions; 320 in each test. All arms have the options of `train` that the script
-shows, and nothing else was chosen."""
+that move to the right, or in eight directions; 320 in each test. The signs were chosen by the first and last row."""
 
 SIMULATED = """\
 200 recordings of N-MNIST's test set, simulations of the same MNIST images under N-MNIST's own motion, and
@@ -240,9 +237,8 @@ SECTIONS = (
     Section(
         "Where nothing is",
         "Windows with the times of the bundled recordings' events, which stand somewhere else, and other objects. "
-        "Training showed `digits` noise, noise of one polarity, hot pixels, patches and straight edges, made by code "
-        "of its own. When it had seen noise alone, the shares were .00, .46, .00, .72, .25, .84, .22, .48, .56, .77 "
-        "and .17.",
+        "Training showed `digits` noise, one polarity, hot pixels, patches and straight edges, by code of its own. "
+        "When it had seen noise alone, the shares were .00, .46, .00, .72, .25, .84, .22, .48, .56, .77, .17.",
         "experiments.nothing --poker POKER-DVS/pips_train --characters characters --cars n-cars_train "
         "--json experiments/results/nothing.json",
         {accuracy.nothing: "Share of windows in which a class has .9 at their ends"},
@@ -305,15 +301,14 @@ SECTIONS = (
         "experiments.unseen_motions --set saccades --seeds 3 --json experiments/results/unseen_saccades.json",
         {
             accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events, three seeds",
-            accuracy.unseen_hands: "Hand motion, two seeds, with `--set hands --seeds 2 --json "
-            "experiments/results/unseen_hands.json`",
+            accuracy.unseen_hands: "Hand motion, two seeds: `--set hands --seeds 2 --json .../unseen_hands.json`",
         },
     ),
     Section(
         "Paths that are found",
         "Right: within 45 degrees, of the median at full rate or of the swing. The constants of the rules were set by "
-        "the rows of N-MNIST's training recordings and of noise; the generator of hand motion is older than the rules. "
-        "Hand motion: 2 to 3 pixels, 1.3 to 2.8 events an active pixel (`experiments/made_hands.py`).",
+        "the rows of N-MNIST's training recordings and of noise; hand motion (2 to 3 pixels, 1.2 to 2.7 events a pixel, "
+        "`experiments/made_hands.py`) set none.",
         "experiments.found_paths --nmnist N-MNIST --json experiments/results/found_paths.json",
         {accuracy.found_paths: "Windows with a path that is relied on"},
     ),
