@@ -54,7 +54,7 @@ Of the first eight trainings with motions, 7 was taken: as good as any, and the 
 bundled samples right, so these are no test. 8 and 9 continue it with noise; 9 was taken, which is right sooner and
 decides less noise. Four more continue 9, or each other, with all kinds of nothing, for 4 to 16 epochs; none had .992 of
 the held-out windows and all of the bundled samples. 10 has all but one sample; of nine shares of 9's weights in it, 11
-has all samples and at most .05 of each kind shown. 7, 8, 9, 11 and one of the four have read the test; it chose none."""
+has all samples and at most .05 of each kind shown. 7, 8, 9, 11 and one of the four have read the test; none chose."""
 
 CARS = """\
 N-CARS (A. Sironi et al. 2018, [arXiv:1803.07913](https://arxiv.org/abs/1803.07913)): 15,422 recordings to train on (one
