@@ -307,7 +307,7 @@ SECTIONS = (
     Section(
         "Paths that are found",
         "Right: within 45 degrees, of the median at full rate or of the swing. The constants of the rules were set by "
-        "the rows of N-MNIST's training recordings and of noise; hand motion (2 to 3 pixels, 1.2 to 2.7 events a pixel, "
+        "the rows of N-MNIST's training recordings and of noise; hand motion (2 to 3 pixels, 1.2 to 2.7 events each, "
         "`experiments/made_hands.py`) set none.",
         "experiments.found_paths --nmnist N-MNIST --json experiments/results/found_paths.json",
         {accuracy.found_paths: "Windows with a path that is relied on"},
