@@ -20,11 +20,13 @@ are left out.
 
 Once the path is known, the image is found as sharp as its events tell, and flat where they tell nothing:
 
-    L = argmin  1/2 sum_q h |L - b / h|^2  +  SPARSENESS sum_x |D L|  +  1/2 MEAN_PRECISION |L|^2
+    L = argmin  1/2 sum_q h |L - b / h|^2  +  sum_x g(|D L|)  +  1/2 MEAN_PRECISION |L|^2
+    g'(z) = SPARSENESS (sqrt(u^2 + 1) - u),  u = z / (2 EDGE)
 
-The first term is the likelihood; the second, total variation, prefers few edges to many small ones: it removes what
-noise would otherwise leave everywhere, each bit of which would give events under another motion, and continues edges
-that run along the motion, of which there are no events.
+The first term is the likelihood; the second prefers few edges to many small ones: it removes what noise would otherwise
+leave everywhere, each bit of which would give events under another motion, and continues edges that run along the
+motion, of which there are no events. Total variation (g' the same everywhere) does that too, but flattens all edges,
+those along the motion most of all; here an edge well above `EDGE` costs little more than a small one.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ MOST_CELLS, OBJECT_CELLS, FEWEST_CELLS = 80, 16, 40
 so many across what moves, but at least so many along the sensor: a path of two pixels is not seen in cells of four."""
 MARGIN = 14
 """Cells beyond the sensor, so that what leaves it on one side does not come in on the other."""
-SPARSENESS, COUPLING, STEPS = 3.0, 3.0, 40
+SPARSENESS, EDGE, STEPS = 2.0, 2 / 3, 40
 MEAN_PRECISION = 1e-2
 """Keeps frequencies that nothing is known of, such as the mean, at 0."""
 
@@ -158,8 +160,8 @@ def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> n
     """The images of N windows where they are at their window's start.
 
     Solved by ADMM (Boyd et al. 2011; for total variation: Goldstein and Osher 2009, the split Bregman method): with
-    z = D L held fixed, L has a closed form for each frequency; with L held fixed, z is D L moved towards 0 by a
-    threshold.
+    z = D L held fixed, L has a closed form for each frequency; with L held fixed, z is D L times 1 - (EDGE / |D L|)^2,
+    or 0 (the garrote, Gao 1998), if the coupling of both is SPARSENESS / EDGE.
 
     Parameters
     ----------
@@ -171,22 +173,23 @@ def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> n
     float64, (N, *model.shape), in thresholds.
     """
     qx, qy = model.frequencies
+    coupling = SPARSENESS / EDGE
     forward_x, forward_y = np.exp(1j * qx) - 1.0, (np.exp(1j * qy) - 1.0)[:, None]
     white = model.white_motion(paths, qx, qy)
     b = (white.conj() * spectra).sum(-1)
     precision = (
-        (np.abs(white) ** 2).sum(-1) + MEAN_PRECISION + COUPLING * (np.abs(forward_x) ** 2 + np.abs(forward_y) ** 2)
+        (np.abs(white) ** 2).sum(-1) + MEAN_PRECISION + coupling * (np.abs(forward_x) ** 2 + np.abs(forward_y) ** 2)
     )
     edges, dual = np.zeros((2, 2, len(spectra), *model.shape))  # z, and the dual variable of z = D L
     for _ in range(STEPS):
         along_x, along_y = np.fft.rfft2(edges - dual, norm="ortho")
-        spectrum = (b + COUPLING * (forward_x.conj() * along_x + forward_y.conj() * along_y)) / precision
+        spectrum = (b + coupling * (forward_x.conj() * along_x + forward_y.conj() * along_y)) / precision
         images = np.fft.irfft2(spectrum, model.shape, norm="ortho")
         slopes = dual
         slopes[0] += np.roll(images, -1, axis=-1) - images
         slopes[1] += np.roll(images, -1, axis=-2) - images
         size = np.sqrt(slopes[0] ** 2 + slopes[1] ** 2)
-        edges = slopes * np.maximum(0.0, 1.0 - SPARSENESS / COUPLING / np.maximum(size, 1e-12))
+        edges = slopes * np.maximum(0.0, 1.0 - (EDGE / np.maximum(size, 1e-12)) ** 2)
         dual = slopes - edges
     return images
 

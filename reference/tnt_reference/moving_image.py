@@ -96,9 +96,11 @@ def path_evidence(
 
 
 def image_cost(
-    image: torch.Tensor, frames: torch.Tensor, path: torch.Tensor, *, sparseness: float, level: float
+    image: torch.Tensor, frames: torch.Tensor, path: torch.Tensor, *, sparseness: float, edge: float, level: float
 ) -> torch.Tensor:
-    """What the best image minimises: 1/2 |V^-1/2 (c - A L)|^2 + sparseness sum |D L| + level/2 |L|^2.
+    """What the best image minimises: 1/2 |V^-1/2 (c - A L)|^2 + sum g(|D L|) + level/2 |L|^2, where
+
+        g(z) = sparseness edge (u sqrt(u^2 + 1) + asinh u - u^2),  u = z / (2 edge)
 
     Parameters
     ----------
@@ -110,7 +112,9 @@ def image_cost(
     )
     misfit = 0.5 * (left * torch.linalg.solve(noise_covariance(n_frames), left)).sum()
     across, down = (difference_matrix((shape[0], shape[1])) @ image.reshape(-1)).reshape(2, -1)
-    total: torch.Tensor = misfit + sparseness * torch.hypot(across, down).sum() + 0.5 * level * (image**2).sum()
+    u = torch.hypot(across, down) / (2 * edge)
+    edges = sparseness * edge * (u * torch.sqrt(u**2 + 1) + torch.asinh(u) - u**2)
+    total: torch.Tensor = misfit + edges.sum() + 0.5 * level * (image**2).sum()
     return total
 
 

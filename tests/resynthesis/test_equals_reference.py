@@ -56,6 +56,7 @@ def test_image_costs_least():
             torch.tensor(frames[0]),
             torch.tensor(path),
             sparseness=moving_image.SPARSENESS,
+            edge=moving_image.EDGE,
             level=moving_image.MEAN_PRECISION,
         )
 
