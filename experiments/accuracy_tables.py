@@ -123,10 +123,6 @@ def polarity() -> str:
     return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
 
 
-def unseen_shapes() -> str:
-    return _unseen("unseen_motions")
-
-
 def unseen_hands() -> str:
     return _unseen("unseen_hands")
 

@@ -176,7 +176,7 @@ def lines(report: dict[str, Any]) -> list[str]:
         right = (
             "" if row.get("right") is None else f", {row['right']:.3f} of these right, {row['opposite']:.3f} opposite"
         )
-        printed.append(f"{name:46}{row['found']:.3f} of {row['windows']} found{right}")
+        printed.append(f"{name:60}{row['found']:.3f} of {row['windows']} found{right}")
     return printed
 
 

@@ -100,12 +100,6 @@ than the shape; "raw" is the control. Earlier versions, with at most 8 variation
 2 and 3 and on the simulated set. The image's prior and the random places were changed once after that; the number of
 variations was chosen by accuracy on held-out recordings in re-synthesized motions. No result led to these changes."""
 
-OBJECTS = """\
-Two dark shapes in greys on 64x48 pixels that move to the right in all training recordings, tested to the right and in
-seven other directions; made by a renderer and pixels of their own. Three seeds, with the defaults of the time, before
-`train` chose volume and network by itself. The default number of steps with other motions was raised after a first run
-of one seed, whose held-out accuracy was still rising at the end."""
-
 FEW = """\
 Trained in one direction, or in all; means of seeds (lowest to highest). Saccades: 4,800 recordings of N-MNIST's
 Train show the first one, or all three in turn; the 1,000 of Test show each. Hands: eight dark objects, 1,280 recordings
@@ -288,12 +282,6 @@ SECTIONS = (
             thesis.resynthesis: "Accuracy",
             thesis.resynthesis_match: "How well the recorded motion is matched",
         },
-    ),
-    Section(
-        "Objects in motions that were not recorded",
-        OBJECTS,
-        "experiments.unseen_motions --json experiments/results/unseen_motions.json",
-        {accuracy.unseen_shapes: "Accuracy, mean of three seeds (lowest to highest)"},
     ),
     Section(
         "Few events, in motions that were not recorded",

@@ -2,16 +2,13 @@
 
     python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST] [--json FILE]
 
-shapes     six classes, each a pair of dark shapes in two greys on a sensor of 64x48 pixels (`made_objects.py`), which
-           move by 8 to 14 pixels
-hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128 (`made_hands.py`);
-           also tested in a second session
+hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128, made by a renderer
+           and pixels of their own (`made_hands.py`); also tested in a second session
 saccades   N-MNIST's digits with a fifth of their events (`thinned_saccades.py`)
 volumes    the same, re-synthesized, with different volumes
 
-Made objects have renderers of their own. All training recordings move in one direction, the first saccade's or to the
-right; they are tested in that and in others. Hands and saccades are also compared with training in all directions. The
-commands differ by one option:
+All training recordings move in one direction, to the right or as in the first saccade; they are tested in that and in
+others, and compared with training in all. The commands differ by one option:
 
     async-tnt train OBJECTS --sensor WxH --window-us US
     async-tnt train OBJECTS --sensor WxH --window-us US --motions resynthesized
@@ -35,7 +32,7 @@ import numpy as np
 
 from async_tnt.progress import progress
 from async_tnt.sources.sensor import format_size
-from experiments import made_hands, made_objects, thinned_saccades
+from experiments import made_hands, thinned_saccades
 from experiments.bench_timing import machine
 from experiments.digits_data import CLASSES, SACCADE_US
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
@@ -43,7 +40,7 @@ from experiments.script_options import add_folder, data_folder, exit_with, scrip
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
 RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
 OF_NMNIST = "saccades", "volumes"
-SETS = "shapes", "hands", *OF_NMNIST
+SETS = "hands", *OF_NMNIST
 MOVED = "--motions", "resynthesized"
 HARDLY = 0.03
 VOLUMES = {
@@ -81,16 +78,6 @@ def sets(nmnist: Path | None) -> dict[str, MadeSet]:
     """The sets; that of saccades needs the folder of N-MNIST."""
     hand, other_hand = (partial(made_hands.write, session=session) for session in made_hands.SESSIONS)
     made = {
-        "shapes": MadeSet(
-            made_objects.CLASSES,
-            made_objects.SENSOR,
-            made_objects.WINDOW_US,
-            made_objects.write,
-            200,
-            56,
-            _modes(RIGHT),
-            {"recorded motion": (RIGHT, made_objects.write), "other motions": (OTHERS, made_objects.write)},
-        ),
         "hands": MadeSet(
             tuple(made_hands.SHAPES),
             made_hands.SENSOR,
@@ -128,10 +115,13 @@ def sets(nmnist: Path | None) -> dict[str, MadeSet]:
 
 
 def _modes(
-    recorded: tuple[float, ...], every: tuple[float, ...] = (), options: tuple[str, ...] = ()
+    recorded: tuple[float, ...], every: tuple[float, ...], options: tuple[str, ...] = ()
 ) -> dict[str, tuple[tuple[float, ...], tuple[str, ...]]]:
-    modes = {"recorded": (recorded, options), "resynthesized": (recorded, (*MOVED, *options))}
-    return {**modes, "all directions": (every, options)} if every else modes
+    return {
+        "recorded": (recorded, options),
+        "resynthesized": (recorded, (*MOVED, *options)),
+        "all directions": (every, options),
+    }
 
 
 def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -198,8 +188,8 @@ def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("unseen_motions", __doc__, "one seed, few recordings and epochs")
-    parser.add_argument("--set", choices=SETS, default="shapes", help="default: shapes")
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="data and networks (default: 3)")
+    parser.add_argument("--set", choices=SETS, default="hands", help="default: hands")
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="data and networks (default: 5)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: not kept)")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test, for saccades (default: $TNT_DATA/nmnist)")
     args = parser.parse_args(argv)

@@ -17,7 +17,7 @@ import numpy as np
 
 from async_tnt.events import structured
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels, measure_pixels, part_of
+from async_tnt.resynthesis.pixels import Columns, SimulatedPixels, measure_pixels, part_of
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction
 
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
@@ -66,8 +66,9 @@ def calibrate(
     ValueError : no window's path was found.
     """
     model = reconstruction.model
-    measured = measure_pixels([part_of(one, model.window_us) for one in windows], model.sensor, model.window_us)
-    paths, images, recorded = _reconstruct(reconstruction, windows, measured)
+    parts = [part_of(one, model.window_us) for one in windows]
+    measured = measure_pixels(parts, model.sensor, model.window_us)
+    paths, images, recorded = _moving(list(reconstruction(windows, measured)), parts)
     target = describe(recorded, model.sensor)
     candidates = []
     for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
@@ -95,19 +96,15 @@ def _scaled(
     return pixels, simulated
 
 
-def _reconstruct(
-    reconstruction: Reconstruction,
-    windows: Sequence[Columns],
-    pixels: MeasuredPixels,
+def _moving(
+    found: Sequence[tuple[MotionPath, MovedImage | None]], parts: Sequence[Columns]
 ) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
     """Path, image and recorded events of those windows whose path is found."""
-    found = list(reconstruction(windows, pixels))
-    parts = [part_of(one, reconstruction.model.window_us) for one in windows]
     moving = [(path, image, structured(one)) for (path, image), one in zip(found, parts, strict=True) if image]
     if not moving:
         reasons = ", ".join(f"{why} {n}" for why, n in Counter(path.refused for path, _ in found).most_common())
         raise ValueError(
-            f"no motion was found in any of {len(windows)} windows ({reasons}): re-synthesis needs windows in "
+            f"no motion was found in any of {len(parts)} windows ({reasons}): re-synthesis needs windows in "
             "which one image moves as a whole, with some hundred events each"
         )
     paths, images, recorded = zip(*moving, strict=True)

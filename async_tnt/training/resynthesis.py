@@ -245,7 +245,9 @@ def examples(motions: Motions, classes: tuple[str, ...]) -> tuple[list[Resynthes
     labels, firsts = np.unique(motions.training.labels[found], return_index=True)
     which = found[firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]]
     reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us, motions.record["cell"])
-    return [_example(motions, reconstruction, int(i), classes) for i in which], _refused(motions, classes)
+    around_us = motions.config.window_us * motions.training.neighbours(motions.config.window_us)
+    shown = [_example(motions, reconstruction, int(i), int(around_us[i]), classes) for i in which]
+    return shown, _refused(motions, classes)
 
 
 def _refused(motions: Motions, classes: tuple[str, ...]) -> list[RefusedWindow]:
@@ -257,10 +259,11 @@ def _refused(motions: Motions, classes: tuple[str, ...]) -> list[RefusedWindow]:
     return refused
 
 
-def _example(motions: Motions, reconstruction: Reconstruction, i: int, classes: tuple[str, ...]) -> ResynthesizedWindow:
+def _example(
+    motions: Motions, reconstruction: Reconstruction, i: int, around_us: int, classes: tuple[str, ...]
+) -> ResynthesizedWindow:
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
-    around_us = motions.config.window_us * motions.training.neighbours(motions.config.window_us)[i]
     columns = motions.training.events(i, motions.config.window_us, around_us)
     found = MotionPath(motions.paths[i], span=int(motions.spans[i]))
     image = reconstruction.image(columns, measured, found)
