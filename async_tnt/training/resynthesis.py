@@ -13,7 +13,7 @@ import contextlib
 import json
 import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -246,7 +246,7 @@ def examples(motions: Motions, classes: tuple[str, ...]) -> tuple[list[Resynthes
     which = found[firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]]
     reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us, motions.record["cell"])
     around_us = motions.config.window_us * motions.training.neighbours(motions.config.window_us)
-    shown = [_example(motions, reconstruction, int(i), int(around_us[i]), classes) for i in which]
+    shown = [_example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in which]
     return shown, _refused(motions, classes)
 
 
@@ -260,7 +260,7 @@ def _refused(motions: Motions, classes: tuple[str, ...]) -> list[RefusedWindow]:
 
 
 def _example(
-    motions: Motions, reconstruction: Reconstruction, i: int, around_us: int, classes: tuple[str, ...]
+    motions: Motions, reconstruction: Reconstruction, i: int, around_us: Sequence[int], classes: tuple[str, ...]
 ) -> ResynthesizedWindow:
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
