@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.simulation.simulator import PixelModel
+from async_tnt.simulation.simulator import AFTER_US, PixelModel
 
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """t, x, y, p of one window's events, in order; t in microseconds since the window's start. May have those of its
@@ -21,8 +21,6 @@ MISMATCH = 0.12
 """Of the simulated thresholds from pixel to pixel, as in `PixelModel`."""
 THRESHOLD_SPREAD, REFRACTORY_SPREAD = 0.1, 0.4
 LARGEST_RATIO = 4.0
-AFTER_US = 1_000
-"""Within this time after an event, one of the other sign at its pixel is an after-pulse: no light turned back."""
 REFRACTORY_SHARE = 0.01
 """Share of the intervals between a pixel's events that may be shorter than the longest possible refractory time."""
 
@@ -72,17 +70,8 @@ class SimulatedPixels:
             refractory_us=self.measured.refractory_us * spread,
             noise_hz=self.measured.noise_hz,
             noise_on_share=self.measured.noise_on_share,
+            after_share=self.measured.after_share,
         )
-
-    def with_after_pulses(self, events: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Events, in order, and the after-pulses of some of them; `rng` draws."""
-        if not self.measured.after_share:
-            return events
-        later = events[rng.random(len(events)) < self.measured.after_share]
-        later["t"] += rng.integers(1, AFTER_US, len(later))
-        later["p"] ^= 1
-        both = np.concatenate([events, later])
-        return both[np.argsort(both["t"], kind="stable")]
 
 
 def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:

@@ -6,19 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
-from async_tnt.kernels.moving_image import move_periodic
 from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage, centre_of, find_images, finer
 from async_tnt.resynthesis.paths import MotionPath, PathFinder, random_motion, random_place
 from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels, part_of
-from async_tnt.simulation.simulator import simulate
+from async_tnt.simulation.periodic_image import PeriodicImage
 
 N_PICTURES = 52
 """Pictures of a window; the light runs straight between them."""
 FINENESS = 3
 """Places of the image along a cell: between them it is interpolated, which does not blur it visibly."""
-MOST_VALUES = 1 << 22
-"""Of pictures in memory: a large sensor is simulated in bands of rows."""
 SPAN = 3
 """Windows that tell a path together where one alone does not: that of before, itself, and the next."""
 BATCH = 64
@@ -33,17 +29,22 @@ class MovedImage:
     model : of the window.
     image : float64, (rows, columns) of the torus, in thresholds, where it is at the path's start.
     path : how it was recorded.
+
+    Attributes
+    ----------
+    picture : the image, in thresholds, before the sensor.
     """
 
     def __init__(self, model: MovingImage, image: np.ndarray, path: MotionPath) -> None:
         self.model, self.path = model, path
-        self._fine = finer(image, FINENESS)
-        self._origin = (model.cell - 1) / 2  # the middle of the first cell, in sensor pixels
+        origin = (model.cell - 1) / 2  # the middle of the first cell, in sensor pixels
         self._halfway = path.before + path.at(np.array([0.5]))[0]
-        centre = self._origin + model.cell * centre_of(image) + self._halfway
+        centre = origin + model.cell * centre_of(image) + self._halfway
         torus, middle = model.cell * np.array(model.shape[::-1]), (np.array(model.sensor) - 1) / 2
         # the torus has no first cell: of the equivalent places, the one nearest to the sensor's centre
         self._centre = middle + (centre - middle + torus / 2) % torus - torus / 2
+        start = self._centre - self._halfway
+        self.picture = PeriodicImage(finer(image, FINENESS), FINENESS / model.cell, origin, start, model.sensor)
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
         """Events of simulated `pixels` under the motion that was recorded; `rng` draws."""
@@ -66,55 +67,8 @@ class MovedImage:
     def events(
         self, displacement: np.ndarray, turn: np.ndarray, pixels: SimulatedPixels, rng: np.random.Generator
     ) -> np.ndarray:
-        """Events of `pixels` while the image moves by `displacement` and turns, see `pictures`; `rng` draws.
-
-        Returns
-        -------
-        Structured array of `EVENT_DTYPE`, in order, times in [0, window_us).
-        """
-        width, height = self.model.sensor
-        times_us = self.model.window_us * shares()
-        drawn = pixels.draw(rng)
-        n_rows = max(1, MOST_VALUES // (N_PICTURES * width))
-        parts = []
-        for first in range(0, height, n_rows):
-            pictures = self.pictures(displacement, turn, first, min(n_rows, height - first))
-            part = simulate(pictures, times_us, rng, drawn)
-            part["y"] += first
-            parts.append(part)
-        events = np.concatenate(parts).astype(EVENT_DTYPE, copy=False)
-        if len(parts) > 1:
-            events = events[np.argsort(events["t"], kind="stable")]
-        events = pixels.with_after_pulses(events, rng)
-        return events[events["t"] < self.model.window_us]  # the last half microsecond is rounded up
-
-    def pictures(
-        self, displacement: np.ndarray, turn: np.ndarray | None = None, first: int = 0, n_rows: int | None = None
-    ) -> np.ndarray:
-        """What the sensor sees of the moving image.
-
-        Parameters
-        ----------
-        displacement : float64, (n, 2): of the image's centre since the path's start, in sensor pixels.
-        turn : float64, (n, 2): by which angle it is turned about its centre, in radians, from x to y, and the
-            logarithm of its size; None: 0.
-        first, n_rows : the sensor's rows; None: all from `first` on.
-
-        Returns
-        -------
-        float64, (n, n_rows, width), in thresholds.
-        """
-        width, height = self.model.sensor
-        angle, growth = np.zeros((2, len(displacement))) if turn is None else turn.T
-        cos, sin = np.exp(-growth) * np.cos(angle), np.exp(-growth) * np.sin(angle)
-        back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)  # from the sensor to the image
-        start = self._centre - self._halfway
-        places = np.empty((len(displacement), 2, 3))
-        places[..., :2] = back
-        places[..., 2] = start - np.einsum("kij,kj->ki", back, start + displacement)
-        pictures = np.empty((len(places), height - first if n_rows is None else n_rows, width))
-        move_periodic(pictures, self._fine, places, first, self._origin, FINENESS / self.model.cell)
-        return pictures
+        """Events of `pixels` while the image moves, see `PeriodicImage.events`; `rng` draws."""
+        return self.picture.events(self.model.window_us * shares(), displacement, turn, pixels.draw(rng), rng)
 
 
 def shares() -> np.ndarray:

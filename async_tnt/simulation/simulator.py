@@ -9,8 +9,17 @@ as often as L gets there. After an event at t the pixel is held in reset for `re
 and then R := L(t + refractory_us). Times are rounded to whole microseconds, and events are sorted by
 (t, y, x); those of one pixel at one time stay in order.
 
+What a circuit adds, each off by default:
+
+    bandwidth     the pixel follows its light as a low-pass does, y' = 2 pi f (L - y), the slower the darker it is:
+                  f = bandwidth_hz max(exp(L), DARKEST), and L is 0 where it is brightest
+    leak          R drifts down by C_on leak_hz a second: ON events without a change
+    after-pulses  some events are followed by one of the other sign
+    hot pixels    some pixels have noise of their own rate
+
 References
 ----------
+Hu, Liu, Delbruck 2021, v2e: From Video Frames to Realistic DVS Events: bandwidth in proportion to the light, leak.
 Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous Temporal Contrast Vision
 Sensor: the pixel. Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event Camera Simulator: crossings placed by
 linear interpolation between frames. ESIM drops events in the refractory time and keeps R; here R follows the
@@ -26,10 +35,14 @@ import numpy as np
 
 from async_tnt.checks import plain_array
 from async_tnt.events import EVENT_DTYPE, structured
-from async_tnt.kernels.simulate import pixel_events
+from async_tnt.kernels.simulate import low_pass, pixel_events
 
 MIN_THRESHOLD = 1e-3
 """Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""
+DARKEST = 0.1
+"""Luminance below which a pixel's bandwidth falls no further."""
+AFTER_US = 1_000
+"""An after-pulse follows its event within this time."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +56,10 @@ class PixelModel:
     refractory_us : time a pixel is held in reset after each event, in microseconds.
     noise_hz : background events per pixel and second, uniform in time, independent of the light.
     noise_on_share : share of the background events that are ON.
+    bandwidth_hz : corner of the pixel's low-pass in the brightest light.
+    leak_hz : ON events per pixel and second that leak in steady light.
+    after_share : share of the events that an after-pulse follows.
+    hot_share, hot_hz : share of the pixels that are hot, and the noise of each, in the mean.
     """
 
     threshold_on: float = 0.197
@@ -51,18 +68,26 @@ class PixelModel:
     refractory_us: float = 600.0
     noise_hz: float = 0.3
     noise_on_share: float = 0.99
+    bandwidth_hz: float = math.inf
+    leak_hz: float = 0.0
+    after_share: float = 0.0
+    hot_share: float = 0.0
+    hot_hz: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("threshold_on", "threshold_off"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= MIN_THRESHOLD):
                 raise ValueError(f"`{name}` must be finite and at least {MIN_THRESHOLD}, got {value}")
-        for name in ("mismatch", "refractory_us", "noise_hz"):
+        for name in ("mismatch", "refractory_us", "noise_hz", "leak_hz", "hot_hz"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"`{name}` must be finite and at least 0, got {value}")
-        if not 0 <= self.noise_on_share <= 1:
-            raise ValueError(f"`noise_on_share` must be in [0, 1], got {self.noise_on_share}")
+        for name in ("noise_on_share", "after_share", "hot_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"`{name}` must be in [0, 1], got {getattr(self, name)}")
+        if not self.bandwidth_hz > 0:
+            raise ValueError(f"`bandwidth_hz` must be above 0, got {self.bandwidth_hz}")
 
 
 def simulate(
@@ -97,20 +122,44 @@ def simulate(
     )
     reference = frames[0] - threshold_on + rng.random(shape) * (threshold_on + threshold_off)
     refractory_us = float(pixels.refractory_us)
-    signal = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
-    return _sorted(np.concatenate([signal, _noise(shape, times, rng, pixels)]))
+    if pixels.bandwidth_hz < math.inf:
+        frames = low_pass(frames, times, pixels.bandwidth_hz, DARKEST)
+    if pixels.leak_hz:
+        frames = frames + pixels.leak_hz * 1e-6 * (times - times[0])[:, None, None] * threshold_on
+    events = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
+    everywhere = np.arange(shape[0] * shape[1])
+    events = np.concatenate([events, _noise(everywhere, pixels.noise_hz, shape, times, rng, pixels)])
+    if pixels.hot_share:
+        hot = everywhere[rng.random(len(everywhere)) < pixels.hot_share]
+        for one, hz in zip(hot, rng.exponential(pixels.hot_hz, len(hot)), strict=True):
+            events = np.concatenate([events, _noise(np.array([one]), hz, shape, times, rng, pixels)])
+    if pixels.after_share:
+        events = np.concatenate([events, _after_pulses(events, pixels.after_share, rng)])
+    return _sorted(events)
 
 
-def _noise(shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, pixels: PixelModel) -> np.ndarray:
-    """Background events: a Poisson process of the same rate at every pixel."""
-    height, width = shape
+def _noise(
+    places: np.ndarray,
+    hz: float,
+    shape: tuple[int, ...],
+    times: np.ndarray,
+    rng: np.random.Generator,
+    pixels: PixelModel,
+) -> np.ndarray:
+    """Background events: a Poisson process of the same rate at each of the pixels `places`, numbered row by row."""
     span_us = times[-1] - times[0]
-    events = np.empty(rng.poisson(pixels.noise_hz * height * width * span_us * 1e-6), EVENT_DTYPE)
+    events = np.empty(rng.poisson(hz * len(places) * span_us * 1e-6), EVENT_DTYPE)
     events["t"] = np.floor(times[0] + span_us * rng.random(len(events)))
-    events["x"] = rng.integers(width, size=len(events))
-    events["y"] = rng.integers(height, size=len(events))
+    events["y"], events["x"] = np.divmod(places[rng.integers(len(places), size=len(events))], shape[1])
     events["p"] = rng.random(len(events)) < pixels.noise_on_share
     return events
+
+
+def _after_pulses(events: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    after = events[rng.random(len(events)) < share]
+    after["t"] += rng.integers(1, AFTER_US, len(after))
+    after["p"] ^= 1
+    return after
 
 
 def _sorted(events: np.ndarray) -> np.ndarray:

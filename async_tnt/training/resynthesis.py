@@ -276,7 +276,7 @@ def _example(
     return ResynthesizedWindow(
         classes[motions.training.labels[i]],
         structured(part_of(columns, motions.config.window_us)),
-        image.pictures(halfway)[0],
+        image.picture.frames(halfway)[0],
         image.as_recorded(pixels, np.random.default_rng(seed)),
         [path, *(motion for _, motion in others)],
         [events for events, _ in others],

@@ -94,7 +94,7 @@ def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
     windows, reconstruction, calibration = calibrated
     ((_, image),) = reconstruction(windows[:1], calibration.pixels.measured)
     whole = image.as_recorded(calibration.pixels, np.random.default_rng(0))
-    monkeypatch.setattr("async_tnt.resynthesis.reconstruction.MOST_VALUES", 52 * 34 * 5)
+    monkeypatch.setattr("async_tnt.simulation.periodic_image.MOST_VALUES", 52 * 34 * 5)
     bands = image.as_recorded(calibration.pixels, np.random.default_rng(0))
     assert (np.diff(bands["t"]) >= 0).all() and len(bands) == pytest.approx(len(whole), rel=0.1)
     rows = [np.bincount(events["y"], minlength=34) for events in (whole, bands)]
@@ -123,7 +123,7 @@ def test_an_image_turns_and_grows_about_its_centre(turn, growth):
     y, x = np.mgrid[: model.shape[0], : model.shape[1]]
     spot = np.exp(-(((x - 20) / 5) ** 2 + ((y - 25) / 3) ** 2) / 2)
     image = MovedImage(model, spot, MotionPath(np.zeros((N_FRAMES, 2))))
-    (picture,) = image.pictures(np.array([[4.0, -2.0]]), np.array([[turn, growth]]))
+    (picture,) = image.picture.frames(np.array([[4.0, -2.0]]), np.array([[turn, growth]]))
     places = np.stack(np.meshgrid(np.arange(48), np.arange(48)), -1).reshape(-1, 2)
     weights = picture.ravel() / picture.sum()
     centre = weights @ places

@@ -33,7 +33,7 @@ def test_paths_and_images_are_found(reconstruction, profile):
     for scene, net, (path, image) in zip(scenes, nets, reconstruction(windows, PIXELS), strict=True):
         assert not path.refused
         errors.append(np.linalg.norm(path.positions[-1] - net))
-        moved = image.pictures(path.at(np.array([0.5])))[0]
+        moved = image.picture.frames(path.at(np.array([0.5])))[0]
         seen = pictures(scene, straight(net, profile=profile)[26:27])[0]  # half way
         likeness.append(np.corrcoef(moved.ravel(), seen.ravel())[0, 1])
     assert np.median(errors) < 0.8 and np.max(errors) < 2.5
@@ -56,7 +56,7 @@ def test_neighbours_tell_what_a_window_does_not():
     for scene, (path, image) in zip(scenes, found, strict=True):
         if path.span == 3 and not path.refused:
             np.testing.assert_allclose(path.at(np.array([1.0]))[0], net / 3, atol=1.5)
-            moved = image.pictures(path.before + path.at(np.array([0.5])))[0]
+            moved = image.picture.frames(path.before + path.at(np.array([0.5])))[0]
             seen = pictures(scene, [net / 2])[0]
             assert np.corrcoef(moved.ravel(), seen.ravel())[0, 1] > 0.6
             assert image.as_recorded(SimulatedPixels(PIXELS), rng)["t"].max() < third
@@ -150,7 +150,7 @@ def test_sensors_of_any_size(sensor):
     ((path, image),) = reconstruction([window], PIXELS)
     if min(sensor) >= 20:
         assert not path.refused and np.linalg.norm(path.positions[-1] - (9 * scale, -5 * scale)) < 2 * scale
-        assert image.pictures(path.at(np.array([0.5]))).shape == (1, sensor[1], sensor[0])
+        assert image.picture.frames(path.at(np.array([0.5]))).shape == (1, sensor[1], sensor[0])
     assert np.isfinite(path.positions).all()
 
 
