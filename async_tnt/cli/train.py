@@ -6,7 +6,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,6 +145,7 @@ def _read(
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
     from async_tnt.training.settings import default_config, settings_for
+    from async_tnt.training.simulated_pictures import measure_camera
 
     pixels = _pixels_of(args, start)
     given: dict[str, Any] = {"grid": size_of(args.grid)} if args.grid else {}
@@ -163,6 +164,12 @@ def _read(
         "groups": args.groups or groups_checksum(args.dataset),
         **{name: pixels.about.get(name) for name in ("roi", "crop", "mask")},
     }
+    camera = None
+    if args.camera is not None:
+        if pixels.sensor is None:
+            raise ValueError("--camera must come with --sensor")
+        camera = measure_camera(args.camera, config.window_us, pixels.sensor)
+    sources |= {"size": list(args.size), "light": args.light, "camera": camera and asdict(camera)}
     recordings = file_sizes(args.dataset, "Train")
     fitted = set() if start is not None else {"grid", "window_us"} - given.keys()
     fitted |= set() if start is not None or args.volume else {"bins"}
@@ -183,6 +190,8 @@ def _read(
         test=args.test,
         seed=args.seed,
         store=run_folder,
+        scenes={"size": args.size, "light": args.light, "camera": camera},
+        workers=available_cores(),
         progress=progress,
     )
     if start is None:

@@ -7,19 +7,22 @@ from pathlib import Path
 
 from async_tnt.cli.options import add_volume, number, positive_int, size_text, whole_number
 from async_tnt.cli.pixel_options import add_selection
+from async_tnt.simulation.picture_scene import LIGHTS
 
 USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"
 DESCRIPTION = """\
 Train a classifier on recordings of your own classes, and tell how good it is
-on recordings that were held out. DATASET has one folder of recordings for each
-class, from any camera and in any format that `async-tnt run` reads:
+on recordings that were held out. DATASET has one folder for each class, of
+recordings from any camera and in any format that `async-tnt run` reads, of
+pictures, which are recorded by simulated cameras in many motions, or of both:
 
   async-tnt train gestures --out gestures.safetensors   # gestures/wave/*.npz ...
+  async-tnt train pictures --sensor 640x480             # pictures/cup/*.jpg ...
   async-tnt evaluate gestures.safetensors other         # on other recordings
   async-tnt run --model gestures.safetensors camera     # use it
 
-Beside the model it writes gestures.json and, with the extra `plot`,
-gestures.curves.png and gestures.confusion.png. Stop with Ctrl-C and give the same command again: it
+Beside the model it writes gestures.json and, with the extra `plot`, pictures of
+curves and confusions. Stop with Ctrl-C and give the same command again: it
 resumes from runs/gestures, and on the same machine ends with the same weights.
 """
 
@@ -32,13 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "dataset",
         type=Path,
         metavar="DATASET",
-        help="folder with <class name>/<recordings>, or with Train/<class name>/<recordings> (and Test/...)",
+        help="folder with <class name>/<recordings or pictures>, or with Train/<class name>/... (and Test/...)",
     )
     parser.add_argument(
         "--sensor",
         type=size_text,
         metavar="WxH",
-        help="the camera's pixels, where recordings do not state them (a .bin is 34x34 without this option)",
+        help="the camera's pixels, where recordings do not state them",
     )
     parser.add_argument(
         "--out",
@@ -59,34 +62,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     held_out.add_argument(
         "--groups",
         metavar="PATTERN",
-        help=r"a regular expression on class/file, such as 'user\d+': recordings in whose names it finds the same text "
-        "are all trained on or all held out (default: by DATASET/groups.csv, or the last of each class by number, or "
-        "at random)",
+        help=r"a regular expression, such as 'user\d+': files in whose names it finds the same text stay together "
+        "(default: by DATASET/groups.csv, or the last of each class by number, or at random)",
     )
-    held_out.add_argument("--test", action="store_true", help="at the end, classify the folder Test, after all choices")
+    held_out.add_argument("--test", action="store_true", help="at the end, classify the folder Test")
     seen = parser.add_argument_group("what is learned from")
     add_selection(seen)
     seen.add_argument(
         "--mirror",
         action="store_true",
-        help="mirror half of the windows from left to right; only if that never changes the class",
+        help="mirror half of the windows, if that keeps the class",
     )
     seen.add_argument(
         "--motions",
         choices=("recorded", "resynthesized"),
         default="recorded",
-        help="resynthesized: also simulate what was seen on other paths, to recognize it in motions that were not "
-        "recorded (default: recorded)",
+        help="resynthesized: also simulate what was seen in motions that were not recorded (default: recorded)",
+    )
+    pictures = parser.add_argument_group("how pictures are recorded")
+    pictures.add_argument(
+        "--size",
+        type=_range,
+        default=(0.4, 0.8),
+        metavar="MIN-MAX",
+        help="of objects, by the sensor's (default: 0.4-0.8)",
+    )
+    pictures.add_argument(
+        "--light",
+        choices=LIGHTS,
+        default="both",
+        metavar="LIGHT",
+        help="positive, negative, or both (default)",
+    )
+    pictures.add_argument(
+        "--camera", type=Path, metavar="RECORDING", help="a minute of anything from your camera, to measure it"
     )
     network = parser.add_argument_group("volume and network")
     network.add_argument(
         "--window-us",
         type=positive_int,
         metavar="US",
-        help="length of a window (default: 105000, or the longest recording)",
+        help="of a window (default: 105000, or the longest one)",
     )
     network.add_argument(
-        "--grid", type=size_text, metavar="WxH", help="the volume's pixels (default: at most 120 along the longer side)"
+        "--grid", type=size_text, metavar="WxH", help="of the volume (default: at most 120 pixels long)"
     )
     add_volume(network, "ON and OFF counts, or 5 bins, by the data")
     network.add_argument(
@@ -98,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--start-from",
         metavar="MODEL",
-        help="continue from a model; with its --seed the same recordings are held out",
+        help="continue from a model, with its --seed",
     )
     network.add_argument(
         "--teacher",
@@ -116,6 +135,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"
     )
+
+
+def _range(text: str) -> tuple[float, float]:
+    low, _, high = text.partition("-")
+    try:
+        least, most = float(low), float(high or low)
+    except ValueError:
+        least, most = 0.0, 0.0
+    if not 0 < least <= most <= 1:
+        raise argparse.ArgumentTypeError(f"expected a range such as 0.4-0.8, within 0 and 1, got {text}")
+    return least, most
 
 
 def _share(text: str) -> float:

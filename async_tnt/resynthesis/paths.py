@@ -10,17 +10,6 @@ all paths that lead the other way, by `MIN_MARGIN`. It must explain a share of t
 does not reach. And in each half of the picture, left, right, above and below the middle of the events, it must be more
 likely than its reverse: of two objects that move oppositely, one is as well explained by the other's path with the
 opposite contrast, but for what tells both ways apart.
-
-Other motions are drawn at random around the length of the recorded ones:
-
-direction   uniform
-length      half to double the recorded motions' length
-time        half of them last the whole window; the others .4 to 1 of it, somewhere in it
-speed       half of them constant, half minimum jerk
-shape       half of them straight; the others also go sideways meanwhile, by up to .4 of their length
-turn        meanwhile they turn by up to 6 degrees, and grow or shrink by up to 6 %
-place       at half time the object's centre lies between where it was recorded at half time and the sensor's
-            centre, and up to an eleventh of the sensor's smaller side (3 of 34 pixels) beside
 """
 
 from __future__ import annotations
@@ -32,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage
+from async_tnt.simulation.random_motion import minimum_jerk
 
 DIRECTIONS = 16
 LENGTHS = (1.0, 1.75, 3.0, 5.0, 8.0, 12.0)  # in cells
@@ -42,9 +32,6 @@ BACK_LENGTHS = LENGTHS[:4]
 BEND = 0.2
 """Standard deviation of a path's second differences, in cells."""
 MOST_STEPS, LONGEST_STEP, SMALLEST_GAIN = 20, 1.0, 0.05
-
-OTHER_LENGTHS, SHORTEST_TIME, WIDEST_BEND, PLACE_SHARE = (0.5, 2.0), 0.4, 0.4, 1 / 11
-WIDEST_TURN, LARGEST_GROWTH = np.radians(6.0), 0.06
 
 MIN_EVENTS, MIN_MARGIN, MIN_LENGTH = 50, 6.0, 0.1
 MOST_EXPLAINED = 0.5
@@ -205,45 +192,3 @@ class PathFinder:
 
     def _bending(self, path: np.ndarray) -> float:
         return 0.5 * float((path * (self._stiffness @ path)).sum())
-
-
-def minimum_jerk(share: np.ndarray) -> np.ndarray:
-    """10 u^3 - 15 u^4 + 6 u^5: from 0 to 1, at rest at both ends."""
-    u = np.clip(share, 0.0, 1.0)
-    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
-
-
-def random_motion(length: float, shares: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement at `shares` of the window, (n, 2), and turn, (n, 2), see `MovedImage.pictures`; 0 at half time.
-
-    Parameters
-    ----------
-    length : of the recorded motions; the displacement's unit.
-    shares : float64, (n,), increasing from 0 to 1.
-    """
-    length = length * rng.uniform(*OTHER_LENGTHS)
-    angle = rng.uniform(0.0, 2 * np.pi)
-    lasts = 1.0 if rng.random() < 0.5 else rng.uniform(SHORTEST_TIME, 1.0)
-    starts = rng.uniform(0.0, 1.0 - lasts)
-    constant, curved = rng.random(2) < 0.5
-    bend = rng.uniform(-WIDEST_BEND, WIDEST_BEND) if curved else 0.0
-    bend_starts = rng.uniform(0.0, 0.5)
-    turn = rng.uniform(-1, 1, 2) * (WIDEST_TURN, LARGEST_GROWTH)
-
-    def position(share: np.ndarray) -> np.ndarray:
-        u = np.clip((share - starts) / lasts, 0.0, 1.0)
-        forward = u if constant else minimum_jerk(u)
-        aside = bend * minimum_jerk((u - bend_starts) / 0.5)
-        cos, sin = length * np.cos(angle), length * np.sin(angle)
-        displacement = forward * cos - aside * sin, forward * sin + aside * cos
-        return np.stack([*displacement, forward * turn[0], forward * turn[1]], axis=-1)
-
-    motion = position(shares) - position(np.array(0.5))
-    return motion[:, :2], motion[:, 2:]
-
-
-def random_place(recorded: np.ndarray, sensor: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """Where the object's centre is at half time, (x, y), if it was recorded at `recorded`, in pixels."""
-    centre = (np.array(sensor) - 1) / 2
-    aside = PLACE_SHARE * (min(sensor) - 1)
-    return np.asarray(recorded + rng.random() * (centre - recorded) + rng.uniform(-aside, aside, 2))

@@ -1,4 +1,9 @@
-"""From the events of windows to the image that moved and its path, and from there to events under another motion."""
+"""From the events of windows to the image that moved and its path, and from there to events under another motion.
+
+Other motions are drawn around the recorded ones: half to double their length, see `random_motion`. At half time the
+object's centre lies between where it was recorded at half time and the sensor's centre, and up to an eleventh of the
+sensor's smaller side (3 of 34 pixels) beside.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +12,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage, centre_of, find_images, finer
-from async_tnt.resynthesis.paths import MotionPath, PathFinder, random_motion, random_place
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels, part_of
+from async_tnt.resynthesis.paths import MotionPath, PathFinder
+from async_tnt.resynthesis.pixels import SimulatedPixels, part_of
+from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels
 from async_tnt.simulation.periodic_image import PeriodicImage
+from async_tnt.simulation.random_motion import random_motion
 
 N_PICTURES = 52
 """Pictures of a window; the light runs straight between them."""
@@ -17,6 +24,7 @@ FINENESS = 3
 """Places of the image along a cell: between them it is interpolated, which does not blur it visibly."""
 SPAN = 3
 """Windows that tell a path together where one alone does not: that of before, itself, and the next."""
+OTHER_LENGTHS, PLACE_SHARE = (0.5, 2.0), 1 / 11
 BATCH = 64
 """Windows at a time: some 40 MB of spectra and images."""
 
@@ -59,8 +67,10 @@ class MovedImage:
         pixels : of the simulated sensor.
         rng : draws the motion, the pixels and their noise.
         """
-        motion, turn = random_motion(length, shares(), rng)
-        place = random_place(self._centre, self.model.sensor, rng)
+        motion, turn = random_motion(length * rng.uniform(*OTHER_LENGTHS), shares(), rng)
+        middle = (np.array(self.model.sensor) - 1) / 2
+        aside = PLACE_SHARE * (min(self.model.sensor) - 1)
+        place = self._centre + rng.random() * (middle - self._centre) + rng.uniform(-aside, aside, 2)
         displacement = self._halfway + (place - self._centre) + motion
         return self.events(displacement, turn, pixels, rng), motion - motion[0]
 

@@ -120,6 +120,12 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     }
 
 
+def class_folders(folder: Path, part: str) -> list[Path]:
+    """The class folders of a part of a data set, or of all of it; none of a folder of sessions."""
+    inner = folder / part
+    return _folders(inner if inner.is_dir() and _folders(inner) else folder)
+
+
 def has_part(folder: Path, part: str) -> bool:
     """Whether some of a data set's recordings are set aside for "Test", as a folder or by lists."""
     return (folder / part).is_dir() or any((folder / file).is_file() for file in LISTS.values())

@@ -11,6 +11,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.progress import Bar, no_progress
+from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
@@ -25,6 +26,7 @@ from async_tnt.training.groups import (
 )
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.settings import default_grid, with_bins
+from async_tnt.training.simulated_pictures import check_pictures, find_pictures, with_pictures
 from async_tnt.training.windows import Windows, make_windows
 from async_tnt.windows import N_JUDGED, TimeUnitCheck
 
@@ -73,9 +75,13 @@ def dataset_data(
     test: bool = False,
     seed: int = 0,
     store: Path | None = None,
+    scenes: Mapping[str, Any] | None = None,
+    workers: int = 1,
     progress: Callable[..., Bar] = no_progress,
 ) -> TrainingData:
     """A folder of class folders, split by groups of recordings. Windows start at each recording's first event.
+
+    Class folders may hold pictures, too, which are split like recordings and then recorded by `simulate_pictures`.
 
     Parameters
     ----------
@@ -90,34 +96,60 @@ def dataset_data(
         bins where pixels fire often, see `with_bins`.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
-    store : a folder for the events, see `read_dataset`.
+    store : a folder for the events, see `read_dataset`; without it, pictures are recorded in a temporary one.
+    scenes : of `SceneSettings`, what differs from its defaults.
+    workers : processes that record pictures.
     progress : makes the progress bar, which counts recordings.
     """
+    pictures = find_pictures(folder)
     dataset = read_dataset(
-        folder, pixels=pixels, sensor_source=sensor_source, classes=classes, store=store, progress=progress
+        folder,
+        pixels=pixels,
+        sensor_source=sensor_source,
+        classes=classes,
+        with_pictures=pictures,
+        store=store,
+        progress=progress,
     )
     grid = default_grid(dataset.sensor) if "grid" in fitted else config.grid
     config = config.replace(sensor=dataset.sensor, grid=grid)
-    recordings, labels = dataset.recordings, dataset.recordings.labels
+    recordings = dataset.recordings
     notes = _notes(dataset, "the recordings")
-    longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1
+    longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1 if len(recordings) else config.window_us
     if "window_us" in fitted and longest_us < config.window_us:
         config = config.replace(window_us=-(-longest_us // 1000) * 1000)
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
-    learned, held_out, how, counted = _split(folder, recordings, groups, validation, seed)
+    of_pictures, bad_pictures = check_pictures(pictures, dataset.classes, progress)
+    names = (*recordings.names, *(picture.name for picture in of_pictures))
+    labels = np.concatenate([recordings.labels, np.array([one.label for one in of_pictures], np.int64)])
+    learned, held_out, how, counted = _split(folder, names, labels, groups, validation, seed)
+    held_out_names = tuple(names[r] for r in held_out)
+    about: dict[str, Any] = {}
+    if of_pictures:
+        recordings, learned, held_out, about = with_pictures(
+            recordings,
+            of_pictures,
+            (learned, held_out),
+            SceneSettings(config.sensor, config.window_us, **(scenes or {})),
+            store,
+            seed=seed,
+            workers=workers,
+            progress=progress,
+        )
+        notes.append("pictures: {pictures}, each recorded {takes} times".format(**about))
 
-    def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
-        return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
+    def windows_of(of: Recordings, which: np.ndarray | None = None) -> Windows:
+        return make_windows(of, config.window_us, which=which, first_event=True, duration_us=None)
 
-    training, validating, ended = _with_ends(windows_of(dataset, learned), windows_of(dataset, held_out), validation)
+    training, validating, ended = _with_ends(
+        windows_of(recordings, learned), windows_of(recordings, held_out), validation
+    )
     if "bins" in fitted:
         events_a_pixel = training.events_a_pixel(config.window_us)
         config = with_bins(config, events_a_pixel)
         if config.representation == "volume":
             notes.append(f"{config.bins} time bins, as an active pixel fires {events_a_pixel:.1f} times in a window")
-    first = TimeUnitCheck(config)
-    for i in range(len(training[:N_JUDGED])):
-        first.add(len(training.events(i, config.window_us)[0]))
+    _check_time_unit(training, config)
     counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
     record: dict[str, Any] = {
         "source": f"recordings of own classes, held out by {how}",
@@ -125,7 +157,8 @@ def dataset_data(
         "sensor": list(dataset.sensor),
         "real_recordings": len(learned),
         "held_out_recordings": len(held_out),
-        "left_out": list(dataset.left_out),
+        "left_out": [*dataset.left_out, *bad_pictures],
+        **({"pictures": about} if about else {}),
     }
     if pixels.leaves_out:
         record["pixels"] = {**pixels.about, "camera": list(dataset.camera), **dataset.left_out_events}
@@ -135,29 +168,20 @@ def dataset_data(
     notes.append(f"held out by {how}: {counted}")
     if how == BY_NUMBER and len(held_out):
         notes.append("the first of them may follow the last learned ones within seconds: see groups.csv")
-    single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in validating.labels]
+    single = [one for k, one in enumerate(dataset.classes) if counts[one] and k not in validating.labels]
     if single and validation:
         notes.append(f"not held out, as there is only one short recording, or one group of them: {', '.join(single)}")
     if ended:
-        names = ", ".join(dataset.classes[k] for k in ended)
+        alone = ", ".join(dataset.classes[k] for k in ended)
         notes.append(
-            f"held out in time, as there is only one recording, or one group of them: the last windows of {names}; "
+            f"held out in time, as there is only one recording, or one group of them: the last windows of {alone}; "
             "they are of the day, place and person that was learned from: only another session tells more"
         )
         record["held_out_in_time"] = [dataset.classes[k] for k in ended]
-    left_out, tests = list(dataset.left_out), {}
+    left_out, tests = [*dataset.left_out, *bad_pictures], {}
     if test:
-        testing = read_dataset(
-            folder / "Test" if (folder / "Test").is_dir() else folder,
-            part="Test",
-            pixels=replace(pixels, sensor=dataset.camera),
-            sensor_source="the recordings to train on",
-            classes=dataset.classes,
-            known=dataset.known,
-            store=store,
-            progress=progress,
-        )
-        tests["test"] = (windows_of(testing), {"left_out": list(testing.left_out)})
+        testing = _testing(folder, dataset, pixels, store, progress)
+        tests["test"] = (windows_of(testing.recordings), {"left_out": list(testing.left_out)})
         left_out += [f"Test/{line}" for line in testing.left_out]
         notes += _notes(testing, "Test")
     return TrainingData(
@@ -167,10 +191,32 @@ def dataset_data(
         validating,
         record,
         tests,
-        tuple(recordings.names[r] for r in held_out),
+        held_out_names,
         _masked(pixels, dataset),
         tuple(left_out),
         tuple(notes),
+    )
+
+
+def _check_time_unit(training: Windows, config: TNTConfig) -> None:
+    check = TimeUnitCheck(config)
+    for i in range(len(training[:N_JUDGED])):
+        check.add(len(training.events(i, config.window_us)[0]))
+
+
+def _testing(
+    folder: Path, dataset: Dataset, pixels: PixelSelection, store: Path | None, progress: Callable[..., Bar]
+) -> Dataset:
+    """The recordings for `Test`, seen as those to train on."""
+    return read_dataset(
+        folder / "Test" if (folder / "Test").is_dir() else folder,
+        part="Test",
+        pixels=replace(pixels, sensor=dataset.camera),
+        sensor_source="the recordings to train on",
+        classes=dataset.classes,
+        known=dataset.known,
+        store=store,
+        progress=progress,
     )
 
 
@@ -203,10 +249,9 @@ def _with_ends(training: Windows, validation: Windows, share: float) -> tuple[Wi
 
 
 def _split(
-    folder: Path, recordings: Recordings, pattern: str | None, share: float, seed: int
+    folder: Path, names: tuple[str, ...], labels: np.ndarray, pattern: str | None, share: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray, str, str]:
-    """Which recordings to train on and which to hold out; by what, and how many."""
-    names, labels = recordings.names, recordings.labels
+    """Which recordings and pictures to train on and which to hold out; by what, and how many."""
     files = [file_of(name) for name in names]
     if pattern is not None:
         together, how = groups_by_pattern(files, pattern), f"group ({pattern})"

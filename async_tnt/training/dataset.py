@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import Sensor, format_size
 from async_tnt.training.recordings import Recordings, RecordingsWriter
+from async_tnt.training.simulated_pictures import find_pictures
 
 MAX_US = 1 << 31  # what a column of int32 holds
 Known = dict[bytes, tuple[int, str]]
@@ -58,6 +59,7 @@ def read_dataset(
     pixels: PixelSelection | None = None,
     sensor_source: str = "`sensor`",
     classes: tuple[str, ...] | None = None,
+    with_pictures: Collection[str] = (),
     known: Known | None = None,
     store: Path | None = None,
     progress: Callable[..., Bar] = no_progress,
@@ -80,6 +82,7 @@ def read_dataset(
         times count from the first event that is left.
     sensor_source : where `pixels.camera` comes from, for messages.
     classes : the class names that may occur; by default the folders there are, at least two.
+    with_pictures : classes that need no recordings, as they have pictures.
     known : of the part to train on: its recordings are left out here, and refused in another class. With `classes`.
     store : a folder for the events, see `RecordingsWriter`; None: in memory.
     progress : makes the progress bar, which counts recordings.
@@ -93,7 +96,7 @@ def read_dataset(
     """
     pixels = PixelSelection() if pixels is None else pixels
     found = find_recordings(folder, part)
-    _check_classes(folder, found, classes)
+    _check_classes(folder, found, classes, with_pictures)
     names = tuple(found) if classes is None else classes
     labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
     camera, source = pixels.camera, sensor_source
@@ -110,14 +113,15 @@ def read_dataset(
                 left_out.append((label, str(error).replace(str(file.path), file.name)))
             bar.update()
         recordings = writer.finish()
-    empty = [name for label, name in enumerate(names) if label not in recordings.labels]
+    empty = [name for k, name in enumerate(names) if k not in recordings.labels and name not in with_pictures]
     if empty and (classes is None or not len(recordings)):  # of given classes, some may have no recordings
         out = [line.removesuffix(".") for label, line in left_out if names[label] in empty]
         raise ValueError(
             f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the folder "
             f"(left out: {out[0]}{f'; and {len(out) - 1} more' if len(out) > 1 else ''})"
         )
-    assert camera is not None  # as there are recordings
+    if camera is None:  # without a recording
+        raise ValueError(f"{folder}: pictures have no sensor; give `sensor`, the camera's")
     left_out_events = {}
     if pixels.roi is not None:
         left_out_events["left_out_outside"] = reader.n_outside
@@ -130,9 +134,11 @@ def read_dataset(
 
 
 def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
-    """Recording -> bytes, of all that `folder` or `folder/part` holds; -1 for a link to nothing."""
-    recordings = [one for some in find_recordings(folder, part).values() for one in some]
-    return {one.name: one.path.stat().st_size if one.path.exists() else -1 for one in recordings}
+    """Recording or picture -> bytes, of all that `folder` or `folder/part` holds; -1 for a link to nothing."""
+    files = [one for some in find_recordings(folder, part).values() for one in some]
+    sizes = {one.name: one.path.stat().st_size if one.path.exists() else -1 for one in files}
+    pictures = [path for some in find_pictures(folder, part).values() for path in some]
+    return sizes | {f"{path.parent.name}/{path.name}": path.stat().st_size for path in pictures}
 
 
 def _stated_sensor(files: list[LabelledRecording]) -> tuple[Sensor | None, str]:
@@ -254,22 +260,25 @@ def fingerprint(events: np.ndarray) -> bytes:
 
 
 def _check_classes(
-    folder: str | os.PathLike[str], found: dict[str, list[LabelledRecording]], classes: tuple[str, ...] | None
+    folder: str | os.PathLike[str],
+    found: dict[str, list[LabelledRecording]],
+    classes: tuple[str, ...] | None,
+    with_pictures: Collection[str],
 ) -> None:
     if classes is not None:
         unknown = [name for name in found if name not in classes]
         if unknown:
             raise ValueError(f"{folder}: unknown class {', '.join(unknown)}; known are {', '.join(classes)}")
-        if not any(found.values()):
+        if not any(found.values()) and not with_pictures:
             raise ValueError(f"{folder}: no recordings in any class folder")
         return
     if len(found) < 2:
         raise ValueError(f"{folder}: there must be at least two class folders, got {', '.join(found)}")
-    without = [name for name, paths in found.items() if not paths]
+    without = [name for name, paths in found.items() if not paths and name not in with_pictures]
     if without:
         raise ValueError(
             f"{folder}: no recordings in the class folder {', '.join(without)}; expected files in "
-            f"{', '.join(sorted(READERS))} there, or remove the folder"
+            f"{', '.join(sorted(READERS))} there, or pictures, or remove the folder"
         )
 
 

@@ -21,6 +21,9 @@ from async_tnt.files import naming
 
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 
+BLOCK = 1 << 22
+"""Events that are copied at a time."""
+
 
 @dataclass(frozen=True)
 class Recordings:
@@ -131,6 +134,17 @@ class RecordingsWriter:
         self._offsets.append(self._offsets[-1] + len(t))
         self._labels.append(label)
         self._names.append(name)
+
+    def extend(self, recordings: Recordings) -> None:
+        """Append all of these. OSError : the disk is full."""
+        with naming(self._folder):
+            for field in COLUMNS:
+                column = getattr(recordings, field)
+                for first in range(0, len(column), BLOCK):
+                    self._files[field].write(column[first : first + BLOCK].tobytes())
+        self._offsets += (self._offsets[-1] + recordings.offsets[1:]).tolist()
+        self._labels += recordings.labels.tolist()
+        self._names += recordings.names
 
     def finish(self) -> Recordings:
         """All recordings that were added; ends the writer. What is mapped stays when the files are closed."""

@@ -8,8 +8,8 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, calibrate
 from async_tnt.resynthesis.calibration import describe
 from async_tnt.resynthesis.moving_image import N_FRAMES
-from async_tnt.resynthesis.paths import random_motion
-from async_tnt.resynthesis.pixels import measure_pixels
+from async_tnt.simulation.measured_pixels import measure_pixels
+from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 
 SHARES = np.linspace(0, 1, 52)
@@ -106,7 +106,7 @@ def test_random_motions_keep_to_their_ranges():
     motions, turns = map(np.array, zip(*(random_motion(6.0, SHARES, rng) for _ in range(2_000)), strict=True))
     net = motions[:, -1] - motions[:, 0]
     lengths = np.hypot(*net.T)
-    assert 3 - 1e-9 <= lengths.min() < 3.2 and 12 < lengths.max() <= 12 * np.hypot(1, 0.4)
+    assert 6 - 1e-9 <= lengths.min() < 6.01 and 6.4 < lengths.max() <= 6 * np.hypot(1, 0.4)
     directions = np.histogram(np.arctan2(net[:, 1], net[:, 0]), 8, (-np.pi, np.pi))[0]
     assert directions.min() > 190 and directions.max() < 310
     still = np.mean(np.hypot(*(motions[:, 3] - motions[:, 0]).T) < 1e-9)  # those that start later

@@ -1,0 +1,158 @@
+"""Pictures before a camera that nobody has seen, in motions that nobody recorded -> events.
+
+    picture -> its surroundings, contrast, posture -> a random motion -> random pixels -> events
+
+size        the object's longer side, as a share of the sensor's shorter one, in a stated range
+place       at half time all of it is on the sensor, anywhere
+posture     a plane that is seen from aside: each corner is moved by up to .08 of the object's size
+contrast    brightest to darkest 2 to 15, log-uniform; as on the picture, or dark against bright as on a negative
+ground      that of the picture, or a random one; in half of the recordings with a texture, 1/f, which moves along
+lens        blur of .3 to .9 pixels
+motion      lengths of .06 to .5 of the sensor's shorter side, log-uniform; they turn by up to 15 degrees and grow by up
+            to .15; a quarter of them come back; see `random_motion`
+pixels      see `random_pixels`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.simulation.periodic_image import PeriodicImage
+from async_tnt.simulation.pictures import Picture
+from async_tnt.simulation.random_motion import MotionRange, random_motion
+from async_tnt.simulation.random_pixels import random_pixels
+
+LENGTHS, MOTIONS = (0.06, 0.5), MotionRange(np.radians(15.0), 0.15, 0.25)
+CONTRASTS, BLURS_PX, POSTURE = (2.0, 15.0), (0.3, 0.9), 0.08
+TEXTURE, TEXTURED, FADES = 0.25, 0.5, 0.1
+"""Largest deviation of a texture, the share of recordings with one, and the rim in which a photograph fades into it."""
+APART = 0.25
+"""Between the light of an object that is cut out and its ground, at least."""
+FINENESS = 2
+"""Places of the image in a sensor pixel."""
+FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 4.0, 52, 400
+"""Of a motion; the light runs straight between frames."""
+LIGHTS = "positive", "negative", "both"
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """What pictures are recorded with.
+
+    Parameters
+    ----------
+    sensor : (width, height), in pixels. window_us : length of a recording.
+    size : range of the object's longer side, as a share of the sensor's shorter one.
+    light : of `LIGHTS`.
+    camera : what is known of its pixels; None: nothing.
+    """
+
+    sensor: tuple[int, int]
+    window_us: int
+    size: tuple[float, float] = (0.4, 0.8)
+    light: str = "both"
+    camera: MeasuredPixels | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.size[0] <= self.size[1] <= 1:
+            raise ValueError(f"`size` must be a range within (0, 1], got {self.size}")
+        if self.light not in LIGHTS:
+            raise ValueError(f"`light` must be one of {', '.join(LIGHTS)}, got {self.light!r}")
+
+
+def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Generator) -> np.ndarray:
+    """Events of one recording, as `rng` draws it: a structured array of `EVENT_DTYPE`, times in [0, window_us)."""
+    width, height = settings.sensor
+    side_px = min(width, height) * rng.uniform(*settings.size)
+    scene = _scene(picture, side_px, settings, rng)
+    length = min(width, height) * float(np.exp(rng.uniform(*np.log(LENGTHS))))
+    n = int(np.clip(FRAMES_A_PX * length, FEWEST_FRAMES, MOST_FRAMES))
+    motion, turn = random_motion(length, np.linspace(0, 1, n), rng, MOTIONS)
+    half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
+    free = np.maximum(0, np.array(settings.sensor) / 2 - half)
+    middle = (np.array(settings.sensor) - 1) / 2
+    displacement = middle + rng.uniform(-free, free) - scene.centre + motion
+    times_us = np.linspace(0, settings.window_us, n)
+    return scene.events(times_us, displacement, turn, random_pixels(rng, settings.camera), rng)
+
+
+def _scene(picture: Picture, side_px: float, settings: SceneSettings, rng: np.random.Generator) -> PeriodicImage:
+    """The object in its surroundings, as log luminance, seen through a lens."""
+    light, cover = _posed(picture, FINENESS * side_px, rng)
+    shape = tuple(
+        8 * round(FINENESS * (side + 1.5 * side_px) / 8) for side in settings.sensor[::-1]
+    )  # of small factors
+    texture = rng.uniform(0, TEXTURE) * _texture(shape, rng) if rng.random() < TEXTURED else np.zeros(shape)
+    if picture.ground is None:
+        inside = float(np.average(light, weights=np.maximum(cover, 1e-6)))
+        ground = rng.uniform(0, 1)
+        if abs(ground - inside) < APART:
+            ground = inside + APART if inside < 0.5 else inside - APART
+    else:
+        ground = picture.ground
+    seen = np.clip(ground + texture, 0, 1)
+    top, left = ((whole - part) // 2 for whole, part in zip(shape, light.shape, strict=True))
+    place = slice(top, top + light.shape[0]), slice(left, left + light.shape[1])
+    seen[place] += cover * (light - seen[place])
+    if settings.light == "negative" or (settings.light == "both" and rng.random() < 0.5):
+        seen = 1.0 - seen
+    seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
+    darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
+    centre = np.array([left + light.shape[1] / 2, top + light.shape[0] / 2]) / FINENESS
+    return PeriodicImage(
+        np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1)), FINENESS, 0.0, centre, settings.sensor
+    )
+
+
+def _posed(picture: Picture, side: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Light and cover, with `side` places along the longer side, of a plane that is seen from aside."""
+    from PIL import Image
+
+    size = tuple(max(2, round(side * n / max(picture.light.shape))) for n in picture.light.shape[::-1])
+    corners = np.array([(0, 0), (0, size[1]), (size[0], size[1]), (size[0], 0)], float)
+    seen = corners + POSTURE * side * rng.uniform(0, 1, (4, 2)) * np.where(corners > 0, -1, 1)
+    coefficients = _perspective(seen, corners)
+    faded = _rim(picture.cover) if picture.ground is None and picture.cover.min() == 1 else picture.cover
+    layers = []
+    for layer, outside in ((picture.light, None), (faded, 0.0)):
+        small = Image.fromarray(np.asarray(layer, np.float32)).resize(size, Image.Resampling.BOX)
+        fill = outside if outside is not None else (picture.ground or 0.0)
+        posed = small.transform(
+            size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR, fillcolor=fill
+        )
+        layers.append(np.asarray(posed, np.float64))
+    return layers[0], np.clip(layers[1], 0, 1)
+
+
+def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:
+    """(a, ..., h) of (x, y) -> ((a x + b y + c) / (g x + h y + 1), (d x + e y + f) / (g x + h y + 1)), which takes the
+    four places `seen` to `corners`."""
+    rows = []
+    for (x, y), (u, v) in zip(seen, corners, strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+    return tuple(np.linalg.solve(np.array(rows), corners.ravel()))
+
+
+def _rim(cover: np.ndarray) -> np.ndarray:
+    """Rises from 0 at the border to 1 within `FADES` of the sides."""
+    rises = [
+        np.clip((np.minimum(np.arange(n), np.arange(n)[::-1]) + 0.5) / max(1.0, FADES * n), 0, 1) for n in cover.shape
+    ]
+    return rises[0][:, None] * rises[1]
+
+
+def _texture(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    """A random field of power 1/f^2 and deviation 1, which repeats itself."""
+    radius = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
+    radius[0, 0] = np.inf
+    field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) / radius, shape)
+    return np.asarray(field / field.std())
+
+
+def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Behind a Gaussian of `sigma` places, on the torus."""
+    squared = np.fft.fftfreq(image.shape[0])[:, None] ** 2 + np.fft.rfftfreq(image.shape[1]) ** 2
+    return np.asarray(np.fft.irfft2(np.fft.rfft2(image) * np.exp(-2 * (np.pi * sigma) ** 2 * squared), image.shape))

@@ -1,0 +1,83 @@
+"""Pictures of objects -> luminance, and where the object is.
+
+Values are linear luminance: sRGB is decoded, and colours are weighted as in Rec. 709. What is the object?
+
+with an alpha channel       what is opaque
+on a plain ground           what differs from it: from the median of the picture's outermost pixels, which are alike
+else, a photograph          all of it
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.checks import needs_extra
+
+SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+LARGEST_SIDE = 512
+"""Larger pictures are made smaller: no object is that large on an event camera."""
+ALIKE, DIFFERS = 0.03, 0.05
+"""Of luminance: the deviation of a plain ground, and what is not the ground."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An object, cut out of its picture.
+
+    Parameters
+    ----------
+    light : float32, (h, w): linear luminance, from 0 to 1.
+    cover : float32, (h, w): 1 on the object, 0 beside it.
+    ground : luminance of a plain ground around it; None: there is none.
+    """
+
+    light: np.ndarray
+    cover: np.ndarray
+    ground: float | None
+
+
+def read_picture(path: Path) -> Picture:
+    """The object of a picture file.
+
+    Raises
+    ------
+    ValueError : no picture, a damaged one, or nothing on it. OSError : it cannot be read.
+    """
+    with needs_extra("train", "pictures need Pillow"):
+        from PIL import Image, ImageOps, UnidentifiedImageError
+    try:
+        with Image.open(path) as file:
+            image: Image.Image = ImageOps.exif_transpose(file)
+            if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
+                values = np.asarray(image, np.float64)
+                image = Image.fromarray((255.0 * values / max(values.max(), 1e-12)).clip(0, 255).astype(np.uint8))
+            image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
+            colours = np.asarray(image.convert("RGBA"), np.float32) / 255.0
+    except (SyntaxError, ValueError, Image.DecompressionBombError, UnidentifiedImageError) as error:
+        raise ValueError(f"not a picture: {error}") from None
+    rgb, alpha = colours[..., :3], colours[..., 3]
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    light = (linear @ LUMINANCE).astype(np.float32)
+    if min(light.shape) < 2:
+        raise ValueError(f"a picture must have sides of at least 2 pixels, got {light.shape[1]}x{light.shape[0]}")
+    if (alpha < 1).any():
+        return _cut_out(light, alpha, None, alpha > 0.5)
+    border = np.concatenate([light[0], light[-1], light[1:-1, 0], light[1:-1, -1]])
+    if border.std() < ALIKE:
+        ground = float(np.median(border))
+        differs = np.abs(light - ground) / DIFFERS
+        return _cut_out(light, np.minimum(differs, 1), ground, differs > 1)
+    return Picture(light, np.ones_like(light), None)
+
+
+def _cut_out(light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray) -> Picture:
+    """What lies between the object's outermost pixels."""
+    if not is_object.any():
+        raise ValueError("nothing is on this picture: all of it is transparent, or alike")
+    rows, columns = np.flatnonzero(is_object.any(1)), np.flatnonzero(is_object.any(0))
+    part = slice(max(0, rows[0] - 1), rows[-1] + 2), slice(max(0, columns[0] - 1), columns[-1] + 2)
+    return Picture(light[part], cover[part], ground)

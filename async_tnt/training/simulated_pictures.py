@@ -1,0 +1,236 @@
+"""Pictures of a data set as recordings: simulated by several processes, kept in files beside the run.
+
+    <folder>/pictures.json          what they are made of
+    <folder>/training_000000.npz    recordings from 0 on, those of a picture one after the other
+
+Each picture is recorded several times, each time by another camera and in another motion, see `picture_scene`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from async_tnt.evaluation.processes import run_all
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.files import replacing, write_text
+from async_tnt.progress import Bar, no_progress
+from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
+from async_tnt.simulation.picture_scene import SceneSettings, record_picture
+from async_tnt.simulation.pictures import SUFFIXES, read_picture
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.labelled_recordings import class_folders
+from async_tnt.training.moved_windows import read_arrays
+from async_tnt.training.recordings import Recordings, RecordingsWriter
+from async_tnt.training.run_folder import other_run
+
+MANIFEST = "pictures.json"
+RECORDINGS = {"training": 24_000, "held-out": 2_400}
+"""Of all pictures together, at least."""
+CHUNK = 200
+"""Recordings of a file."""
+
+
+@dataclass(frozen=True)
+class LabelledPicture:
+    """A picture file of one class; `name` for messages and reports."""
+
+    path: Path
+    label: int
+
+    @property
+    def name(self) -> str:
+        """Class folder and file."""
+        return f"{self.path.parent.name}/{self.path.name}"
+
+
+def find_pictures(folder: Path, part: str = "Train") -> dict[str, list[Path]]:
+    """Class name -> its pictures, sorted by name, of the classes that have any."""
+    found = {
+        c.name: [p for p in sorted(c.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+        for c in class_folders(folder, part)
+    }
+    return {name: paths for name, paths in found.items() if paths}
+
+
+def check_pictures(
+    found: Mapping[str, Sequence[Path]], classes: Sequence[str], progress: Callable[..., Bar] = no_progress
+) -> tuple[list[LabelledPicture], list[str]]:
+    """The pictures that can be read, and why the others are left out, one line each.
+
+    found : class name -> its pictures. classes : names, in the order of the labels.
+    """
+    pictures = [LabelledPicture(path, k) for k, name in enumerate(classes) for path in found.get(name, [])]
+    good: list[LabelledPicture] = []
+    left_out: list[str] = []
+    if not pictures:
+        return good, left_out
+    with progress(len(pictures), "reading pictures") as bar:
+        for picture in pictures:
+            try:
+                read_picture(picture.path)
+                good.append(picture)
+            except (ValueError, OSError) as error:
+                left_out.append(f"{picture.name}: {error}.".replace(str(picture.path), picture.name))
+            bar.update()
+    return good, left_out
+
+
+def with_pictures(
+    recordings: Recordings,
+    pictures: Sequence[LabelledPicture],
+    split: tuple[np.ndarray, np.ndarray],
+    settings: SceneSettings,
+    store: Path | None,
+    *,
+    seed: int,
+    workers: int,
+    progress: Callable[..., Bar],
+) -> tuple[Recordings, np.ndarray, np.ndarray, dict[str, Any]]:
+    """The recordings, and those of the pictures.
+
+    Parameters
+    ----------
+    split : what is learned and what is held out, as indices of `recordings` and of `pictures` after them.
+    store : a folder for all events, see `RecordingsWriter`, and for what was simulated; None: kept in memory.
+
+    Returns
+    -------
+    All recordings, which of them are learned, which are held out, and the record of the pictures.
+    """
+    which = [of[of < len(recordings)] for of in split]
+    about: dict[str, Any] = {"pictures": len(pictures)}
+    with RecordingsWriter(store) as writer, TemporaryDirectory() as temporary:
+        writer.extend(recordings)
+        first = len(recordings)
+        for k, part in enumerate(RECORDINGS):
+            some = [pictures[i - len(recordings)] for i in split[k] if i >= len(recordings)]
+            folder = (store or Path(temporary)) / "pictures"
+            takes = simulate_pictures(
+                writer, part, some, settings, folder, seed=seed, workers=workers, progress=progress
+            )
+            about.setdefault("takes", takes)
+            which[k] = np.concatenate([which[k], first + np.arange(takes * len(some))])
+            first += takes * len(some)
+        about["settings"] = asdict(settings)
+        return writer.finish(), which[0], which[1], about
+
+
+def simulate_pictures(
+    writer: RecordingsWriter,
+    part: str,
+    pictures: Sequence[LabelledPicture],
+    settings: SceneSettings,
+    folder: Path,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    progress: Callable[..., Bar] = no_progress,
+) -> int:
+    """Append the recordings of pictures to a writer, those of a picture one after the other.
+
+    The same pictures, settings and seed give the same recordings, for any number of workers; what of them is in the
+    folder is not made again.
+
+    Parameters
+    ----------
+    part : of `RECORDINGS`. folder : for the files; made if missing.
+
+    Returns
+    -------
+    How often each picture is recorded.
+
+    Raises
+    ------
+    ValueError : the folder holds recordings of other pictures or settings, or a damaged file.
+    """
+    takes = -(-RECORDINGS[part] // max(1, len(pictures)))
+    folder.mkdir(parents=True, exist_ok=True)
+    made_from = json.loads(json.dumps({"settings": asdict(settings), "seed": seed, part: [p.name for p in pictures]}))
+    _check_manifest(folder / MANIFEST, made_from)
+    step = max(1, CHUNK // takes)
+    chunks = [
+        _Chunk(folder / f"{part}_{first:06}.npz", first, tuple(pictures[first : first + step]))
+        for first in range(0, len(pictures), step)
+    ]
+    missing = [chunk for chunk in chunks if not chunk.file.exists()]
+    job = partial(_record, settings=settings, takes=takes, seed=(seed, list(RECORDINGS).index(part)))
+    n_all, n_missing = (takes * sum(len(chunk.pictures) for chunk in some) for some in (chunks, missing))
+    with (
+        progress(n_all, "simulating pictures", done=n_all - n_missing) as bar,
+        contextlib.closing(run_all(job, missing, workers)) as done,
+    ):
+        for n in done:
+            bar.update(n)
+    for chunk in chunks:
+        events, sizes = read_arrays(chunk.file, "events", "sizes")
+        if events.dtype != EVENT_DTYPE or sizes.shape != (takes * len(chunk.pictures),) or sizes.sum() != len(events):
+            raise ValueError(f"{chunk.file}: not the recordings of {len(chunk.pictures)} pictures; remove {folder}")
+        for i, one in enumerate(np.split(events, np.cumsum(sizes)[:-1])):
+            picture = chunk.pictures[i // takes]
+            writer.add(one, picture.label, f"{picture.name}, take {i % takes + 1}")
+    return takes
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """Pictures that one task records."""
+
+    file: Path
+    first: int
+    pictures: tuple[LabelledPicture, ...]
+
+
+def _record(chunk: _Chunk, *, settings: SceneSettings, takes: int, seed: tuple[int, int]) -> int:
+    """Write a chunk's file. Returns how many recordings it has."""
+    recordings = []
+    for i, one in enumerate(chunk.pictures):
+        picture = read_picture(one.path)
+        for take in range(takes):
+            recordings.append(record_picture(picture, settings, np.random.default_rng((*seed, chunk.first + i, take))))
+    with replacing(chunk.file) as part, part.open("wb") as file:
+        np.savez(file, events=np.concatenate(recordings), sizes=np.array([len(one) for one in recordings]))
+    return len(recordings)
+
+
+def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
+    """Refuse a folder of other pictures; note what is made."""
+    there: dict[str, Any] = {}
+    if path.exists():
+        try:
+            there = dict(json.loads(path.read_text(encoding="utf-8")))
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path}: damaged ({error}); remove {path.parent}") from None
+    differ = [name for name, value in made_from.items() if there.get(name, value) != value]
+    if differ:
+        raise other_run(path.parent, f"pictures ({', '.join(differ)})")
+    write_text(path, json.dumps({**there, **made_from}, indent=1) + "\n")
+
+
+def measure_camera(path: Path, window_us: int, sensor: tuple[int, int]) -> MeasuredPixels:
+    """What a recording tells about the pixels of its camera.
+
+    Raises
+    ------
+    ValueError : not a recording, of another sensor, or without a window of events. OSError : it cannot be read.
+    """
+    recording = open_recording(path, sensor=sensor)
+    if recording.stated_sensor not in (None, sensor):
+        raise ValueError(f"{path}: a camera of {recording.stated_sensor} pixels, expected {sensor}")
+    events = recording.read()
+    events = events[np.argsort(events["t"], kind="stable")]
+    inside = (events["x"] < sensor[0]) & (events["y"] < sensor[1])
+    t, x, y, p = (np.ascontiguousarray(events[name][inside]) for name in "txyp")
+    if not len(t) or t[-1] - t[0] < window_us:
+        raise ValueError(f"{path}: shorter than a window of {window_us} us; record a minute")
+    cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))
+    windows = zip(*(np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)), strict=True)
+    return measure_pixels(list(windows)[:-1], sensor, window_us)
