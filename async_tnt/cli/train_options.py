@@ -144,7 +144,7 @@ def _range(text: str) -> tuple[float, float]:
     except ValueError:
         least, most = 0.0, 0.0
     if not 0 < least <= most <= 1:
-        raise argparse.ArgumentTypeError(f"expected a range such as 0.4-0.8, within 0 and 1, got {text}")
+        raise argparse.ArgumentTypeError(f"expected a range such as 0.4-0.8, within 0 and 1, got {text!r}")
     return least, most
 
 

@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from moving_scenes import noiseless_events
+from tnt_reference.simulator import low_pass as reference_low_pass
 from tnt_reference.simulator import simulate_events as reference_events
 
-from async_tnt.simulation.simulator import PixelModel, simulate
+from async_tnt.kernels.simulate import low_pass
+from async_tnt.simulation.simulator import AFTER_US, PixelModel, simulate
 
 BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not stated), events (t, p)
     # L rises by 3.5 in 7,000 us: it reaches 1, 2 and 3 at 2,000, 4,000 and 6,000 us
@@ -86,6 +88,42 @@ def test_background_events_of_still_light_have_the_stated_rate_and_polarity():
     assert len(simulate(still, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0))) == 0
 
 
+def test_bandwidth_equals_reference():
+    rng = np.random.default_rng(0)
+    frames, times = np.log(rng.uniform(0.02, 1, (9, 3, 2))), np.cumsum(rng.uniform(1, 4_000, 9))
+    found = low_pass(frames, times, 300.0, 0.1)
+    for y, x in np.ndindex(3, 2):
+        np.testing.assert_allclose(found[:, y, x], reference_low_pass(frames[:, y, x], times, 300.0, 0.1), rtol=1e-12)
+
+
+def test_a_dark_pixel_answers_later():
+    """A step of two thresholds within 1 us, 100 Hz in full light, a tenth where it is dark: behind a low-pass, half of
+    the step is reached after ln 2 / (2 pi f), 1.1 ms and 11 ms."""
+    times = np.arange(0, 50_000, 10.0)
+    for light, expected_us in ((0.0, 1_103), (-5.0, 11_032)):
+        frames = np.where(times > 0, light, light - 0.4).reshape(-1, 1, 1)
+        events = noiseless_events(low_pass(frames, times, 100.0, 0.1), times, 0.2, 0.2)
+        assert events["t"][0] == pytest.approx(expected_us, rel=0.02)
+
+
+def test_leak_hot_pixels_and_after_pulses_by_their_rates():
+    """Of still light for 10 s: 3 leaked ON events of each pixel a second, the first after half an interval; a tenth of
+    the pixels hot; then a fifth of the events followed by one of the other sign within a millisecond."""
+    still, times = np.zeros((2, 20, 30)), np.array([0, 10_000_000])
+    quiet = {"mismatch": 0.0, "refractory_us": 0.0, "noise_hz": 0.0}
+    leaked = simulate(still, times, np.random.default_rng(0), PixelModel(**quiet, leak_hz=3.0))
+    assert (leaked["p"] == 1).all() and len(leaked) == pytest.approx(600 * 29.5, rel=0.01)
+    hot = simulate(still, times, np.random.default_rng(0), PixelModel(**quiet, hot_share=0.1, hot_hz=20.0))
+    n_hot = len(np.unique(hot["y"].astype(int) * 30 + hot["x"]))
+    assert 40 < n_hot < 80 and len(hot) == pytest.approx(200 * n_hot, rel=0.5)
+    after = simulate(still, times, np.random.default_rng(0), PixelModel(**quiet, leak_hz=3.0, after_share=0.2))
+    later = after[after["p"] == 0]
+    assert len(later) == pytest.approx(600 * 30 * 0.2, rel=0.06)
+    for event in later[:50]:
+        first = leaked[(leaked["x"] == event["x"]) & (leaked["y"] == event["y"])]["t"]
+        assert ((event["t"] - first > 0) & (event["t"] - first < AFTER_US)).any()
+
+
 @pytest.mark.parametrize(
     ("frames", "times", "message"),
     [
@@ -102,6 +140,8 @@ def test_invalid_frames_and_pixels_are_refused(frames, times, message):
         ("noise_on_share", 1.5, r"in \[0, 1\], got 1.5"),
         ("threshold_on", 0.0, "finite and at least 0.001, got 0.0"),
         ("refractory_us", -1.0, "finite and at least 0, got -1.0"),
+        ("after_share", 2.0, r"in \[0, 1\], got 2.0"),
+        ("bandwidth_hz", 0.0, "above 0, got 0.0"),
     ):
         with pytest.raises(ValueError, match=f"`{name}` must be {rule}"):
             PixelModel(**{name: value})

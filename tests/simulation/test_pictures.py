@@ -1,0 +1,130 @@
+"""Pictures: what is read of them, and the events that a random camera in a random motion gives."""
+
+import contextlib
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.simulation.picture_scene import SceneSettings, record_picture
+from async_tnt.simulation.pictures import read_picture
+from async_tnt.simulation.random_pixels import random_pixels
+
+SETTINGS = SceneSettings((34, 34), 105_000)
+
+
+def saved(path, values, **options):
+    Image.fromarray(np.asarray(values)).save(path, **options)
+    return path
+
+
+def bar(ground=0, light=255, rows=slice(4, 16), columns=slice(8, 12)):
+    values = np.full((20, 24), ground, np.uint8)
+    values[rows, columns] = light
+    return values
+
+
+def test_luminance_by_hand(tmp_path):
+    """sRGB 188 is half of the light; of pure red, green and blue Rec. 709 sees .2126, .7152, .0722."""
+    colours = np.zeros((4, 5, 3), np.uint8)
+    colours[:, :] = 10, 20, 30
+    colours[0, :4] = (255, 0, 0), (0, 255, 0), (0, 0, 255), (188, 188, 188)
+    picture = read_picture(saved(tmp_path / "a.png", colours))
+    np.testing.assert_allclose(picture.light[0, :4], [0.2126, 0.7152, 0.0722, 0.503], atol=2e-3)
+    assert picture.ground is None and picture.cover.min() == 1  # a photograph
+
+
+def test_the_object_is_cut_out(tmp_path):
+    """On a plain ground or by its alpha channel: 12 x 4 pixels, and one of ground on each side."""
+    plain = read_picture(saved(tmp_path / "a.png", bar(ground=255, light=0)))
+    assert plain.light.shape == plain.cover.shape == (14, 6) and plain.ground == 1
+    assert plain.cover[1:-1, 1:-1].min() == 1 and plain.cover[0].max() == 0
+    opaque = np.dstack([np.full((20, 24, 3), 90, np.uint8), bar()])
+    cut = read_picture(saved(tmp_path / "b.png", opaque))
+    assert cut.cover.shape == (14, 6) and cut.cover.sum() == 48 and cut.ground is None
+
+
+def test_deep_turned_and_large_pictures(tmp_path):
+    deep = read_picture(saved(tmp_path / "a.png", bar().astype(np.uint16) * 257))
+    np.testing.assert_allclose(deep.light, read_picture(saved(tmp_path / "b.png", bar())).light, atol=0.01)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # turned by a quarter
+    assert read_picture(saved(tmp_path / "c.png", bar(), exif=exif)).light.shape == (6, 14)
+    assert max(read_picture(saved(tmp_path / "d.png", np.kron(bar(), np.ones((60, 60), np.uint8)))).light.shape) <= 512
+
+
+@pytest.mark.parametrize(("content", "message"), [(b"no picture", "not a picture"), (b"", "not a picture")])
+def test_what_is_no_picture(tmp_path, content, message):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(ValueError, match=message):
+        read_picture(tmp_path / "a.png")
+    with pytest.raises(ValueError, match="nothing is on this picture"):
+        read_picture(saved(tmp_path / "b.png", np.full((9, 9), 77, np.uint8)))
+    with pytest.raises(ValueError, match="at least 2 pixels, got 9x1"):
+        read_picture(saved(tmp_path / "c.png", np.arange(9, dtype=np.uint8)[None] * 20))
+
+
+@given(kind=st.sampled_from(["png", "jpeg", "bmp", "gif"]), cut=st.integers(0, 2_000), at=st.integers(0, 2_000))
+@settings(max_examples=60, deadline=None)
+def test_damaged_pictures_are_refused_or_read(tmp_path_factory, kind, cut, at):
+    content = io.BytesIO()
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (20, 24), np.uint8)).save(content, kind)
+    damaged = bytearray(content.getvalue())
+    damaged[at % len(damaged)] ^= 0x5A
+    path = tmp_path_factory.mktemp("damaged") / f"a.{kind}"
+    path.write_bytes(damaged[: max(1, len(damaged) - cut)])
+    with contextlib.suppress(ValueError, OSError):
+        assert 0 <= read_picture(path).light.min() <= read_picture(path).light.max() <= 1
+
+
+def recordings(picture, n=60, scene=SETTINGS):
+    return [record_picture(picture, scene, np.random.default_rng(i)) for i in range(n)]
+
+
+def test_recordings_are_events_of_the_sensor_and_repeat(tmp_path):
+    picture = read_picture(saved(tmp_path / "a.png", bar()))
+    found = recordings(picture, 20, SceneSettings((48, 34), 50_000))
+    assert all((np.diff(events["t"]) >= 0).all() and events["t"].max(initial=0) < 50_000 for events in found)
+    assert all(events["x"].max(initial=0) < 48 and events["y"].max(initial=0) < 34 for events in found)
+    for events, again in zip(found, recordings(picture, 20, SceneSettings((48, 34), 50_000)), strict=True):
+        np.testing.assert_array_equal(events, again)
+
+
+def test_positives_and_negatives_have_opposite_signs(tmp_path):
+    """The same draws, light and dark exchanged: where one begins with ON, the other begins with OFF."""
+    picture = read_picture(saved(tmp_path / "a.png", bar()))
+    firsts = []
+    for light in ("positive", "negative"):
+        image = np.zeros((20, 34, 34))
+        for k, events in enumerate(recordings(picture, 20, SceneSettings((34, 34), 105_000, light=light))):
+            image[k, events["y"][::-1], events["x"][::-1]] = 2.0 * events["p"][::-1] - 1
+        firsts.append(image.ravel())
+    both = firsts[0] * firsts[1] != 0
+    assert both.sum() > 2_000 and np.mean(firsts[0][both] == -firsts[1][both]) > 0.58
+
+
+def test_the_object_has_the_stated_size(tmp_path):
+    """Active pixels reach as far as the object does, and its motion."""
+    picture = read_picture(saved(tmp_path / "a.png", bar(rows=slice(2, 18), columns=slice(4, 20))))
+    reaches = []
+    for size in (0.2, 0.6):
+        found = recordings(picture, 60, SceneSettings((64, 64), 105_000, size=(size, size), camera=MeasuredPixels()))
+        reaches.append(np.median([np.ptp(np.quantile(one["x"], (0.1, 0.9))) for one in found if len(one) > 200]))
+    assert 8 < reaches[0] < 20 and 25 < reaches[1] < 45
+    for wrong in ((0, 0.5), (0.6, 0.4), (0.5, 1.2)):
+        with pytest.raises(ValueError, match="`size` must be a range within"):
+            SceneSettings((34, 34), 1_000, size=wrong)
+
+
+def test_a_known_camera_keeps_to_what_is_known():
+    camera = MeasuredPixels(1.2, 1 / 1.2, 800.0, 0.2, 0.9, 0.1)
+    drawn = [random_pixels(np.random.default_rng(i), camera) for i in range(200)]
+    ratios = np.array([one.threshold_on / one.threshold_off for one in drawn])
+    assert 1.44 / 1.26 < ratios.min() < 1.2 and 1.7 < ratios.max() < 1.44 * 1.26
+    assert all(0.2 / 1.26 < one.noise_hz < 0.2 * 1.26 and one.refractory_us <= 800 for one in drawn)
+    anything = [random_pixels(np.random.default_rng(i)) for i in range(200)]
+    assert max(one.noise_hz for one in anything) > 1 and min(one.noise_hz for one in anything) < 0.05

@@ -1,0 +1,151 @@
+"""Class folders of pictures: recorded by simulated cameras, split, mixed with recordings, kept and refused."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.training import simulated_pictures
+from async_tnt.training.data import dataset_data
+from async_tnt.training.recordings import RecordingsWriter
+from async_tnt.training.settings import default_config
+from async_tnt.training.simulated_pictures import (
+    LabelledPicture,
+    find_pictures,
+    measure_camera,
+    simulate_pictures,
+)
+
+SENSOR = (24, 20)
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 40, "held-out": 8})
+    monkeypatch.setattr(simulated_pictures, "CHUNK", 12)
+
+
+def write_pictures(folder, n=5, classes=("bar", "disc")):
+    y, x = np.mgrid[:20, :20]
+    for k, name in enumerate(classes):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        for i in range(n):
+            shape = abs(x - 10) < 2 + i % 3 if k == 0 else np.hypot(x - 10, y - 10) < 5 + i % 3
+            values = np.where(shape & (abs(y - 10) < 8), 250 - 7 * i, 0).astype(np.uint8)
+            Image.fromarray(values).save(folder / name / f"{name}{i:02}.png")
+    return folder
+
+
+def data_of(folder, **options):
+    pixels = PixelSelection(sensor=SENSOR)
+    return dataset_data(folder, default_config(sensor=SENSOR), pixels=pixels, fitted={"grid"}, **options)
+
+
+def test_each_picture_is_recorded_and_on_one_side(tmp_path):
+    data = data_of(write_pictures(tmp_path / "p"), store=tmp_path)
+    assert data.classes == ("bar", "disc") and data.config.sensor == SENSOR
+    names = data.training.recordings.names
+    learned, held_out = ({names[r].partition(",")[0] for r in w.recording} for w in (data.training, data.validation))
+    assert len(learned) == 8 and held_out == {"bar/bar04.png", "disc/disc04.png"} == set(data.held_out)
+    assert not learned & held_out
+    assert 38 <= len(data.training) <= 40 and len(data.validation) == 8  # few without an event
+    assert data.record["pictures"]["takes"] == 5 and any("each recorded 5 times" in note for note in data.notes)
+
+
+def test_bad_pictures_are_named_and_left_out(tmp_path):
+    write_pictures(tmp_path / "p")
+    (tmp_path / "p/bar/bar07.jpg").write_text("no picture")
+    data = data_of(tmp_path / "p")
+    assert len(data.left_out) == 1 and data.left_out[0].startswith("bar/bar07.jpg: not a picture")
+
+
+def test_pictures_and_recordings_mix(tmp_path):
+    """A class of recordings only, one of pictures only, one of both."""
+    write_pictures(tmp_path / "p")
+    for name in ("bar", "wave"):
+        (tmp_path / "p" / name).mkdir(exist_ok=True)
+        for i in range(4):
+            t = np.sort(np.random.default_rng((len(name), i)).integers(0, 100_000, 300))
+            x, y, p = (np.random.default_rng(i).integers(0, n, 300) for n in (*SENSOR, 2))
+            np.savez(tmp_path / "p" / name / f"r{i}.npz", t=t, x=x, y=y, p=p)
+    data = data_of(tmp_path / "p")
+    of_class = {name: (data.training.labels == k).sum() for k, name in enumerate(data.classes)}
+    assert list(of_class) == ["bar", "disc", "wave"] and of_class["wave"] == 3 and of_class["bar"] > of_class["wave"]
+    assert {file.name for file in find_pictures(tmp_path / "p")["bar"]} == {f"bar{i:02}.png" for i in range(5)}
+
+
+def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
+    """Any number of processes gives the same; what is there is not made again; other settings are refused."""
+    folder = write_pictures(tmp_path / "p")
+    pictures = [LabelledPicture(path, k) for k, some in enumerate(find_pictures(folder).values()) for path in some]
+    scene = SceneSettings(SENSOR, 50_000)
+
+    def simulated(store, settings=scene, **options):
+        with RecordingsWriter() as writer:
+            simulate_pictures(writer, "training", pictures, settings, store, **options)
+            return writer.finish()
+
+    first, second = simulated(tmp_path / "a"), simulated(tmp_path / "b", workers=2)
+    for name in ("t", "x", "y", "p", "offsets", "labels"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    (tmp_path / "b/training_000003.npz").unlink()
+    monkeypatch.setattr(simulated_pictures, "record_picture", lambda *_: pytest.fail("made again"))
+    np.testing.assert_array_equal(simulated(tmp_path / "a").t, first.t)
+    with pytest.raises(ValueError, match=r"pictures \(settings\)"):
+        simulated(tmp_path / "a", SceneSettings(SENSOR, 40_000))
+    with pytest.raises(pytest.fail.Exception, match="made again"):
+        simulated(tmp_path / "b")
+    (tmp_path / "a/training_000003.npz").write_bytes(b"PK damaged")
+    with pytest.raises(ValueError, match=r"training_000003\.npz"):
+        simulated(tmp_path / "a")
+    manifest = tmp_path / "a/pictures.json"
+    manifest.write_text(manifest.read_text()[:-9])
+    with pytest.raises(ValueError, match=r"pictures.json: damaged .*; remove"):
+        simulated(tmp_path / "a")
+
+
+def test_without_a_sensor_or_pictures(tmp_path, program):
+    write_pictures(tmp_path / "p")
+    code, _, err = program("train", tmp_path / "p", "--out", tmp_path / "m.safetensors")
+    assert code == 2 and "pictures have no sensor; give --sensor" in err
+    (tmp_path / "p/none").mkdir()
+    code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors")
+    assert code == 2 and "no recordings in the class folder none" in err
+
+
+@pytest.mark.parametrize("text", ["0.8-0.4", "0-1", "a", "0.2-1.1", ""])
+def test_sizes_that_are_none(program, capsys, text):
+    with pytest.raises(SystemExit):
+        program("train", "x", "--size", text)
+    assert "expected a range such as 0.4-0.8" in capsys.readouterr().err
+
+
+def test_a_camera_is_measured(tmp_path):
+    """Two thirds of its events are ON, a refractory time of at least 1 ms."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 3_000_000, 50)
+    x, y = rng.integers(0, 24, len(t)), rng.integers(0, 20, len(t))
+    np.savez(tmp_path / "a.npz", t=t, x=x, y=y, p=rng.random(len(t)) < 2 / 3)
+    camera = measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
+    assert camera.ratio == pytest.approx(0.5, rel=0.05)
+    with pytest.raises(ValueError, match="shorter than a window of 5000000 us"):
+        measure_camera(tmp_path / "a.npz", 5_000_000, SENSOR)
+
+
+def test_trained_on_pictures_alone(tmp_path, program):
+    """The whole command: its model tells bars from discs that it was not shown; the record says what it is from."""
+    write_pictures(tmp_path / "p", n=8)
+    out = tmp_path / "m.safetensors"
+    code, printed, err = program(
+        "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--json"
+    )
+    assert code == 0, err
+    record = json.loads(printed)
+    assert record["data"]["pictures"]["pictures"] == 16 and record["data"]["pictures"]["settings"]["size"] == [0.4, 0.8]
+    again, _, err = program(
+        "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--size", ".5"
+    )
+    assert again == 2 and "size" in err
