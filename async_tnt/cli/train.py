@@ -169,7 +169,8 @@ def _read(
         if pixels.sensor is None:
             raise ValueError("--camera must come with --sensor")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor)
-    sources |= {"size": list(args.size), "light": args.light, "camera": camera and asdict(camera)}
+    sources |= {name: getattr(args, name) for name in ("light", "follow")}
+    sources |= {"size": list(args.size), "camera": camera and asdict(camera)}
     recordings = file_sizes(args.dataset, "Train")
     fitted = set() if start is not None else {"grid", "window_us"} - given.keys()
     fitted |= set() if start is not None or args.volume else {"bins"}
@@ -190,7 +191,7 @@ def _read(
         test=args.test,
         seed=args.seed,
         store=run_folder,
-        scenes={"size": args.size, "light": args.light, "camera": camera},
+        scenes={"size": args.size, "light": args.light, "follow": args.follow, "camera": camera},
         workers=available_cores(),
         progress=progress,
     )

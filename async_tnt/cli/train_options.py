@@ -35,13 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "dataset",
         type=Path,
         metavar="DATASET",
-        help="folder with <class name>/<recordings or pictures>, or with Train/<class name>/... (and Test/...)",
+        help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...)",
     )
     parser.add_argument(
         "--sensor",
         type=size_text,
         metavar="WxH",
-        help="the camera's pixels, where recordings do not state them",
+        help="the camera's, where recordings do not state it",
     )
     parser.add_argument(
         "--out",
@@ -97,6 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pictures.add_argument(
         "--camera", type=Path, metavar="RECORDING", help="a minute of anything from your camera, to measure it"
     )
+    pictures.add_argument("--follow", action="store_true", help="as crops that follow the object")
     network = parser.add_argument_group("volume and network")
     network.add_argument(
         "--window-us",

@@ -47,6 +47,7 @@ class SceneSettings:
     sensor : (width, height), in pixels. window_us : length of a recording.
     size : range of the object's longer side, as a share of the sensor's shorter one.
     light : of `LIGHTS`.
+    follow : the sensor is a crop of a larger one, which follows the object in steps of whole pixels.
     camera : what is known of its pixels; None: nothing.
     """
 
@@ -54,6 +55,7 @@ class SceneSettings:
     window_us: int
     size: tuple[float, float] = (0.4, 0.8)
     light: str = "both"
+    follow: bool = False
     camera: MeasuredPixels | None = None
 
     def __post_init__(self) -> None:
@@ -65,26 +67,40 @@ class SceneSettings:
 
 def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Generator) -> np.ndarray:
     """Events of one recording, as `rng` draws it: a structured array of `EVENT_DTYPE`, times in [0, window_us)."""
-    width, height = settings.sensor
-    side_px = min(width, height) * rng.uniform(*settings.size)
-    scene = _scene(picture, side_px, settings, rng)
-    length = min(width, height) * float(np.exp(rng.uniform(*np.log(LENGTHS))))
+    smaller = min(settings.sensor)
+    side_px = smaller * rng.uniform(*settings.size)
+    length = smaller * float(np.exp(rng.uniform(*np.log(LENGTHS))))
     n = int(np.clip(FRAMES_A_PX * length, FEWEST_FRAMES, MOST_FRAMES))
     motion, turn = random_motion(length, np.linspace(0, 1, n), rng, MOTIONS)
+    times_us = np.linspace(0, settings.window_us, n)
+    beyond = int(np.ceil(np.abs(motion).max())) if settings.follow else 0
+    scene = _scene(picture, side_px, settings, beyond, rng)
     half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
     free = np.maximum(0, np.array(settings.sensor) / 2 - half)
-    middle = (np.array(settings.sensor) - 1) / 2
-    displacement = middle + rng.uniform(-free, free) - scene.centre + motion
-    times_us = np.linspace(0, settings.window_us, n)
-    return scene.events(times_us, displacement, turn, random_pixels(rng, settings.camera), rng)
+    displacement = (np.array(scene.sensor) - 1) / 2 + rng.uniform(-free, free) - scene.centre + motion
+    events = scene.events(times_us, displacement, turn, random_pixels(rng, settings.camera), rng)
+    return _crop(events, times_us, motion, beyond, settings.sensor) if settings.follow else events
 
 
-def _scene(picture: Picture, side_px: float, settings: SceneSettings, rng: np.random.Generator) -> PeriodicImage:
-    """The object in its surroundings, as log luminance, seen through a lens."""
+def _crop(
+    events: np.ndarray, times_us: np.ndarray, motion: np.ndarray, beyond: int, sensor: tuple[int, int]
+) -> np.ndarray:
+    """What a crop of the size of `sensor`, `beyond` pixels from the border of a larger one, sees that moves along."""
+    inside = np.ones(len(events), bool)
+    for axis, name in enumerate("xy"):
+        at = events[name] - beyond - np.rint(np.interp(events["t"], times_us, motion[:, axis])).astype(np.int64)
+        inside &= (at >= 0) & (at < sensor[axis])
+        events[name] = np.where(inside, at, 0)
+    return events[inside]
+
+
+def _scene(
+    picture: Picture, side_px: float, settings: SceneSettings, beyond: int, rng: np.random.Generator
+) -> PeriodicImage:
+    """The object in its surroundings, as log luminance, seen through a lens, by a sensor `beyond` pixels larger."""
+    sensor = settings.sensor[0] + 2 * beyond, settings.sensor[1] + 2 * beyond
     light, cover = _posed(picture, FINENESS * side_px, rng)
-    shape = tuple(
-        8 * round(FINENESS * (side + 1.5 * side_px) / 8) for side in settings.sensor[::-1]
-    )  # of small factors
+    shape = tuple(8 * round(FINENESS * (side + 1.5 * side_px) / 8) for side in sensor[::-1])  # of small factors
     texture = rng.uniform(0, TEXTURE) * _texture(shape, rng) if rng.random() < TEXTURED else np.zeros(shape)
     if picture.ground is None:
         inside = float(np.average(light, weights=np.maximum(cover, 1e-6)))
@@ -102,9 +118,7 @@ def _scene(picture: Picture, side_px: float, settings: SceneSettings, rng: np.ra
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
     darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
     centre = np.array([left + light.shape[1] / 2, top + light.shape[0] / 2]) / FINENESS
-    return PeriodicImage(
-        np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1)), FINENESS, 0.0, centre, settings.sensor
-    )
+    return PeriodicImage(np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1)), FINENESS, 0.0, centre, sensor)
 
 
 def _posed(picture: Picture, side: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

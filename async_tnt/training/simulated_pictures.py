@@ -34,7 +34,7 @@ from async_tnt.training.run_folder import other_run
 
 MANIFEST = "pictures.json"
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
-"""Of all pictures together, at least."""
+"""Of all pictures together, about; of each at least one."""
 CHUNK = 200
 """Recordings of a file."""
 
@@ -152,7 +152,7 @@ def simulate_pictures(
     ------
     ValueError : the folder holds recordings of other pictures or settings, or a damaged file.
     """
-    takes = -(-RECORDINGS[part] // max(1, len(pictures)))
+    takes = max(1, round(RECORDINGS[part] / max(1, len(pictures))))
     folder.mkdir(parents=True, exist_ok=True)
     made_from = json.loads(json.dumps({"settings": asdict(settings), "seed": seed, part: [p.name for p in pictures]}))
     _check_manifest(folder / MANIFEST, made_from)

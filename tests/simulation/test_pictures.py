@@ -107,6 +107,19 @@ def test_positives_and_negatives_have_opposite_signs(tmp_path):
     assert both.sum() > 2_000 and np.mean(firsts[0][both] == -firsts[1][both]) > 0.58
 
 
+def test_a_crop_follows_the_object(tmp_path):
+    """Its events stay about one place: active pixels reach less far than where it is not followed."""
+    picture = read_picture(saved(tmp_path / "a.png", bar()))
+    reaches = []
+    for follow in (False, True):
+        found = recordings(
+            picture, 60, SceneSettings((34, 34), 105_000, (0.3, 0.3), follow=follow, camera=MeasuredPixels())
+        )
+        assert all(one["x"].max(initial=0) < 34 and one["y"].max(initial=0) < 34 for one in found)
+        reaches.append(np.median([np.ptp(np.quantile(one["x"], (0.1, 0.9))) for one in found if len(one) > 100]))
+    assert reaches[1] < 0.8 * reaches[0]
+
+
 def test_the_object_has_the_stated_size(tmp_path):
     """Active pixels reach as far as the object does, and its motion."""
     picture = read_picture(saved(tmp_path / "a.png", bar(rows=slice(2, 18), columns=slice(4, 20))))
