@@ -27,7 +27,7 @@ from async_tnt.simulation.random_pixels import random_pixels
 
 LENGTHS, MOTIONS = (0.06, 0.5), MotionRange(np.radians(15.0), 0.15, 0.25)
 CONTRASTS, BLURS_PX, POSTURE = (2.0, 15.0), (0.3, 0.9), 0.08
-TEXTURE, TEXTURED, FADES = 0.25, 0.5, 0.1
+TEXTURE, TEXTURED, FADES = 0.15, 0.5, 0.1
 """Largest deviation of a texture, the share of recordings with one, and the rim in which a photograph fades into it."""
 APART = 0.25
 """Between the light of an object that is cut out and its ground, at least."""
