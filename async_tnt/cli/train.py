@@ -14,6 +14,7 @@ from async_tnt.checks import needs_extra
 from async_tnt.cli.options import command_words, size_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
+from async_tnt.cli.train_figures import CONFUSION, draw_confusion, draw_motions, draw_pictures
 from async_tnt.cli.train_options import add_arguments
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
@@ -25,14 +26,13 @@ from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
 from async_tnt.sources.sensor import format_size
 
 if TYPE_CHECKING:
-    from async_tnt.evaluation.scores import Scores
     from async_tnt.training.data import TrainingData
     from async_tnt.training.moved_windows import Motions
     from async_tnt.training.settings import TrainSettings
 
 __all__ = ["add_arguments", "main"]
 
-NUMBERS, CURVES, CONFUSION = ".json", ".curves.png", ".confusion.png"
+NUMBERS, CURVES = ".json", ".curves.png"
 """What is written beside the model."""
 FEW_PATHS = 0.2
 """Share of windows whose motion is found, below which there is a warning."""
@@ -93,6 +93,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
+    draw_pictures(args, data, run_folder / "pictures" / "pictures.png")
     fitted = fit(
         data,
         settings,
@@ -118,7 +119,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     if plot_curves(fitted.history, args.out.with_suffix(CURVES)):
         written.append(args.out.with_suffix(CURVES))
         if fitted.scores is not None:
-            written.append(_draw_confusion(args.out, fitted.scores))
+            written.append(draw_confusion(args.out, fitted.scores))
     else:
         note("no pictures: matplotlib is not installed (pip install 'async_tnt[plot]')")
     if data.tests:
@@ -264,29 +265,8 @@ def _other_motions(
         )
     if names := unlike(record["match"]):
         note(f"warning: recorded and simulated windows differ in {', '.join(names)}: compare motions.png, and held out")
-    _draw_motions(motions, data, run_folder / "motions" / "motions.png")
+    draw_motions(motions, data, run_folder / "motions" / "motions.png")
     return motions
-
-
-def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
-    """Draw some windows, where there are any and matplotlib is installed."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        return
-    from async_tnt.training.resynthesis import examples
-    from async_tnt.views.figure_resynthesis import write_resynthesis
-
-    if motions.spans.any():
-        moved, refused = examples(motions, data.classes)
-        write_resynthesis(moved, path, refused)
-
-
-def _draw_confusion(out: Path, scores: Scores) -> Path:
-    from async_tnt.views.figure_confusion import write_confusion
-
-    title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
-    return write_confusion(scores.confusion, scores.classes, out.with_suffix(CONFUSION), title)
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:

@@ -37,6 +37,8 @@ RECORDINGS = {"training": 24_000, "held-out": 2_400}
 """Of all pictures together, about; of each at least one."""
 CHUNK = 200
 """Recordings of a file."""
+N_EXAMPLES, N_TAKES = 5, 6
+"""Classes of a figure, and recordings of each."""
 
 
 @dataclass(frozen=True)
@@ -213,6 +215,19 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
     if differ:
         raise other_run(path.parent, f"pictures ({', '.join(differ)})")
     write_text(path, json.dumps({**there, **made_from}, indent=1) + "\n")
+
+
+def example_recordings(
+    found: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
+) -> list[tuple[str, np.ndarray, list[np.ndarray]]]:
+    """For a figure: of some classes the first picture that can be read, its luminance, and recordings of it."""
+    shown = []
+    for row, (name, paths) in enumerate(list(found.items())[:N_EXAMPLES]):
+        good, _ = check_pictures({name: paths[:N_TAKES]}, (name,))
+        for one in good[:1]:
+            picture, draws = read_picture(one.path), [np.random.default_rng((seed, row, k)) for k in range(N_TAKES)]
+            shown.append((name, picture.light, [record_picture(picture, settings, rng) for rng in draws]))
+    return shown
 
 
 def measure_camera(path: Path, window_us: int, sensor: tuple[int, int]) -> MeasuredPixels:

@@ -1,4 +1,4 @@
-"""What motion re-synthesis found in windows and made of them: a window a row."""
+"""What was simulated: a window or a picture a row, and the events that were made of it."""
 
 from __future__ import annotations
 
@@ -113,6 +113,42 @@ def write_resynthesis(
     """`draw_resynthesis` into a file, .png, .svg or .pdf; replaced atomically if it exists. Returns its path."""
     with styled():
         save(draw_resynthesis(windows, refused), path, dpi)
+    return path
+
+
+def draw_recorded_pictures(
+    pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int]
+) -> Figure:
+    """Pictures, and their recordings.
+
+    Parameters
+    ----------
+    pictures : class, luminance (h, w), and events with fields x, y, p of each of its recordings, of equally many.
+    sensor : (width, height).
+    """
+    high = SIDE * sensor[1] / sensor[0]
+    n = len(pictures[0][2])
+    figure = new_figure(TOP + len(pictures) * (high + GAP) + 0.1, LEFT + (1 + n) * (SIDE + GAP) + 0.1)
+    headline(figure, "pictures, as simulated cameras record them")
+    for row, (name, light, recordings) in enumerate(pictures):
+        top = TOP + row * (high + GAP)
+        write_at(figure, LEFT - 0.1, top + high / 2, shortened(name, 14), ha="right")
+        fits = min(SIDE / light.shape[1], high / light.shape[0])
+        axes = axes_at(figure, LEFT, top, fits * light.shape[1], fits * light.shape[0])
+        axes.imshow(np.sqrt(light), cmap="gray", vmin=0, vmax=1)
+        axes.axis("off")
+        for column, events in enumerate(recordings, 1):
+            _draw_picture(figure, column, top, _counts(events, sensor[::-1]), is_image=False)
+    polarity_legend(figure)
+    return figure
+
+
+def write_recorded_pictures(
+    pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int], path: Path
+) -> Path:
+    """`draw_recorded_pictures` into a file; replaced atomically if it exists. Returns its path."""
+    with styled():
+        save(draw_recorded_pictures(pictures, sensor), path, 150)
     return path
 
 

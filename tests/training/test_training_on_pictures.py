@@ -143,6 +143,7 @@ def test_trained_on_pictures_alone(tmp_path, program):
         "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--json"
     )
     assert code == 0, err
+    assert (tmp_path / "runs/m/pictures/pictures.png").stat().st_size > 10_000
     record = json.loads(printed)
     assert record["data"]["pictures"]["pictures"] == 16 and record["data"]["pictures"]["settings"]["size"] == [0.4, 0.8]
     again, _, err = program(
