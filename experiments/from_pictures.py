@@ -1,12 +1,13 @@
 """Classifiers that never saw an event: trained on pictures alone, tested on recordings of real cameras.
 
-    python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--seeds N]
-                                        [--out FOLDER] [--json FILE]
+    python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--made]
+                                        [--seeds N] [--out FOLDER] [--json FILE]
 
 nmnist      MNIST's training images; all of N-MNIST's Test
 poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that follow a pip
 characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
             `examples/hots_characters.py`
+made        ten pictures of each of six objects before backgrounds, and simulated recordings of others (`made_pictures.py`)
 
 Each network is trained by `async-tnt train PICTURES` with the options that its row states, and reads the recordings
 once. Finished trainings in --out are kept, interrupted ones resume, and what FILE has of other sets stays there.
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import json
 import string
+import time
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +25,20 @@ import numpy as np
 
 from async_tnt.checks import needs_extra
 from async_tnt.progress import progress
+from experiments import made_pictures
 from experiments.bare import lines
 from experiments.bench_timing import machine
 from experiments.mnist import load_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
 from experiments.unseen_motions import command
 
-TITLES = {"nmnist": "N-MNIST", "poker": "POKER-DVS", "characters": "HOTS' characters"}
+TITLES = {"nmnist": "N-MNIST", "poker": "POKER-DVS", "characters": "HOTS' characters", "made": "made objects"}
+TESTS = {"nmnist": ["Test"], "poker": ["pips_train", "pips_test"], "characters": ["Train", "Test"], "made": ["Test"]}
 OPTIONS = {
     "nmnist": "--sensor 34x34",
     "poker": "--sensor 35x35 --window-us 25000 --follow",
     "characters": "--sensor 32x32 --follow",
+    "made": "--sensor 64x64 --size 0.7-1",
 }
 PIPS = {"cl": "♣", "di": "♦", "he": "♥", "sp": "♠"}
 CHARACTERS = string.digits + string.ascii_uppercase
@@ -87,6 +92,8 @@ def write_pictures(name: str, folder: Path, mnist: Path | None, n: int) -> None:
         write_mnist(folder, data_folder(mnist, "mnist", "--mnist"), n)
     elif name == "poker":
         write_glyphs(folder, PIPS, (0, 180))
+    elif name == "made":
+        made_pictures.write_pictures(folder, 10, 0)
     else:
         write_glyphs(folder, {character: character for character in CHARACTERS})
 
@@ -100,7 +107,9 @@ def measure(
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
             words = [*OPTIONS[name].split(), *more, "--seed", seed, "--out", model, "--json"]
+            began = time.monotonic()
             record = command("train", pictures, *words)
+            minutes = (time.monotonic() - began) / 60
             reports = [command("evaluate", model, folder, "--json") for folder in tests]
             confusion = np.sum([report["confusion"] for report in reports], 0)
             windows = np.sum([report["window_confusion"] for report in reports], 0)
@@ -110,6 +119,7 @@ def measure(
                     "recordings": int(confusion.sum()),
                     "window_accuracy": float(np.trace(windows) / windows.sum()),
                     "windows": int(windows.sum()),
+                    "minutes": minutes,
                     "simulated_held_out": record["validation"]["per_window"],
                     "confusion": confusion.tolist(),
                 }
@@ -129,17 +139,20 @@ def measure(
 def main(argv: list[str] | None = None) -> int:
     """Draw, train, test, print and write."""
     parser = script_parser("from_pictures", __doc__, "one seed and epoch, 500 pictures")
-    for name, title in TITLES.items():
-        add_folder(parser, f"--{name}", title)
+    for name in [name for name in TITLES if name != "made"]:
+        add_folder(parser, f"--{name}", TITLES[name])
+    parser.add_argument("--made", action="store_true", help="made objects")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     parser.add_argument("--pictures", type=int, default=60_000, metavar="N", help="of MNIST (default: 60000)")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
     parser.add_argument("--out", type=Path, default=Path("pictures"), metavar="FOLDER", help="default: pictures")
     args = parser.parse_args(argv)
-    folders = {name: getattr(args, name) for name in TITLES if getattr(args, name) is not None}
+    folders = {name: getattr(args, name) for name in TITLES if getattr(args, name)}
     if not folders:
         parser.error(f"give one of --{', --'.join(TITLES)}")
-    tests = {"nmnist": ["Test"], "poker": ["pips_train", "pips_test"], "characters": ["Train", "Test"]}
+    if args.made:
+        folders["made"] = args.out / "recordings"
+        made_pictures.write_recordings(folders["made"] / "Test", 30, 1)
     report: dict[str, Any] = {"sets": {}}
     if args.json and args.json.exists():
         report = json.loads(args.json.read_text(encoding="utf-8"))
@@ -147,7 +160,7 @@ def main(argv: list[str] | None = None) -> int:
         pictures = args.out / name
         write_pictures(name, pictures, args.mnist, 500 if args.quick else args.pictures)
         seeds, more = (1, ("--epochs", "1")) if args.quick else (args.seeds, ())
-        parts = [folder / part for part in tests[name]]
+        parts = [folder / part for part in TESTS[name]]
         report["sets"][name] = measure(name, pictures, parts, seeds, args.out / "models", more)
         write_outputs(args, report)
     print("\n".join(lines(report["sets"])))
