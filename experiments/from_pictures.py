@@ -7,7 +7,7 @@ nmnist      MNIST's training images; all of N-MNIST's Test
 poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that follow a pip
 characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
             `examples/hots_characters.py`
-made        ten pictures of each of six objects before backgrounds, and simulated recordings of others (`made_pictures.py`)
+made        ten pictures of each of six objects, with backgrounds, and recordings of others (`made_pictures.py`)
 
 Each network is trained by `async-tnt train PICTURES` with the options that its row states, and reads the recordings
 once. Finished trainings in --out are kept, interrupted ones resume, and what FILE has of other sets stays there.

@@ -1,8 +1,8 @@
 """Pictures of six objects before a background, and recordings of the same objects in other pictures.
 
 Cup, glass (a cup without its handle), bottle, leaf, star and key: with textures of power 1/f^2, light from aside,
-before other textures; each picture shows another one of its kind. The recordings show objects of their own on a sensor of
-64x64, moved by another renderer and other pixels (`made_objects.pixel_events`) than those that training simulates.
+before other textures; each picture shows another one of its kind. The recordings show objects of their own on a sensor
+of 64x64, moved by another renderer and other pixels (`made_objects.pixel_events`) than those that training simulates.
 """
 
 from __future__ import annotations
