@@ -102,6 +102,7 @@ def measure(
     name: str, pictures: Path, tests: list[Path], seeds: int, out: Path, more: tuple[str, ...]
 ) -> dict[str, Any]:
     """Train with each seed, and test."""
+    out.mkdir(parents=True, exist_ok=True)
     rows = []
     with progress(seeds, f"training for {TITLES[name]}") as bar:
         for seed in range(seeds):
