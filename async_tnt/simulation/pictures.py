@@ -9,6 +9,7 @@ else, a photograph          all of it
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,17 +48,11 @@ def read_picture(path: Path) -> Picture:
     ------
     ValueError : no picture, a damaged one, or nothing on it. OSError : it cannot be read.
     """
-    with needs_extra("train", "pictures need Pillow"):
-        from PIL import Image, ImageOps, UnidentifiedImageError
     try:
-        with Image.open(path) as file:
-            image: Image.Image = ImageOps.exif_transpose(file)
-            if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
-                values = np.asarray(image, np.float64)
-                image = Image.fromarray((255.0 * values / max(values.max(), 1e-12)).clip(0, 255).astype(np.uint8))
-            image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
-            colours = np.asarray(image.convert("RGBA"), np.float32) / 255.0
-    except (SyntaxError, ValueError, Image.DecompressionBombError, UnidentifiedImageError) as error:
+        colours = _colours(path)
+    except Exception as error:  # a damaged file surfaces as any of a dozen types
+        if isinstance(error, ImportError) or (isinstance(error, OSError) and error.errno is not None):
+            raise
         raise ValueError(f"not a picture: {error}") from None
     rgb, alpha = colours[..., :3], colours[..., 3]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
@@ -72,6 +67,21 @@ def read_picture(path: Path) -> Picture:
         differs = np.abs(light - ground) / DIFFERS
         return _cut_out(light, np.minimum(differs, 1), ground, differs > 1)
     return Picture(light, np.ones_like(light), None)
+
+
+def _colours(path: Path) -> np.ndarray:
+    """Red, green, blue and alpha from 0 to 1, (h, w, 4), upright, at most `LARGEST_SIDE` large."""
+    with needs_extra("train", "pictures need Pillow"):
+        from PIL import Image, ImageOps
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(path) as file:
+            image: Image.Image = ImageOps.exif_transpose(file)
+            if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
+                values = np.asarray(image, np.float64)
+                image = Image.fromarray((255.0 * values / max(values.max(), 1e-12)).clip(0, 255).astype(np.uint8))
+            image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
+            return np.asarray(image.convert("RGBA"), np.float32) / 255.0
 
 
 def _cut_out(light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray) -> Picture:

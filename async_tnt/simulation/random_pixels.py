@@ -3,7 +3,7 @@
 thresholds    .1 to .4 in log luminance, log-uniform; ON against OFF within a factor of 1.4 in two thirds of the cameras
 mismatch      .03 to .25
 refractory    .1 to 3 ms, log-uniform
-bandwidth     100 to 3,000 Hz in the brightest light, log-uniform
+bandwidth     200 to 5,000 Hz in the brightest light, log-uniform
 noise         .01 to 3 events a pixel and second, log-uniform; 10 to 100 % of it ON
 leak          up to .3 events a pixel and second
 after-pulses  none in half of the cameras, else of up to a third of the events
@@ -21,7 +21,7 @@ from async_tnt.simulation.measured_pixels import LARGEST_RATIO, MeasuredPixels
 from async_tnt.simulation.simulator import PixelModel
 
 THRESHOLDS, RATIO_SPREAD, MISMATCHES = (0.1, 0.4), 0.35, (0.03, 0.25)
-REFRACTORY_US, BANDWIDTHS_HZ = (100.0, 3_000.0), (100.0, 3_000.0)
+REFRACTORY_US, BANDWIDTHS_HZ = (100.0, 3_000.0), (200.0, 5_000.0)
 NOISE_HZ, NOISE_ON_SHARES, LEAK_HZ = (0.01, 3.0), (0.1, 1.0), 0.3
 AFTER_SHARE, HOT_SHARE, HOT_HZ = 1 / 3, 1 / 500, 50.0
 NEAR = 1.25
