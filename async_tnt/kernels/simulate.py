@@ -43,15 +43,15 @@ def translate(frames, image, dx, dy):
 
 
 @compiled
-def low_pass(log_frames, frame_times_us, corner_hz, darkest):
-    """Each pixel's light behind a low-pass whose corner is `corner_hz` times its luminance, at least `darkest`.
+def low_pass(log_frames, frame_times_us, corner_hz):
+    """Each pixel's light behind a low-pass of first order, by backward differences.
 
-    y[0] = L[0];  y[k] = y[k - 1] + (1 - exp(-2 pi f (t[k] - t[k - 1]))) (L[k] - y[k - 1])
-    f = corner_hz max(exp L[k], darkest)
+    y[0] = L[0];  y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1]),  a = 2 pi f (t[k] - t[k - 1])
 
     Parameters
     ----------
-    log_frames : float64, (K, H, W), L: natural log of luminance. frame_times_us : float64, (K,), strictly increasing.
+    log_frames : float64, (K, H, W), L. frame_times_us : float64, (K,), strictly increasing.
+    corner_hz : float64, (H, W), f of each pixel.
 
     Returns
     -------
@@ -60,12 +60,12 @@ def low_pass(log_frames, frame_times_us, corner_hz, darkest):
     followed = np.empty_like(log_frames)
     followed[0] = log_frames[0]
     for k in range(1, log_frames.shape[0]):
-        turns = 2e-6 * np.pi * corner_hz * (frame_times_us[k] - frame_times_us[k - 1])
+        scale = 2e-6 * np.pi * (frame_times_us[k] - frame_times_us[k - 1])
         for y in range(log_frames.shape[1]):
             for x in range(log_frames.shape[2]):
-                light = log_frames[k, y, x]
-                share = 1.0 - np.exp(-turns * max(np.exp(light), darkest))
-                followed[k, y, x] = followed[k - 1, y, x] + share * (light - followed[k - 1, y, x])
+                turns = scale * corner_hz[y, x]
+                before = followed[k - 1, y, x]
+                followed[k, y, x] = before + turns / (1.0 + turns) * (log_frames[k, y, x] - before)
     return followed
 
 

@@ -33,7 +33,7 @@ APART = 0.25
 """Between the light of an object that is cut out and its ground, at least."""
 FINENESS = 2
 """Places of the image in a sensor pixel."""
-FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 4.0, 52, 400
+FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 4.0, 52, 160
 """Of a motion; the light runs straight between frames."""
 LIGHTS = "positive", "negative", "both"
 

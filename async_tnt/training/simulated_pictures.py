@@ -35,6 +35,8 @@ from async_tnt.training.run_folder import other_run
 MANIFEST = "pictures.json"
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
 """Of all pictures together, about; of each at least one."""
+FULL_PIXELS, FEWEST = 128 * 128, 0.1
+"""Of a larger sensor fewer, as they take longer, but at least this share."""
 CHUNK = 200
 """Recordings of a file."""
 N_EXAMPLES, N_TAKES = 5, 6
@@ -154,7 +156,8 @@ def simulate_pictures(
     ------
     ValueError : the folder holds recordings of other pictures or settings, or a damaged file.
     """
-    takes = max(1, round(RECORDINGS[part] / max(1, len(pictures))))
+    share = float(np.clip(FULL_PIXELS / (settings.sensor[0] * settings.sensor[1]), FEWEST, 1))
+    takes = max(1, round(share * RECORDINGS[part] / max(1, len(pictures))))
     folder.mkdir(parents=True, exist_ok=True)
     made_from = json.loads(json.dumps({"settings": asdict(settings), "seed": seed, part: [p.name for p in pictures]}))
     _check_manifest(folder / MANIFEST, made_from)

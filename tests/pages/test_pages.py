@@ -10,14 +10,16 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pages.snippets import ROOT, blocks
-from small_sets import write_small_mnist
+from small_sets import write_pictures, write_small_mnist
 from training.gestures import bar, write
 
 from async_tnt.cli import main
 from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.sources import READERS
+from async_tnt.training import simulated_pictures
 from experiments.moving_mnist_set import build
 
 PAGES = [page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))]
@@ -148,11 +150,19 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
         for name, kind in (("wave", "upright"), ("clap", "flat")):
             for k in range(n):
                 write(Path(folder, name, f"{day}_{k:02d}.npz"), bar(kind, k + len(folder)))
+    monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 2, "held-out": 1})
+    monkeypatch.setattr(simulated_pictures, "N_TAKES", 1)
+    write_pictures(Path("pictures"), n=2)
+    rng = np.random.default_rng(0)
+    x, y, p = (rng.integers(0, n, 8_000) for n in (640, 480, 2))
+    np.savez("anything.npz", t=np.arange(0, 400_000, 50), x=x, y=y, p=p)
     text = dict(sections(ROOT / "docs" / "guide.md"))["Your own classes"]
     shown = commands(text)
     assert {words[0] for words in shown} == {"train", "mask", "evaluate", "run"}
     for words in shown:
         quick = ["--epochs", "1" if "--motions" in words else "10"] if words[0] == "train" else []
+        if "pictures" in words:
+            quick = ["--epochs", "1", "--grid", "24x18", "--network", "thesis"]
         capsys.readouterr()
         assert main([*words, *quick]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation

@@ -91,19 +91,26 @@ def test_background_events_of_still_light_have_the_stated_rate_and_polarity():
 def test_bandwidth_equals_reference():
     rng = np.random.default_rng(0)
     frames, times = np.log(rng.uniform(0.02, 1, (9, 3, 2))), np.cumsum(rng.uniform(1, 4_000, 9))
-    found = low_pass(frames, times, 300.0, 0.1)
+    corners = rng.uniform(10, 1_000, (3, 2))
+    found = low_pass(frames, times, corners)
     for y, x in np.ndindex(3, 2):
-        np.testing.assert_allclose(found[:, y, x], reference_low_pass(frames[:, y, x], times, 300.0, 0.1), rtol=1e-12)
+        expected = reference_low_pass(frames[:, y, x], times, corners[y, x])
+        np.testing.assert_allclose(found[:, y, x], expected, rtol=1e-12)
 
 
 def test_a_dark_pixel_answers_later():
-    """A step of two thresholds within 1 us, 100 Hz in full light, a tenth where it is dark: behind a low-pass, half of
-    the step is reached after ln 2 / (2 pi f), 1.1 ms and 11 ms."""
-    times = np.arange(0, 50_000, 10.0)
-    for light, expected_us in ((0.0, 1_103), (-5.0, 11_032)):
-        frames = np.where(times > 0, light, light - 0.4).reshape(-1, 1, 1)
-        events = noiseless_events(low_pass(frames, times, 100.0, 0.1), times, 0.2, 0.2)
-        assert events["t"][0] == pytest.approx(expected_us, rel=0.02)
+    """A step of 2.5 thresholds, 100 Hz in full light, a tenth where it is dark. Behind a low-pass a share s of it is
+    reached after ln(1 / (1 - s)) / (2 pi f). A level begins within a threshold of its light, so that the last event
+    comes when 1.5 to 2.5 thresholds are reached: after 1.5 ms or later, and 15 ms."""
+    times = np.arange(0, 300_000, 10.0)
+    for light, earliest_us in ((0.0, 1_458), (-5.0, 14_583)):
+        frames = np.where(times > 0, light, light - 0.5).reshape(-1, 1, 1) + np.zeros((1, 6, 6))
+        events = simulate(
+            frames, times, np.random.default_rng(0), PixelModel(0.2, 0.2, 0.0, 0.0, 0.0, bandwidth_hz=100.0)
+        )
+        last = np.zeros((6, 6))
+        np.maximum.at(last, (events["y"], events["x"]), events["t"])
+        assert 0.98 * earliest_us < last.min() < 1.4 * earliest_us
 
 
 def test_leak_hot_pixels_and_after_pulses_by_their_rates():

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from PIL import Image
+from small_sets import write_pictures
 
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -26,17 +26,6 @@ SENSOR = (24, 20)
 def few(monkeypatch):
     monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": 40, "held-out": 8})
     monkeypatch.setattr(simulated_pictures, "CHUNK", 12)
-
-
-def write_pictures(folder, n=5, classes=("bar", "disc")):
-    y, x = np.mgrid[:20, :20]
-    for k, name in enumerate(classes):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-        for i in range(n):
-            shape = abs(x - 10) < 2 + i % 3 if k == 0 else np.hypot(x - 10, y - 10) < 5 + i % 3
-            values = np.where(shape & (abs(y - 10) < 8), 250 - 7 * i, 0).astype(np.uint8)
-            Image.fromarray(values).save(folder / name / f"{name}{i:02}.png")
-    return folder
 
 
 def data_of(folder, **options):
