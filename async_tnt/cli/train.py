@@ -66,8 +66,12 @@ def main(args: argparse.Namespace) -> int:
 
 def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
     """Refuse options that do not go together, before anything is read."""
+    from async_tnt.training.simulated_pictures import find_pictures
+
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
+    if args.motions == "resynthesized" and find_pictures(args.dataset):
+        raise ValueError("--motions resynthesized is for recordings: pictures are recorded in all motions anyway")
     if args.start_from:
         given = [
             f"--{name.replace('_', '-')}" for name in ("network", "grid", "window_us", "volume") if getattr(args, name)

@@ -121,9 +121,11 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
 
 
 def class_folders(folder: Path, part: str) -> list[Path]:
-    """The class folders of a part of a data set, or of all of it; none of a folder of sessions."""
+    """The class folders of a part of a data set or, without such a part, of all of it; none where there is no folder."""
     inner = folder / part
-    return _folders(inner if inner.is_dir() and _folders(inner) else folder)
+    if inner.is_dir() and _folders(inner):
+        return _folders(inner)
+    return _folders(folder) if folder.is_dir() else []
 
 
 def has_part(folder: Path, part: str) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -159,8 +160,11 @@ def simulate_pictures(
     share = float(np.clip(FULL_PIXELS / (settings.sensor[0] * settings.sensor[1]), FEWEST, 1))
     takes = max(1, round(share * RECORDINGS[part] / max(1, len(pictures))))
     folder.mkdir(parents=True, exist_ok=True)
-    made_from = json.loads(json.dumps({"settings": asdict(settings), "seed": seed, part: [p.name for p in pictures]}))
-    _check_manifest(folder / MANIFEST, made_from)
+    checksum = 0
+    for picture in pictures:
+        checksum = zlib.crc32(picture.path.read_bytes(), zlib.crc32(picture.name.encode(), checksum))
+    made_from = {"settings": asdict(settings), "seed": seed, f"{part} pictures": [len(pictures), takes, checksum]}
+    _check_manifest(folder / MANIFEST, json.loads(json.dumps(made_from)))
     step = max(1, CHUNK // takes)
     chunks = [
         _Chunk(folder / f"{part}_{first:06}.npz", first, tuple(pictures[first : first + step]))

@@ -87,6 +87,11 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
         simulated(tmp_path / "a", SceneSettings(SENSOR, 40_000))
     with pytest.raises(pytest.fail.Exception, match="made again"):
         simulated(tmp_path / "b")
+    changed = pictures[0].path.read_bytes()
+    pictures[0].path.write_bytes(pictures[1].path.read_bytes())
+    with pytest.raises(ValueError, match=r"pictures \(training pictures\)"):
+        simulated(tmp_path / "a")
+    pictures[0].path.write_bytes(changed)
     (tmp_path / "a/training_000003.npz").write_bytes(b"PK damaged")
     with pytest.raises(ValueError, match=r"training_000003\.npz"):
         simulated(tmp_path / "a")
@@ -100,6 +105,8 @@ def test_without_a_sensor_or_pictures(tmp_path, program):
     write_pictures(tmp_path / "p")
     code, _, err = program("train", tmp_path / "p", "--out", tmp_path / "m.safetensors")
     assert code == 2 and "pictures have no sensor; give --sensor" in err
+    code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--motions", "resynthesized")
+    assert code == 2 and "--motions resynthesized is for recordings" in err
     (tmp_path / "p/none").mkdir()
     code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors")
     assert code == 2 and "no recordings in the class folder none" in err
