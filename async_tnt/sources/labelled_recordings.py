@@ -121,7 +121,7 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
 
 
 def class_folders(folder: Path, part: str) -> list[Path]:
-    """The class folders of a part of a data set or, without such a part, of all of it; none where there is no folder."""
+    """The class folders of a part of a data set or, without such a part, of all of it; none without a folder."""
     inner = folder / part
     if inner.is_dir() and _folders(inner):
         return _folders(inner)
