@@ -289,8 +289,7 @@ SECTIONS = (
         "experiments.unseen_motions --set saccades --seeds 3 --json experiments/results/unseen_saccades.json",
         {
             accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events, three seeds",
-            accuracy.unseen_hands: "Hand motion, five seeds: `--set hands --json .../unseen_hands.json`; all other motions "
-            "turned, now half of them do",
+            accuracy.unseen_hands: "Hand motion, five seeds: `--set hands --json .../unseen_hands.json`",
         },
     ),
     Section(

@@ -4,7 +4,7 @@ direction   uniform
 time        half of them last the whole window; the others .4 to 1 of it, somewhere in it
 speed       half of them constant, half minimum jerk
 shape       half of them straight; the others also go sideways meanwhile, by up to .4 of their length
-turn        half of them turn meanwhile, and grow or shrink, see `MotionRange`
+turn        meanwhile they turn and grow or shrink, see `MotionRange`
 back        some turn round on their way, and come back
 """
 
@@ -51,7 +51,7 @@ def random_motion(
     constant, curved = rng.random(2) < 0.5
     bend = rng.uniform(-WIDEST_BEND, WIDEST_BEND) if curved else 0.0
     bend_starts = rng.uniform(0.0, 0.5)
-    turn = rng.uniform(-1, 1, 2) * (within.turn, within.growth) * (rng.random() < 0.5)
+    turn = rng.uniform(-1, 1, 2) * (within.turn, within.growth)
     turns_at = rng.uniform(*TURNS_AT) if within.back and rng.random() < within.back else 1.0
 
     def position(share: np.ndarray) -> np.ndarray:
