@@ -70,8 +70,15 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
 
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
-    if args.motions == "resynthesized" and find_pictures(args.dataset):
-        raise ValueError("--motions resynthesized is for recordings: pictures are recorded in all motions anyway")
+    if find_pictures(args.dataset):
+        if args.motions == "resynthesized":
+            raise ValueError("--motions resynthesized is for recordings: pictures are recorded in all motions anyway")
+        if args.mask or (args.roi and not args.crop):
+            raise ValueError("--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too")
+        if args.test and (args.dataset / "Test").is_dir() and find_pictures(args.dataset / "Test"):
+            raise ValueError("--test needs recordings of a camera in DATASET/Test; pictures there are not recorded")
+    elif args.camera or args.follow or args.light != "both":
+        raise ValueError("--camera, --follow and --light are for pictures; DATASET holds none")
     if args.start_from:
         given = [
             f"--{name.replace('_', '-')}" for name in ("network", "grid", "window_us", "volume") if getattr(args, name)
@@ -150,7 +157,7 @@ def _read(
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
     from async_tnt.training.settings import default_config, settings_for
-    from async_tnt.training.simulated_pictures import measure_camera
+    from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
     pixels = _pixels_of(args, start)
     given: dict[str, Any] = {"grid": size_of(args.grid)} if args.grid else {}
@@ -172,10 +179,11 @@ def _read(
     camera = None
     if args.camera is not None:
         if pixels.sensor is None:
-            raise ValueError("--camera must come with --sensor")
+            raise ValueError("--camera needs --sensor WxH, the camera's pixels")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor)
-    sources |= {name: getattr(args, name) for name in ("light", "follow")}
-    sources |= {"size": list(args.size), "camera": camera and asdict(camera)}
+    if find_pictures(args.dataset):
+        sources |= {"light": args.light, "follow": args.follow, "size": list(args.size)}
+        sources |= {"camera": camera and asdict(camera)}
     recordings = file_sizes(args.dataset, "Train")
     fitted = set() if start is not None else {"grid", "window_us"} - given.keys()
     fitted |= set() if start is not None or args.volume else {"bins"}

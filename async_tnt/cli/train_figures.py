@@ -38,7 +38,7 @@ def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> N
     from async_tnt.views.figure_resynthesis import write_recorded_pictures
 
     found = find_pictures(args.dataset)
-    if not found or find_spec("matplotlib") is None:
+    if "pictures" not in data.record or path.exists() or find_spec("matplotlib") is None:
         return
     about = data.record["pictures"]["settings"]
     camera = about["camera"] and MeasuredPixels(**about["camera"])

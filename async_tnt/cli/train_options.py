@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_range,
         default=(0.4, 0.8),
         metavar="MIN-MAX",
-        help="of objects, by the sensor's (default: 0.4-0.8)",
+        help="longer side of objects, by the sensor's shorter",
     )
     pictures.add_argument(
         "--light",

@@ -4,8 +4,8 @@
 
 size        the object's longer side, as a share of the sensor's shorter one, in a stated range
 place       at half time all of it is on the sensor, anywhere
-posture     a plane that is seen from aside: each corner is moved by up to .08 of the object's size
-contrast    brightest to darkest 2 to 15, log-uniform; as on the picture, or dark against bright as on a negative
+posture     a plane that is seen from aside: each corner is moved inwards by up to .08 of the object's size
+contrast    white to black 2 to 15, log-uniform; as on the picture, or dark against bright as on a negative
 ground      that of the picture, or a random one; in half of the recordings with a texture, 1/f, which moves along
 lens        blur of .3 to .9 pixels
 motion      lengths of .06 to .5 of the sensor's shorter side, log-uniform; they turn by up to 15 degrees and grow by up
@@ -33,7 +33,7 @@ APART = 0.25
 """Between the light of an object that is cut out and its ground, at least."""
 FINENESS = 2
 """Places of the image in a sensor pixel."""
-FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 4.0, 52, 160
+FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 3.0, 52, 300
 """Of a motion; the light runs straight between frames."""
 LIGHTS = "positive", "negative", "both"
 
@@ -74,7 +74,7 @@ def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Gen
     motion, turn = random_motion(length, np.linspace(0, 1, n), rng, MOTIONS)
     times_us = np.linspace(0, settings.window_us, n)
     beyond = int(np.ceil(np.abs(motion).max())) if settings.follow else 0
-    scene = _scene(picture, side_px, settings, beyond, rng)
+    scene = _scene(picture, side_px, length, settings, beyond, rng)
     half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
     free = np.maximum(0, np.array(settings.sensor) / 2 - half)
     displacement = (np.array(scene.sensor) - 1) / 2 + rng.uniform(-free, free) - scene.centre + motion
@@ -95,34 +95,36 @@ def _crop(
 
 
 def _scene(
-    picture: Picture, side_px: float, settings: SceneSettings, beyond: int, rng: np.random.Generator
+    picture: Picture, side_px: float, length: float, settings: SceneSettings, beyond: int, rng: np.random.Generator
 ) -> PeriodicImage:
     """The object in its surroundings, as log luminance, seen through a lens, by a sensor `beyond` pixels larger."""
     sensor = settings.sensor[0] + 2 * beyond, settings.sensor[1] + 2 * beyond
-    light, cover = _posed(picture, FINENESS * side_px, rng)
-    shape = tuple(8 * round(FINENESS * (side + 1.5 * side_px) / 8) for side in sensor[::-1])  # of small factors
+    covered, cover = _posed(picture, FINENESS * side_px, rng)
+    more = side_px + max(0.5 * side_px, length)  # so that the object's copies on the torus stay out of sight
+    shape = tuple(8 * round(FINENESS * (side + more) / 8) for side in sensor[::-1])  # of small factors
     texture = rng.uniform(0, TEXTURE) * _texture(shape, rng) if rng.random() < TEXTURED else np.zeros(shape)
     if picture.ground is None:
-        inside = float(np.average(light, weights=np.maximum(cover, 1e-6)))
+        inside = float(covered.sum() / max(cover.sum(), 1e-6))
         ground = rng.uniform(0, 1)
         if abs(ground - inside) < APART:
             ground = inside + APART if inside < 0.5 else inside - APART
     else:
         ground = picture.ground
     seen = np.clip(ground + texture, 0, 1)
-    top, left = ((whole - part) // 2 for whole, part in zip(shape, light.shape, strict=True))
-    place = slice(top, top + light.shape[0]), slice(left, left + light.shape[1])
-    seen[place] += cover * (light - seen[place])
+    rows, columns = cover.shape
+    top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
+    place = slice(top, top + rows), slice(left, left + columns)
+    seen[place] = (1 - cover) * seen[place] + covered
     if settings.light == "negative" or (settings.light == "both" and rng.random() < 0.5):
         seen = 1.0 - seen
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
     darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
-    centre = np.array([left + light.shape[1] / 2, top + light.shape[0] / 2]) / FINENESS
+    centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
     return PeriodicImage(np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1)), FINENESS, 0.0, centre, sensor)
 
 
 def _posed(picture: Picture, side: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Light and cover, with `side` places along the longer side, of a plane that is seen from aside."""
+    """Light times cover, and cover, with `side` places along the longer side, of a plane that is seen from aside."""
     from PIL import Image
 
     size = tuple(max(2, round(side * n / max(picture.light.shape))) for n in picture.light.shape[::-1])
@@ -131,14 +133,11 @@ def _posed(picture: Picture, side: float, rng: np.random.Generator) -> tuple[np.
     coefficients = _perspective(seen, corners)
     faded = _rim(picture.cover) if picture.ground is None and picture.cover.min() == 1 else picture.cover
     layers = []
-    for layer, outside in ((picture.light, None), (faded, 0.0)):
-        small = Image.fromarray(np.asarray(layer, np.float32)).resize(size, Image.Resampling.BOX)
-        fill = outside if outside is not None else (picture.ground or 0.0)
-        posed = small.transform(
-            size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR, fillcolor=fill
-        )
+    for layer in (picture.light * faded, faded):
+        sized = Image.fromarray(np.asarray(layer, np.float32)).resize(size, Image.Resampling.BILINEAR)
+        posed = sized.transform(size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR)
         layers.append(np.asarray(posed, np.float64))
-    return layers[0], np.clip(layers[1], 0, 1)
+    return layers[0], layers[1]
 
 
 def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:

@@ -80,8 +80,9 @@ def _colours(path: Path) -> np.ndarray:
             if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
                 values = np.asarray(image, np.float64)
                 image = Image.fromarray((255.0 * values / max(values.max(), 1e-12)).clip(0, 255).astype(np.uint8))
+            image = image.convert("RGBA")  # before: pictures with a palette would be made smaller without averaging
             image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
-            return np.asarray(image.convert("RGBA"), np.float32) / 255.0
+            return np.asarray(image, np.float32) / 255.0
 
 
 def _cut_out(light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray) -> Picture:
@@ -89,5 +90,5 @@ def _cut_out(light: np.ndarray, cover: np.ndarray, ground: float | None, is_obje
     if not is_object.any():
         raise ValueError("nothing is on this picture: all of it is transparent, or alike")
     rows, columns = np.flatnonzero(is_object.any(1)), np.flatnonzero(is_object.any(0))
-    part = slice(max(0, rows[0] - 1), rows[-1] + 2), slice(max(0, columns[0] - 1), columns[-1] + 2)
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     return Picture(light[part], cover[part], ground)

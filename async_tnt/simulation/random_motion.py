@@ -23,8 +23,8 @@ class MotionRange:
 
     Parameters
     ----------
-    turn : at most, either way, in radians.
-    growth : at most, either way: of the logarithm of the size.
+    turn : at most in all, either way, in radians.
+    growth : at most in all, either way: of the logarithm of the size.
     back : share of motions that turn round, at .4 to .9 of their time, and come back.
     """
 
@@ -56,7 +56,7 @@ def random_motion(
 
     def position(share: np.ndarray) -> np.ndarray:
         u = np.clip((share - starts) / lasts, 0.0, 1.0)
-        u = np.where(u < turns_at, u / turns_at, 1.0 - (u - turns_at) / turns_at)  # at the same speed
+        u = np.where(u < turns_at, u / turns_at, np.maximum(0.0, 2.0 - u / turns_at))  # at the same speed, to the start
         forward = u if constant else minimum_jerk(u)
         aside = bend * minimum_jerk((u - bend_starts) / 0.5)
         cos, sin = length * np.cos(angle), length * np.sin(angle)

@@ -119,7 +119,7 @@ def dataset_data(
     if "window_us" in fitted and longest_us < config.window_us:
         config = config.replace(window_us=-(-longest_us // 1000) * 1000)
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
-    of_pictures, bad_pictures = check_pictures(pictures, dataset.classes, progress)
+    of_pictures, bad_pictures = check_pictures(pictures, dataset.classes, dataset.recordings.labels, progress)
     names = (*recordings.names, *(picture.name for picture in of_pictures))
     labels = np.concatenate([recordings.labels, np.array([one.label for one in of_pictures], np.int64)])
     learned, held_out, how, counted = _split(folder, names, labels, groups, validation, seed)
@@ -136,13 +136,13 @@ def dataset_data(
             workers=workers,
             progress=progress,
         )
-        notes.append("pictures: {pictures}, each recorded {takes} times".format(**about))
+        notes.append("pictures: {pictures}, those to learn from recorded {takes} times each".format(**about))
 
     def windows_of(of: Recordings, which: np.ndarray | None = None) -> Windows:
         return make_windows(of, config.window_us, which=which, first_event=True, duration_us=None)
 
     training, validating, ended = _with_ends(
-        windows_of(recordings, learned), windows_of(recordings, held_out), validation
+        windows_of(recordings, learned), windows_of(recordings, held_out), validation, len(dataset.recordings)
     )
     if "bins" in fitted:
         events_a_pixel = training.events_a_pixel(config.window_us)
@@ -155,8 +155,8 @@ def dataset_data(
         "source": f"recordings of own classes, held out by {how}",
         "classes": counts,
         "sensor": list(dataset.sensor),
-        "real_recordings": len(learned),
-        "held_out_recordings": len(held_out),
+        "real_recordings": int((learned < len(dataset.recordings)).sum()),
+        "held_out_recordings": int((held_out < len(dataset.recordings)).sum()),
         "left_out": [*dataset.left_out, *bad_pictures],
         **({"pictures": about} if about else {}),
     }
@@ -164,9 +164,11 @@ def dataset_data(
         record["pixels"] = {**pixels.about, "camera": list(dataset.camera), **dataset.left_out_events}
     if dataset.n_late:
         record["left_out_late"] = dataset.n_late
-    notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
+    notes.append(
+        f"recordings{' and pictures' if about else ''}: " + ", ".join(f"{name} {n}" for name, n in counts.items())
+    )
     notes.append(f"held out by {how}: {counted}")
-    if how == BY_NUMBER and len(held_out):
+    if how == BY_NUMBER and record["held_out_recordings"]:
         notes.append("the first of them may follow the last learned ones within seconds: see groups.csv")
     single = [one for k, one in enumerate(dataset.classes) if counts[one] and k not in validating.labels]
     if single and validation:
@@ -220,8 +222,12 @@ def _testing(
     )
 
 
-def _with_ends(training: Windows, validation: Windows, share: float) -> tuple[Windows, Windows, list[int]]:
+def _with_ends(training: Windows, validation: Windows, share: float, n_real: int) -> tuple[Windows, Windows, list[int]]:
     """Hold out the last windows of each class whose recordings are all learned from, as there is only one group.
+
+    Parameters
+    ----------
+    n_real : recordings; those after them are of pictures.
 
     Returns
     -------
@@ -234,7 +240,7 @@ def _with_ends(training: Windows, validation: Windows, share: float) -> tuple[Wi
     times_us = training.start_us + session_us[training.recording]
     keep, ended, ends = np.ones(len(training), bool), [], []
     for label in np.setdiff1d(training.labels, validation.labels) if share else ():
-        mine = np.flatnonzero(training.labels == label)
+        mine = np.flatnonzero((training.labels == label) & (training.recording < n_real))
         learned, held_out = hold_out_end(times_us[mine], share)
         if len(held_out):
             keep[mine] = False

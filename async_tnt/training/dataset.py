@@ -138,7 +138,7 @@ def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
     files = [one for some in find_recordings(folder, part).values() for one in some]
     sizes = {one.name: one.path.stat().st_size if one.path.exists() else -1 for one in files}
     pictures = [path for some in find_pictures(folder, part).values() for path in some]
-    return sizes | {f"{path.parent.name}/{path.name}": path.stat().st_size for path in pictures}
+    return sizes | {f"{one.parent.name}/{one.name}": one.stat().st_size if one.exists() else -1 for one in pictures}
 
 
 def _stated_sensor(files: list[LabelledRecording]) -> tuple[Sensor | None, str]:

@@ -160,7 +160,7 @@ def train(
             checkpoint = {
                 "identity": identity,
                 "recordings": recordings,
-                "used": list(training.recordings.names) if recordings else [],
+                "used": [name for name in training.recordings.names if name in recordings],
                 "pipeline": pipeline.state_dict(),
                 "averaged": averaged.state_dict(),
                 "optimizer": optimizer.state_dict(),

@@ -14,6 +14,8 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -33,7 +35,7 @@ from async_tnt.training.moved_windows import read_arrays
 from async_tnt.training.recordings import Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
 
-MANIFEST = "pictures.json"
+MANIFEST, FORMAT = "pictures.json", 1  # of the recordings: a change of what is simulated counts it up
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
 """Of all pictures together, about; of each at least one."""
 FULL_PIXELS, FEWEST = 128 * 128, 0.1
@@ -67,25 +69,51 @@ def find_pictures(folder: Path, part: str = "Train") -> dict[str, list[Path]]:
 
 
 def check_pictures(
-    found: Mapping[str, Sequence[Path]], classes: Sequence[str], progress: Callable[..., Bar] = no_progress
+    found: Mapping[str, Sequence[Path]],
+    classes: Sequence[str],
+    others: np.ndarray,
+    progress: Callable[..., Bar] = no_progress,
 ) -> tuple[list[LabelledPicture], list[str]]:
     """The pictures that can be read, and why the others are left out, one line each.
 
-    found : class name -> its pictures. classes : names, in the order of the labels.
+    Parameters
+    ----------
+    found : class name -> its pictures.
+    classes : names, in the order of the labels.
+    others : labels of what there is beside pictures.
+
+    Raises
+    ------
+    ValueError : the same picture in two classes; a class with nothing else has no picture that can be read.
     """
     pictures = [LabelledPicture(path, k) for k, name in enumerate(classes) for path in found.get(name, [])]
     good: list[LabelledPicture] = []
     left_out: list[str] = []
+    known: dict[bytes, LabelledPicture] = {}
     if not pictures:
         return good, left_out
     with progress(len(pictures), "reading pictures") as bar:
         for picture in pictures:
             try:
                 read_picture(picture.path)
-                good.append(picture)
+                same = known.setdefault(picture.path.read_bytes(), picture)
             except (ValueError, OSError) as error:
                 left_out.append(f"{picture.name}: {error}.".replace(str(picture.path), picture.name))
-            bar.update()
+                continue
+            finally:
+                bar.update()
+            if same.label != picture.label:
+                raise ValueError(f"{same.name} and {picture.name} are the same picture in two classes; remove one")
+            if same is picture:
+                good.append(picture)
+            else:
+                left_out.append(f"{picture.name}: the same picture as {same.name}.")
+    empty = [name for k, name in enumerate(classes) if name in found and k not in others]
+    empty = [name for name in empty if classes.index(name) not in {picture.label for picture in good}]
+    if empty:
+        raise ValueError(
+            f"no picture of class {', '.join(empty)} is left ({left_out[0]}); add some, or remove the folder"
+        )
     return good, left_out
 
 
@@ -163,16 +191,24 @@ def simulate_pictures(
     checksum = 0
     for picture in pictures:
         checksum = zlib.crc32(picture.path.read_bytes(), zlib.crc32(picture.name.encode(), checksum))
-    made_from = {"settings": asdict(settings), "seed": seed, f"{part} pictures": [len(pictures), takes, checksum]}
+    made_from = {
+        "format": FORMAT,
+        "settings": asdict(settings),
+        "seed": seed,
+        f"{part} pictures": [len(pictures), takes, checksum],
+    }
     _check_manifest(folder / MANIFEST, json.loads(json.dumps(made_from)))
-    step = max(1, CHUNK // takes)
+    n_all = takes * len(pictures)
     chunks = [
-        _Chunk(folder / f"{part}_{first:06}.npz", first, tuple(pictures[first : first + step]))
-        for first in range(0, len(pictures), step)
+        _Chunk(
+            folder / f"{part}_{first:06}.npz",
+            [(pictures[i // takes], i // takes, i % takes) for i in range(first, min(first + CHUNK, n_all))],
+        )
+        for first in range(0, n_all, CHUNK)
     ]
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
-    job = partial(_record, settings=settings, takes=takes, seed=(seed, list(RECORDINGS).index(part)))
-    n_all, n_missing = (takes * sum(len(chunk.pictures) for chunk in some) for some in (chunks, missing))
+    job = partial(_record, settings=settings, seed=(seed, list(RECORDINGS).index(part)))
+    n_missing = sum(len(chunk.takes) for chunk in missing)
     with (
         progress(n_all, "simulating pictures", done=n_all - n_missing) as bar,
         contextlib.closing(run_all(job, missing, workers)) as done,
@@ -181,30 +217,28 @@ def simulate_pictures(
             bar.update(n)
     for chunk in chunks:
         events, sizes = read_arrays(chunk.file, "events", "sizes")
-        if events.dtype != EVENT_DTYPE or sizes.shape != (takes * len(chunk.pictures),) or sizes.sum() != len(events):
-            raise ValueError(f"{chunk.file}: not the recordings of {len(chunk.pictures)} pictures; remove {folder}")
-        for i, one in enumerate(np.split(events, np.cumsum(sizes)[:-1])):
-            picture = chunk.pictures[i // takes]
-            writer.add(one, picture.label, f"{picture.name}, take {i % takes + 1}")
+        if events.dtype != EVENT_DTYPE or sizes.shape != (len(chunk.takes),) or sizes.sum() != len(events):
+            raise ValueError(f"{chunk.file}: not the {len(chunk.takes)} recordings that belong there; remove {folder}")
+        for one, (picture, _, take) in zip(np.split(events, np.cumsum(sizes)[:-1]), chunk.takes, strict=True):
+            writer.add(one, picture.label, f"{picture.name}, take {take + 1}")
     return takes
 
 
 @dataclass(frozen=True)
 class _Chunk:
-    """Pictures that one task records."""
+    """What one task records: the picture, its number, and the number of the recording of it."""
 
     file: Path
-    first: int
-    pictures: tuple[LabelledPicture, ...]
+    takes: list[tuple[LabelledPicture, int, int]]
 
 
-def _record(chunk: _Chunk, *, settings: SceneSettings, takes: int, seed: tuple[int, int]) -> int:
+def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) -> int:
     """Write a chunk's file. Returns how many recordings it has."""
     recordings = []
-    for i, one in enumerate(chunk.pictures):
-        picture = read_picture(one.path)
-        for take in range(takes):
-            recordings.append(record_picture(picture, settings, np.random.default_rng((*seed, chunk.first + i, take))))
+    for _, of_one in groupby(chunk.takes, key=itemgetter(1)):
+        takes = list(of_one)
+        picture = read_picture(takes[0][0].path)
+        recordings += [record_picture(picture, settings, np.random.default_rng((*seed, i, k))) for _, i, k in takes]
     with replacing(chunk.file) as part, part.open("wb") as file:
         np.savez(file, events=np.concatenate(recordings), sizes=np.array([len(one) for one in recordings]))
     return len(recordings)
@@ -213,6 +247,8 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, takes: int, seed: tuple[i
 def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
     """Refuse a folder of other pictures; note what is made."""
     there: dict[str, Any] = {}
+    if not path.exists() and any(path.parent.glob("*.npz")):
+        raise other_run(path.parent, f"pictures (without {path.name})")
     if path.exists():
         try:
             there = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -230,10 +266,11 @@ def example_recordings(
     """For a figure: of some classes the first picture that can be read, its luminance, and recordings of it."""
     shown = []
     for row, (name, paths) in enumerate(list(found.items())[:N_EXAMPLES]):
-        good, _ = check_pictures({name: paths[:N_TAKES]}, (name,))
-        for one in good[:1]:
-            picture, draws = read_picture(one.path), [np.random.default_rng((seed, row, k)) for k in range(N_TAKES)]
-            shown.append((name, picture.light, [record_picture(picture, settings, rng) for rng in draws]))
+        for path in paths:
+            with contextlib.suppress(ValueError, OSError):
+                picture, draws = read_picture(path), [np.random.default_rng((seed, row, k)) for k in range(N_TAKES)]
+                shown.append((name, picture.light, [record_picture(picture, settings, rng) for rng in draws]))
+                break
     return shown
 
 

@@ -41,7 +41,7 @@ def test_each_picture_is_recorded_and_on_one_side(tmp_path):
     assert len(learned) == 8 and held_out == {"bar/bar04.png", "disc/disc04.png"} == set(data.held_out)
     assert not learned & held_out
     assert 38 <= len(data.training) <= 40 and len(data.validation) == 8  # few without an event
-    assert data.record["pictures"]["takes"] == 5 and any("each recorded 5 times" in note for note in data.notes)
+    assert data.record["pictures"]["takes"] == 5 and any("recorded 5 times each" in note for note in data.notes)
 
 
 def test_bad_pictures_are_named_and_left_out(tmp_path):
@@ -49,6 +49,24 @@ def test_bad_pictures_are_named_and_left_out(tmp_path):
     (tmp_path / "p/bar/bar07.jpg").write_text("no picture")
     data = data_of(tmp_path / "p")
     assert len(data.left_out) == 1 and data.left_out[0].startswith("bar/bar07.jpg: not a picture")
+    for name, match in (("bar", "bar/zzz.png: the same picture as bar/bar00.png"), ("disc", "in two classes")):
+        copy = tmp_path / "p" / name / "zzz.png"
+        copy.write_bytes((tmp_path / "p/bar/bar00.png").read_bytes())
+        if name == "bar":
+            assert any(match in line for line in data_of(tmp_path / "p").left_out)
+        else:
+            with pytest.raises(ValueError, match=match):
+                data_of(tmp_path / "p")
+        copy.unlink()
+    for path in (tmp_path / "p/bar").iterdir():
+        path.write_text("no picture")
+    with pytest.raises(ValueError, match="no picture of class bar is left"):
+        data_of(tmp_path / "p")
+
+
+def test_a_single_picture_is_not_on_both_sides(tmp_path):
+    data = data_of(write_pictures(tmp_path / "p", n=1))
+    assert len(data.validation) == 0 and any("not held out" in note for note in data.notes)
 
 
 def test_pictures_and_recordings_mix(tmp_path):
@@ -80,7 +98,7 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
     first, second = simulated(tmp_path / "a"), simulated(tmp_path / "b", workers=2)
     for name in ("t", "x", "y", "p", "offsets", "labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    (tmp_path / "b/training_000003.npz").unlink()
+    (tmp_path / "b/training_000012.npz").unlink()
     monkeypatch.setattr(simulated_pictures, "record_picture", lambda *_: pytest.fail("made again"))
     np.testing.assert_array_equal(simulated(tmp_path / "a").t, first.t)
     with pytest.raises(ValueError, match=r"pictures \(settings\)"):
@@ -92,8 +110,8 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"pictures \(training pictures\)"):
         simulated(tmp_path / "a")
     pictures[0].path.write_bytes(changed)
-    (tmp_path / "a/training_000003.npz").write_bytes(b"PK damaged")
-    with pytest.raises(ValueError, match=r"training_000003\.npz"):
+    (tmp_path / "a/training_000012.npz").write_bytes(b"PK damaged")
+    with pytest.raises(ValueError, match=r"training_000012\.npz"):
         simulated(tmp_path / "a")
     manifest = tmp_path / "a/pictures.json"
     manifest.write_text(manifest.read_text()[:-9])
@@ -142,6 +160,8 @@ def test_trained_on_pictures_alone(tmp_path, program):
     assert (tmp_path / "runs/m/pictures/pictures.png").stat().st_size > 10_000
     record = json.loads(printed)
     assert record["data"]["pictures"]["pictures"] == 16 and record["data"]["pictures"]["settings"]["size"] == [0.4, 0.8]
+    repeated = program("train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out)
+    assert repeated[0] == 0, repeated[2]  # what is finished is not done again
     again, _, err = program(
         "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--size", ".5"
     )
