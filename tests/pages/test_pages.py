@@ -154,7 +154,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     monkeypatch.setattr(simulated_pictures, "N_TAKES", 1)
     write_pictures(Path("pictures"), n=2)
     rng = np.random.default_rng(0)
-    x, y, p = (rng.integers(0, n, 8_000) for n in (640, 480, 2))
+    x, y, p = (rng.integers(0, n, 8_000) for n in (346, 260, 2))
     np.savez("anything.npz", t=np.arange(0, 400_000, 50), x=x, y=y, p=p)
     text = dict(sections(ROOT / "docs" / "guide.md"))["Your own classes"]
     shown = commands(text)
