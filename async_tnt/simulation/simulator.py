@@ -29,6 +29,7 @@ light, as in the pixel's circuit, whose capacitor is shorted during that time.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,30 +128,31 @@ def simulate(
     if pixels.leak_hz:
         frames = frames + pixels.leak_hz * 1e-6 * (times - times[0])[:, None, None] * threshold_on
     events = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
-    everywhere = np.arange(shape[0] * shape[1])
-    events = np.concatenate([events, _noise(everywhere, pixels.noise_hz, shape, times, rng, pixels)])
+    noise = [_noise(pixels.noise_hz, (0, 0), shape, times, rng, pixels)]
     if pixels.hot_share:
-        hot = everywhere[rng.random(len(everywhere)) < pixels.hot_share]
-        for one, hz in zip(hot, rng.exponential(pixels.hot_hz, len(hot)), strict=True):
-            events = np.concatenate([events, _noise(np.array([one]), hz, shape, times, rng, pixels)])
+        hot = np.argwhere(rng.random(shape) < pixels.hot_share)
+        for place, hz in zip(hot.tolist(), rng.exponential(pixels.hot_hz, len(hot)), strict=True):
+            noise.append(_noise(hz, place, (1, 1), times, rng, pixels))
+    events = np.concatenate([events, *noise])
     if pixels.after_share:
         events = np.concatenate([events, _after_pulses(events, pixels.after_share, rng)])
     return _sorted(events)
 
 
 def _noise(
-    places: np.ndarray,
     hz: float,
-    shape: tuple[int, ...],
+    corner: Sequence[int],
+    shape: Sequence[int],
     times: np.ndarray,
     rng: np.random.Generator,
     pixels: PixelModel,
 ) -> np.ndarray:
-    """Background events: a Poisson process of the same rate at each of the pixels `places`, numbered row by row."""
+    """Background events: a Poisson process of one rate at each pixel of a rectangle; `corner` is (row, column)."""
     span_us = times[-1] - times[0]
-    events = np.empty(rng.poisson(hz * len(places) * span_us * 1e-6), EVENT_DTYPE)
+    events = np.empty(rng.poisson(hz * shape[0] * shape[1] * span_us * 1e-6), EVENT_DTYPE)
     events["t"] = np.floor(times[0] + span_us * rng.random(len(events)))
-    events["y"], events["x"] = np.divmod(places[rng.integers(len(places), size=len(events))], shape[1])
+    events["x"] = corner[1] + rng.integers(shape[1], size=len(events))
+    events["y"] = corner[0] + rng.integers(shape[0], size=len(events))
     events["p"] = rng.random(len(events)) < pixels.noise_on_share
     return events
 
