@@ -1,7 +1,7 @@
 """Classifiers that never saw an event: trained on pictures alone, tested on recordings of real cameras.
 
     python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--made]
-                                        [--seeds N] [--out FOLDER] [--json FILE]
+                                        [--fonts FOLDER] [--seeds N] [--out FOLDER] [--json FILE]
 
 nmnist      MNIST's training images; all of N-MNIST's Test
 poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that follow a pip
@@ -15,6 +15,7 @@ once. Finished trainings in --out are kept, interrupted ones resume, and what FI
 
 from __future__ import annotations
 
+import contextlib
 import json
 import string
 import time
@@ -42,6 +43,8 @@ OPTIONS = {
 }
 PIPS = {"cl": "♣", "di": "♦", "he": "♥", "sp": "♠"}
 CHARACTERS = string.digits + string.ascii_uppercase
+UNFIT = "LastResort", "FreeSerifBold"
+"""Fonts that draw boxes, or a club as a spade."""
 HEIGHT = 96
 """Of a drawn glyph, about, in pixels."""
 
@@ -58,11 +61,11 @@ def write_mnist(folder: Path, mnist: Path, n: int) -> None:
             Image.fromarray(image).save(path)
 
 
-def write_glyphs(folder: Path, glyphs: dict[str, str], turned: tuple[int, ...] = (0,)) -> None:
-    """Class -> a character, black on white, by each font of matplotlib that has them all, and turned by degrees."""
+def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None, turned: tuple[int, ...] = (0,)) -> None:
+    """Class -> a character, black on white, by each font that has them all, and turned by degrees."""
     from PIL import Image, ImageDraw
 
-    for font_name, font in _fonts("".join(glyphs.values())):
+    for font_name, font in _fonts("".join(glyphs.values()), fonts):
         for name, text in glyphs.items():
             (folder / name).mkdir(parents=True, exist_ok=True)
             left, top, right, bottom = font.getbbox(text)
@@ -73,29 +76,33 @@ def write_glyphs(folder: Path, glyphs: dict[str, str], turned: tuple[int, ...] =
                 rotated.save(folder / name / f"{font_name} {degrees}.png")
 
 
-def _fonts(text: str) -> list[tuple[str, Any]]:
+def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
+    """Fonts beneath a folder, by default matplotlib's, that draw each of these characters, and not as another font."""
     with needs_extra("plot", "fonts are matplotlib's"):
         from matplotlib import get_data_path
         from PIL import ImageFont
-    fonts = []
-    for path in sorted(Path(get_data_path(), "fonts/ttf").glob("[!L]*.ttf")):  # not LastResort, which draws boxes
-        font = ImageFont.truetype(str(path), HEIGHT)
-        missing = bytes(font.getmask("\uffff"))
-        if all(len(glyph := bytes(font.getmask(c))) and glyph != missing for c in text):
-            fonts.append((path.stem, font))
-    return fonts
+    fonts: dict[bytes, tuple[str, Any]] = {}
+    for path in sorted((folder or Path(get_data_path(), "fonts/ttf")).rglob("*")):
+        if path.suffix.lower() not in (".ttf", ".otf", ".ttc") or path.stem.startswith(UNFIT):
+            continue
+        with contextlib.suppress(OSError):  # a font that FreeType refuses
+            font = ImageFont.truetype(str(path), HEIGHT)
+            missing, *drawn = (bytes(font.getmask(character)) for character in ("\uffff", *text))
+            if all(any(glyph) and glyph != missing for glyph in drawn):
+                fonts.setdefault(b"".join(drawn), (path.stem, font))
+    return list(fonts.values())
 
 
-def write_pictures(name: str, folder: Path, mnist: Path | None, n: int) -> None:
+def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: Path | None) -> None:
     """The pictures of a set."""
     if name == "nmnist":
         write_mnist(folder, data_folder(mnist, "mnist", "--mnist"), n)
     elif name == "poker":
-        write_glyphs(folder, PIPS, (0, 180))
+        write_glyphs(folder, PIPS, fonts, (0, 180))
     elif name == "made":
         made_pictures.write_pictures(folder, 10, 0)
     else:
-        write_glyphs(folder, {character: character for character in CHARACTERS})
+        write_glyphs(folder, {character: character for character in CHARACTERS}, fonts)
 
 
 def measure(
@@ -144,6 +151,7 @@ def main(argv: list[str] | None = None) -> int:
         add_folder(parser, f"--{name}", TITLES[name])
     parser.add_argument("--made", action="store_true", help="made objects")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
+    add_folder(parser, "--fonts", "TrueType and OpenType files, at any depth (default: those of matplotlib)")
     parser.add_argument("--pictures", type=int, default=60_000, metavar="N", help="of MNIST (default: 60000)")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
     parser.add_argument("--out", type=Path, default=Path("pictures"), metavar="FOLDER", help="default: pictures")
@@ -159,7 +167,7 @@ def main(argv: list[str] | None = None) -> int:
         report = json.loads(args.json.read_text(encoding="utf-8"))
     for name, folder in folders.items():
         pictures = args.out / name
-        write_pictures(name, pictures, args.mnist, 500 if args.quick else args.pictures)
+        write_pictures(name, pictures, args.mnist, 500 if args.quick else args.pictures, args.fonts)
         seeds, more = (1, ("--epochs", "1")) if args.quick else (args.seeds, ())
         parts = [folder / part for part in TESTS[name]]
         report["sets"][name] = measure(name, pictures, parts, seeds, args.out / "models", more)

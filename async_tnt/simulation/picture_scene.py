@@ -8,8 +8,8 @@ posture     a plane that is seen from aside: each corner is moved inwards by up 
 contrast    white to black 2 to 15, log-uniform; as on the picture, or dark against bright as on a negative
 ground      that of the picture, or a random one; in half of the recordings with a texture, 1/f, which moves along
 lens        blur of .3 to .9 pixels
-motion      lengths of .06 to .5 of the sensor's shorter side, log-uniform; they turn by up to 15 degrees and grow by up
-            to .15; a quarter of them come back; see `random_motion`
+motion      lengths of .06 to .5 of the sensor's shorter side, to 1.5 where it follows the object, log-uniform; turns
+            of up to 15 degrees, growth of up to .15; a quarter of them come back; see `random_motion`
 pixels      see `random_pixels`
 """
 
@@ -25,7 +25,8 @@ from async_tnt.simulation.pictures import Picture
 from async_tnt.simulation.random_motion import MotionRange, random_motion
 from async_tnt.simulation.random_pixels import random_pixels
 
-LENGTHS, MOTIONS = (0.06, 0.5), MotionRange(np.radians(15.0), 0.15, 0.25)
+SHORTEST, LONGEST, LONGEST_FOLLOWED = 0.06, 0.5, 1.5
+MOTIONS = MotionRange(np.radians(15.0), 0.15, 0.25)
 CONTRASTS, BLURS_PX, POSTURE = (2.0, 15.0), (0.3, 0.9), 0.08
 TEXTURE, TEXTURED, FADES = 0.15, 0.5, 0.1
 """Largest deviation of a texture, the share of recordings with one, and the rim in which a photograph fades into it."""
@@ -69,7 +70,8 @@ def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Gen
     """Events of one recording, as `rng` draws it: a structured array of `EVENT_DTYPE`, times in [0, window_us)."""
     smaller = min(settings.sensor)
     side_px = smaller * rng.uniform(*settings.size)
-    length = smaller * float(np.exp(rng.uniform(*np.log(LENGTHS))))
+    longest = LONGEST_FOLLOWED if settings.follow else LONGEST
+    length = smaller * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
     n = int(np.clip(FRAMES_A_PX * length, FEWEST_FRAMES, MOST_FRAMES))
     motion, turn = random_motion(length, np.linspace(0, 1, n), rng, MOTIONS)
     times_us = np.linspace(0, settings.window_us, n)
