@@ -3,7 +3,8 @@
     python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--made]
                                         [--fonts FOLDER] [--seeds N] [--out FOLDER] [--json FILE]
 
-nmnist      MNIST's training images; all of N-MNIST's Test
+nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part (numbers above
+            60,000), and simulated motions, speeds and bright digits (`moving_digits.py`)
 poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that follow a pip
 characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
             `examples/hots_characters.py`
@@ -15,82 +16,37 @@ once. Finished trainings in --out are kept, interrupted ones resume, and what FI
 
 from __future__ import annotations
 
-import contextlib
 import json
-import string
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import needs_extra
+from async_tnt import load_model
 from async_tnt.progress import progress
-from experiments import made_pictures
+from experiments import made_pictures, moving_digits
 from experiments.bare import lines
 from experiments.bench_timing import machine
+from experiments.drawn_pictures import CHARACTERS, PIPS, write_glyphs, write_mnist
 from experiments.mnist import load_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
+from experiments.table_data import OFFICIAL
 from experiments.unseen_motions import command
 
 TITLES = {"nmnist": "N-MNIST", "poker": "POKER-DVS", "characters": "HOTS' characters", "made": "made objects"}
-TESTS = {"nmnist": ["Test"], "poker": ["pips_train", "pips_test"], "characters": ["Train", "Test"], "made": ["Test"]}
+TESTS = {
+    "nmnist": ["official"],
+    "poker": ["pips_train", "pips_test"],
+    "characters": ["Train", "Test"],
+    "made": ["Test"],
+}
 OPTIONS = {
     "nmnist": "--sensor 34x34",
     "poker": "--sensor 35x35 --window-us 25000 --follow",
     "characters": "--sensor 32x32 --follow",
     "made": "--sensor 64x64 --size 0.7-1",
 }
-PIPS = {"cl": "♣", "di": "♦", "he": "♥", "sp": "♠"}
-CHARACTERS = string.digits + string.ascii_uppercase
-UNFIT = "LastResort", "FreeSerifBold"
-"""Fonts that draw boxes, or a club as a spade."""
-HEIGHT = 96
-"""Of a drawn glyph, about, in pixels."""
-
-
-def write_mnist(folder: Path, mnist: Path, n: int) -> None:
-    """The first `n` training images of MNIST, `folder/<digit>/<number>.png`."""
-    from PIL import Image
-
-    images, labels = load_mnist(mnist, "train")
-    for i, (image, label) in enumerate(zip(images[:n], labels[:n], strict=True)):
-        path = folder / str(label) / f"{i:05}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not path.exists():
-            Image.fromarray(image).save(path)
-
-
-def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None, turned: tuple[int, ...] = (0,)) -> None:
-    """Class -> a character, black on white, by each font that has them all, and turned by degrees."""
-    from PIL import Image, ImageDraw
-
-    for font_name, font in _fonts("".join(glyphs.values()), fonts):
-        for name, text in glyphs.items():
-            (folder / name).mkdir(parents=True, exist_ok=True)
-            left, top, right, bottom = font.getbbox(text)
-            picture = Image.new("L", (right - left + HEIGHT, bottom - top + HEIGHT), 255)
-            ImageDraw.Draw(picture).text((HEIGHT / 2 - left, HEIGHT / 2 - top), text, 0, font)
-            for degrees in turned:
-                rotated = picture.rotate(degrees, Image.Resampling.BICUBIC, expand=True, fillcolor=255)
-                rotated.save(folder / name / f"{font_name} {degrees}.png")
-
-
-def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
-    """Fonts beneath a folder, by default matplotlib's, that draw each of these characters, and not as another font."""
-    with needs_extra("plot", "fonts are matplotlib's"):
-        from matplotlib import get_data_path
-        from PIL import ImageFont
-    fonts: dict[bytes, tuple[str, Any]] = {}
-    for path in sorted((folder or Path(get_data_path(), "fonts/ttf")).rglob("*")):
-        if path.suffix.lower() not in (".ttf", ".otf", ".ttc") or path.stem.startswith(UNFIT):
-            continue
-        with contextlib.suppress(OSError):  # a font that FreeType refuses
-            font = ImageFont.truetype(str(path), HEIGHT)
-            missing, *drawn = (bytes(font.getmask(character)) for character in ("\uffff", *text))
-            if all(any(glyph) and glyph != missing for glyph in drawn):
-                fonts.setdefault(b"".join(drawn), (path.stem, font))
-    return list(fonts.values())
 
 
 def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: Path | None) -> None:
@@ -102,7 +58,17 @@ def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: P
     elif name == "made":
         made_pictures.write_pictures(folder, 10, 0)
     else:
-        write_glyphs(folder, {character: character for character in CHARACTERS}, fonts)
+        write_glyphs(folder, CHARACTERS, fonts)
+
+
+def link_official(nmnist: Path, out: Path) -> None:
+    """`out/official/<digit>`: links to N-MNIST's recordings of the official test part, see `table_data`."""
+    for path in [*nmnist.glob("Test/*/*.bin"), *nmnist.glob("Train/*/*.bin")]:
+        if path.parts[-3] == "Test" or int(path.stem) > OFFICIAL[0]:
+            link = out / "official" / path.parent.name / path.name
+            link.parent.mkdir(parents=True, exist_ok=True)
+            if not link.exists():
+                link.symlink_to(path.resolve())
 
 
 def measure(
@@ -169,8 +135,16 @@ def main(argv: list[str] | None = None) -> int:
         pictures = args.out / name
         write_pictures(name, pictures, args.mnist, 500 if args.quick else args.pictures, args.fonts)
         seeds, more = (1, ("--epochs", "1")) if args.quick else (args.seeds, ())
+        if name == "nmnist":
+            link_official(folder, args.out)
+            folder = args.out
         parts = [folder / part for part in TESTS[name]]
         report["sets"][name] = measure(name, pictures, parts, seeds, args.out / "models", more)
+        if name == "nmnist":
+            models = [load_model(args.out / f"models/nmnist{seed}.safetensors") for seed in range(seeds)]
+            images, labels = load_mnist(data_folder(args.mnist, "mnist", "--mnist"), "test")
+            n = 5 if args.quick else 1_000
+            report["sets"][name]["simulated"] = moving_digits.accuracies(models, images[:n], labels[:n])
         write_outputs(args, report)
     print("\n".join(lines(report["sets"])))
     return 0
