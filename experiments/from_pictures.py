@@ -45,7 +45,7 @@ OPTIONS = {
     "nmnist": "--sensor 34x34",
     "poker": "--sensor 35x35 --window-us 25000 --follow",
     "characters": "--sensor 32x32 --follow",
-    "made": "--sensor 64x64 --size 0.7-1",
+    "made": "--sensor 48x48 --size 0.7-1",
 }
 
 

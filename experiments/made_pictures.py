@@ -2,7 +2,7 @@
 
 Cup, glass (a cup without its handle), bottle, leaf, star and key: with textures of power 1/f^2, light from aside,
 before other textures; each picture shows another one of its kind. The recordings show objects of their own on a sensor
-of 64x64, moved by another renderer and other pixels (`made_objects.pixel_events`) than those that training simulates.
+of 48x48, moved by another renderer and other pixels (`made_objects.pixel_events`) than those that training simulates.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 from experiments.made_objects import in_order, pixel_events
 
 CLASSES = ("bottle", "cup", "glass", "key", "leaf", "star")
-SENSOR, WINDOW_US, STEPS = (64, 64), 100_000, 60
+SENSOR, WINDOW_US, STEPS = (48, 48), 100_000, 60
 SIDE, OBJECT, FINE = 200, 0.55, 3
 """Of a picture in pixels; of the object in the picture's side; places that a pixel is drawn by, along each side."""
-LENGTH_PX, IN_VIEW = (3.0, 10.0), (0.75, 1.0)
+LENGTH_PX, IN_VIEW = (2.0, 8.0), (0.75, 1.0)
 """How far recordings move, and how large the pictures are on the sensor."""
 Shape = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
 
@@ -126,7 +126,7 @@ def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
     step = SIDE / (min(SENSOR) * rng.uniform(*IN_VIEW))  # picture pixels in a sensor pixel
     row, column = np.mgrid[:height, :width]
     angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(*LENGTH_PX)
-    where = rng.uniform(-4, 4, 2)
+    where = rng.uniform(-3, 3, 2)
     turns_at = rng.uniform(0.7, 1.3)
 
     def seen() -> Iterator[np.ndarray]:

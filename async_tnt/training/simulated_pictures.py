@@ -37,7 +37,8 @@ from async_tnt.training.run_folder import other_run
 
 MANIFEST, FORMAT = "pictures.json", 1  # of the recordings: a change of what is simulated counts it up
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
-"""Of all pictures together, about; of each at least one."""
+"""Of all pictures together, about; of each at least one, and at most `MOST_TAKES`."""
+MOST_TAKES = 200
 FULL_PIXELS, FEWEST = 128 * 128, 0.1
 """Of a larger sensor fewer, as they take longer, but at least this share."""
 CHUNK = 200
@@ -186,7 +187,7 @@ def simulate_pictures(
     ValueError : the folder holds recordings of other pictures or settings, or a damaged file.
     """
     share = float(np.clip(FULL_PIXELS / (settings.sensor[0] * settings.sensor[1]), FEWEST, 1))
-    takes = max(1, round(share * RECORDINGS[part] / max(1, len(pictures))))
+    takes = int(np.clip(round(share * RECORDINGS[part] / max(1, len(pictures))), 1, MOST_TAKES))
     folder.mkdir(parents=True, exist_ok=True)
     checksum = 0
     for picture in pictures:

@@ -1,0 +1,131 @@
+"""How many real recordings does a classifier need beside pictures, and without? N-MNIST's Test against those of Train.
+
+    python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N] [--out FOLDER] [--json FILE]
+                                         [--picture FILE]
+
+Each data set has MNIST's training images, or none, and the first 0, 1, 10, 100 or all recordings of each class;
+`async-tnt train` is given the sensor's size alone. Finished trainings in --out are kept, interrupted ones resume.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt.progress import progress
+from async_tnt.views.figure_style import OFF, ON, axes_at, headline, new_figure
+from experiments.bench_timing import machine
+from experiments.drawn_pictures import write_mnist
+from experiments.script_options import add_folder, data_folder, exit_with, report_of, script_parser, write_outputs
+from experiments.table_numbers import cell, summary
+from experiments.unseen_motions import command
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PER_CLASS = 0, 1, 10, 100, 10_000
+"""Recordings; the last number is more than there are."""
+FEWEST_ALONE = 10
+"""Without pictures: of fewer none can be held out."""
+WAYS = {"pictures and recordings": ON, "recordings alone": OFF}
+
+
+def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
+    """Links to pictures and to the first `n` recordings of each class. Returns how many recordings a class has."""
+    counts = []
+    for source in sorted(path for path in (nmnist / "Train").iterdir() if path.is_dir()):
+        recordings = sorted(source.glob("*.bin"))[:n]
+        counts.append(len(recordings))
+        shown = sorted((pictures / source.name).glob("*.png")) if pictures else []
+        (folder / source.name).mkdir(parents=True, exist_ok=True)
+        for path in [*recordings, *shown]:
+            link = folder / source.name / path.name
+            if not link.exists():
+                link.symlink_to(path.resolve())
+    return round(np.mean(counts))
+
+
+def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, n_pictures: int, options: list[str]) -> dict[str, Any]:
+    """Train and test all of them."""
+    pictures = out / "mnist"
+    write_mnist(pictures, mnist, n_pictures)
+    found: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
+    with progress(len(WAYS) * len(PER_CLASS), "training") as bar:
+        for n in PER_CLASS:
+            for way, rows in found.items():
+                alone = way == "recordings alone"
+                bar.update()
+                if alone and n < FEWEST_ALONE:
+                    continue
+                folder = out / f"{'alone' if alone else 'both'}{n}"
+                there = write_set(folder, None if alone else pictures, nmnist, n)
+                networks = []
+                for seed in range(seeds):
+                    model = out / f"{folder.name}-{seed}.safetensors"
+                    words = ["train", folder, "--sensor", "34x34", *options, "--seed", seed, "--out", model, "--json"]
+                    command(*words)
+                    report = command("evaluate", model, nmnist / "Test", "--json")
+                    networks.append({name: report[name] for name in ("accuracy", "window_accuracy")})
+                rows.append({"per_class": there, "networks": networks})
+    return {"ways": found, "pictures": n_pictures, "machine": machine("torch")}
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """For people."""
+    printed = []
+    for way, rows in report["ways"].items():
+        for row in rows:
+            windows, recordings = (
+                cell(summary([one[key] for one in row["networks"]])) for key in ("window_accuracy", "accuracy")
+            )
+            printed.append(f"{way:26}{row['per_class']:>6} a class: {windows} of windows, {recordings} of recordings")
+    return printed
+
+
+def draw(report: dict[str, Any]) -> Figure:
+    """Share of windows right against recordings of each class, on axes that spread out what is near 100 %."""
+    figure = new_figure(3.6)
+    axes = axes_at(figure, 0.8, 0.6, 9.2, 2.4)
+    for way, colour in WAYS.items():
+        rows = report["ways"][way]
+        wrong = [100 * (1 - np.mean([one["window_accuracy"] for one in row["networks"]])) for row in rows]
+        axes.plot([max(0.3, row["per_class"]) for row in rows], wrong, color=colour, marker="o", label=way)
+    counts = [row["per_class"] for row in report["ways"]["pictures and recordings"]]
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xticks([max(0.3, n) for n in counts], [f"{n:,}" for n in counts])
+    axes.minorticks_off()
+    axes.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
+    axes.set_xlabel("real recordings of each class")
+    axes.set_ylabel("windows wrong (%)")
+    axes.legend(frameon=False)
+    headline(figure, "N-MNIST's test windows: pictures in the place of recordings")
+    return figure
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure or read, print, write and draw."""
+    parser = script_parser("few_recordings", __doc__, "one epoch, 200 pictures", draws=True)
+    add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test (default: $TNT_DATA/nmnist)")
+    add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="networks of each (default: 1)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: not kept)")
+    args = parser.parse_args(argv)
+
+    def measured() -> dict[str, Any]:
+        folders = data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist")
+        with TemporaryDirectory() as name:
+            n, options = (200, ["--epochs", "1"]) if args.quick else (60_000, [])
+            return measure(*folders, args.out or Path(name), args.seeds, n, options)
+
+    report = report_of(args, measured)
+    print("\n".join(lines(report)))
+    write_outputs(args, report, draw)
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)
