@@ -160,11 +160,10 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     shown = commands(text)
     assert {words[0] for words in shown} == {"train", "mask", "evaluate", "run"}
     for words in shown:
-        quick = ["--epochs", "1" if "--motions" in words else "10"] if words[0] == "train" else []
-        if "pictures" in words:
-            quick = ["--epochs", "1", "--grid", "24x18", "--network", "thesis"]
+        once = "pictures" in words or "--motions" in words
+        quick = ["--grid", "24x18", "--network", "thesis", "--epochs", "1" if once else "5"]
         capsys.readouterr()
-        assert main([*words, *quick]) == 0, capsys.readouterr().err
+        assert main([*words, *(quick if words[0] == "train" else [])]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation
             assert [name for name in json.loads(capsys.readouterr().out) if f"`{name}`" not in REFERENCE] == []
     for name in ("gestures.json", "gestures.confusion.png", "gestures.curves.png", "confusion.png"):
