@@ -103,8 +103,7 @@ it, with which that one had .982 in 1/all."""
 FEW = """\
 Trained in one direction, or in all; means of seeds (lowest to highest). Saccades: 4,800 recordings of N-MNIST's
 Train show the first one, or all three in turn; the 1,000 of Test show each. Hands: eight dark objects, 1,280 recordings
-that move to the right, or in eight directions; 320 in each test. The signs were chosen by the first and last row. The
-saccades were re-synthesized with images before the present ones, which keep more of the edges along the motion."""
+that move to the right, or in eight directions; 320 in each test. The signs were chosen by the first and last row."""
 
 SIMULATED = """\
 200 recordings of N-MNIST's test set, simulations of the same MNIST images under N-MNIST's own motion, and
@@ -287,9 +286,9 @@ SECTIONS = (
     Section(
         "Few events, in motions that were not recorded",
         FEW,
-        "experiments.unseen_motions --set saccades --seeds 3 --json experiments/results/unseen_saccades.json",
+        "experiments.unseen_motions --set saccades --json experiments/results/unseen_saccades.json",
         {
-            accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events, three seeds",
+            accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events, five seeds",
             accuracy.unseen_hands: "Hand motion, five seeds: `--set hands --json .../unseen_hands.json`",
         },
     ),
