@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.evaluation.processes import run_all
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import structured
 from async_tnt.files import replacing, write_text
 from async_tnt.progress import Bar, no_progress
 from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
@@ -32,7 +32,7 @@ from async_tnt.simulation.pictures import SUFFIXES, read_picture
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.labelled_recordings import class_folders
 from async_tnt.training.moved_windows import read_arrays
-from async_tnt.training.recordings import Recordings, RecordingsWriter
+from async_tnt.training.recordings import COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
 
 MANIFEST, FORMAT = "pictures.json", 1  # of the recordings: a change of what is simulated counts it up
@@ -217,10 +217,12 @@ def simulate_pictures(
         for n in done:
             bar.update(n)
     for chunk in chunks:
-        events, sizes = read_arrays(chunk.file, "events", "sizes")
-        if events.dtype != EVENT_DTYPE or sizes.shape != (len(chunk.takes),) or sizes.sum() != len(events):
+        *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
+        whole = [column.dtype for column in columns] == list(COLUMNS.values()) and sizes.shape == (len(chunk.takes),)
+        if not whole or any(column.shape != (sizes.sum(),) for column in columns):
             raise ValueError(f"{chunk.file}: not the {len(chunk.takes)} recordings that belong there; remove {folder}")
-        for one, (picture, _, take) in zip(np.split(events, np.cumsum(sizes)[:-1]), chunk.takes, strict=True):
+        recordings = np.split(structured(columns), np.cumsum(sizes)[:-1])
+        for one, (picture, _, take) in zip(recordings, chunk.takes, strict=True):
             writer.add(one, picture.label, f"{picture.name}, take {take + 1}")
     return takes
 
@@ -240,8 +242,10 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
         takes = list(of_one)
         picture = read_picture(takes[0][0].path)
         recordings += [record_picture(picture, settings, np.random.default_rng((*seed, i, k))) for _, i, k in takes]
+    events = np.concatenate(recordings)
+    columns: dict[str, Any] = {name: events[name].astype(dtype) for name, dtype in COLUMNS.items()}
     with replacing(chunk.file) as part, part.open("wb") as file:
-        np.savez(file, events=np.concatenate(recordings), sizes=np.array([len(one) for one in recordings]))
+        np.savez(file, sizes=np.array([len(one) for one in recordings]), **columns)
     return len(recordings)
 
 
