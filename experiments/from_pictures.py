@@ -4,7 +4,8 @@
                                         [--fonts FOLDER] [--seeds N] [--out FOLDER] [--json FILE]
 
 nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part (numbers above
-            60,000), and simulated motions, speeds and bright digits (`moving_digits.py`)
+            60,000), and simulated motions, speeds and bright digits (`moving_digits.py`); the first network, with its
+            test in its record, becomes FOLDER/digits-from-pictures.safetensors
 poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that follow a pip
 characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
             `examples/hots_characters.py`
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +112,15 @@ def measure(
     }
 
 
+def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) -> dict[str, Any]:
+    """What the networks have of `n` simulated digits; also writes the model to bundle."""
+    models = [load_model(out / f"models/nmnist{seed}.safetensors") for seed in range(len(networks))]
+    tested = {"recordings of": "N-MNIST's official test part", **networks[0]}
+    replace(models[0], record={**models[0].record, "test": tested}).save(out / "digits-from-pictures.safetensors")
+    images, labels = load_mnist(mnist, "test")
+    return moving_digits.accuracies(models, images[:n], labels[:n])
+
+
 def main(argv: list[str] | None = None) -> int:
     """Draw, train, test, print and write."""
     parser = script_parser("from_pictures", __doc__, "one seed and epoch, 500 pictures")
@@ -141,10 +152,8 @@ def main(argv: list[str] | None = None) -> int:
         parts = [folder / part for part in TESTS[name]]
         report["sets"][name] = measure(name, pictures, parts, seeds, args.out / "models", more)
         if name == "nmnist":
-            models = [load_model(args.out / f"models/nmnist{seed}.safetensors") for seed in range(seeds)]
-            images, labels = load_mnist(data_folder(args.mnist, "mnist", "--mnist"), "test")
-            n = 5 if args.quick else 1_000
-            report["sets"][name]["simulated"] = moving_digits.accuracies(models, images[:n], labels[:n])
+            tests = data_folder(args.mnist, "mnist", "--mnist"), 5 if args.quick else 1_000
+            report["sets"][name]["simulated"] = test_moving(report["sets"][name]["networks"], args.out, *tests)
         write_outputs(args, report)
     print("\n".join(lines(report["sets"])))
     return 0
