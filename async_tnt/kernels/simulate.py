@@ -43,15 +43,16 @@ def translate(frames, image, dx, dy):
 
 
 @compiled
-def low_pass(log_frames, frame_times_us, corner_hz):
-    """Each pixel's light behind a low-pass of first order, by backward differences.
+def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
+    """Each pixel's light behind a low-pass of first order, the slower the darker it is, by backward differences.
 
-    y[0] = L[0];  y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1]),  a = 2 pi f (t[k] - t[k - 1])
+    y[0] = L[0];  y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1]),
+    a = 2 pi brightest_hz max(exp(L[k]), darkest) (t[k] - t[k - 1])
 
     Parameters
     ----------
     log_frames : float64, (K, H, W), L. frame_times_us : float64, (K,), strictly increasing.
-    corner_hz : float64, (H, W), f of each pixel.
+    brightest_hz : float64, the corner where L is 0. darkest : float64, luminance below which it falls no further.
 
     Returns
     -------
@@ -60,12 +61,12 @@ def low_pass(log_frames, frame_times_us, corner_hz):
     followed = np.empty_like(log_frames)
     followed[0] = log_frames[0]
     for k in range(1, log_frames.shape[0]):
-        scale = 2e-6 * np.pi * (frame_times_us[k] - frame_times_us[k - 1])
+        scale = 2e-6 * np.pi * brightest_hz * (frame_times_us[k] - frame_times_us[k - 1])
         for y in range(log_frames.shape[1]):
             for x in range(log_frames.shape[2]):
-                turns = scale * corner_hz[y, x]
-                before = followed[k - 1, y, x]
-                followed[k, y, x] = before + turns / (1.0 + turns) * (log_frames[k, y, x] - before)
+                light, before = log_frames[k, y, x], followed[k - 1, y, x]
+                turns = scale * max(np.exp(light), darkest)
+                followed[k, y, x] = before + turns / (1.0 + turns) * (light - before)
     return followed
 
 

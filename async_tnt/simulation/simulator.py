@@ -12,7 +12,7 @@ and then R := L(t + refractory_us). Times are rounded to whole microseconds, and
 What a circuit adds, each off by default:
 
     bandwidth     the pixel follows its light as a low-pass does, y' = 2 pi f (L - y), the slower the darker it is:
-                  f = bandwidth_hz max(exp(mean of L), DARKEST), and L is 0 where it is brightest
+                  f = bandwidth_hz max(exp(L), DARKEST), and L is 0 where it is brightest
     leak          R drifts down by C_on leak_hz a second: ON events without a change
     after-pulses  some events are followed by one of the other sign
     hot pixels    some pixels have noise of their own rate
@@ -124,7 +124,7 @@ def simulate(
     reference = frames[0] - threshold_on + rng.random(shape) * (threshold_on + threshold_off)
     refractory_us = float(pixels.refractory_us)
     if pixels.bandwidth_hz < math.inf:
-        frames = low_pass(frames, times, pixels.bandwidth_hz * np.maximum(np.exp(frames.mean(0)), DARKEST))
+        frames = low_pass(frames, times, float(pixels.bandwidth_hz), DARKEST)
     if pixels.leak_hz:
         frames = frames + pixels.leak_hz * 1e-6 * (times - times[0])[:, None, None] * threshold_on
     events = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))

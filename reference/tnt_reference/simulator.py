@@ -53,11 +53,13 @@ def simulate_events(
     return sorted(events, key=lambda event: (event[0], event[2], event[1]))
 
 
-def low_pass(light: Sequence[float], times_us: Sequence[float], corner_hz: float) -> list[float]:
-    """What a pixel follows of its log luminance: y' = 2 pi f (L - y), by backward differences from frame to frame."""
+def low_pass(light: Sequence[float], times_us: Sequence[float], brightest_hz: float, darkest: float) -> list[float]:
+    """What a pixel follows of its log luminance: y' = 2 pi f (L - y), by backward differences from frame to frame; f is
+    in proportion to the luminance, down to `darkest`."""
     followed = [float(light[0])]
     for (t0, _), (t1, now) in pairwise(zip(times_us, light, strict=True)):
-        a = 2 * math.pi * corner_hz * (t1 - t0) * 1e-6
+        f = brightest_hz * max(math.exp(now), darkest)
+        a = 2 * math.pi * f * (t1 - t0) * 1e-6
         followed.append((followed[-1] + a * now) / (1 + a))
     return followed
 
