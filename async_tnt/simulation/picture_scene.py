@@ -8,7 +8,7 @@ posture     a plane that is seen from aside: each corner is moved inwards by up 
 contrast    white to black 2 to 15, log-uniform; as on the picture, or dark against bright as on a negative
 ground      that of the picture, or a random one; in half of the recordings with a texture, 1/f, which moves along
 lens        blur of .3 to .9 pixels
-motion      lengths of .06 to .5 of the sensor's shorter side, to 1.5 where it follows the object, log-uniform; turns
+motion      lengths of .06 to .5 of the sensor's shorter side, to 4 where it follows the object, log-uniform; turns
             of up to 15 degrees, growth of up to .15; a quarter of them come back; see `random_motion`
 pixels      see `random_pixels`
 """
@@ -25,7 +25,7 @@ from async_tnt.simulation.pictures import Picture
 from async_tnt.simulation.random_motion import MotionRange, random_motion
 from async_tnt.simulation.random_pixels import random_pixels
 
-SHORTEST, LONGEST, LONGEST_FOLLOWED = 0.06, 0.5, 1.5
+SHORTEST, LONGEST, LONGEST_FOLLOWED = 0.06, 0.5, 4.0
 MOTIONS = MotionRange(np.radians(15.0), 0.15, 0.25)
 CONTRASTS, BLURS_PX, POSTURE = (2.0, 15.0), (0.3, 0.9), 0.08
 TEXTURE, TEXTURED, FADES = 0.15, 0.5, 0.1
@@ -75,35 +75,37 @@ def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Gen
     n = int(np.clip(FRAMES_A_PX * length, FEWEST_FRAMES, MOST_FRAMES))
     motion, turn = random_motion(length, np.linspace(0, 1, n), rng, MOTIONS)
     times_us = np.linspace(0, settings.window_us, n)
-    beyond = int(np.ceil(np.abs(motion).max())) if settings.follow else 0
-    scene = _scene(picture, side_px, length, settings, beyond, rng)
+    reach = np.ceil(np.abs(motion).max(0)).astype(int)
+    scene = _scene(picture, side_px, reach, settings, rng)
     half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
     free = np.maximum(0, np.array(settings.sensor) / 2 - half)
     displacement = (np.array(scene.sensor) - 1) / 2 + rng.uniform(-free, free) - scene.centre + motion
     events = scene.events(times_us, displacement, turn, random_pixels(rng, settings.camera), rng)
-    return _crop(events, times_us, motion, beyond, settings.sensor) if settings.follow else events
+    return _crop(events, times_us, motion, reach, settings.sensor) if settings.follow else events
 
 
 def _crop(
-    events: np.ndarray, times_us: np.ndarray, motion: np.ndarray, beyond: int, sensor: tuple[int, int]
+    events: np.ndarray, times_us: np.ndarray, motion: np.ndarray, reach: np.ndarray, sensor: tuple[int, int]
 ) -> np.ndarray:
-    """What a crop of the size of `sensor`, `beyond` pixels from the border of a larger one, sees that moves along."""
+    """What a crop of the size of `sensor` sees that moves along; at half time it is `reach` pixels (x, y) from the
+    borders of a larger one."""
     inside = np.ones(len(events), bool)
     for axis, name in enumerate("xy"):
-        at = events[name] - beyond - np.rint(np.interp(events["t"], times_us, motion[:, axis])).astype(np.int64)
+        at = events[name] - reach[axis] - np.rint(np.interp(events["t"], times_us, motion[:, axis])).astype(np.int64)
         inside &= (at >= 0) & (at < sensor[axis])
         events[name] = np.where(inside, at, 0)
     return events[inside]
 
 
 def _scene(
-    picture: Picture, side_px: float, length: float, settings: SceneSettings, beyond: int, rng: np.random.Generator
+    picture: Picture, side_px: float, reach: np.ndarray, settings: SceneSettings, rng: np.random.Generator
 ) -> PeriodicImage:
-    """The object in its surroundings, as log luminance, seen through a lens, by a sensor `beyond` pixels larger."""
-    sensor = settings.sensor[0] + 2 * beyond, settings.sensor[1] + 2 * beyond
+    """The object in its surroundings, as log luminance, seen through a lens. It moves `reach` pixels (x, y) either way:
+    so far apart are copies on the torus, or the borders of a sensor whose crop follows the object."""
+    sensor = np.array(settings.sensor)
+    apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
-    more = side_px + max(0.5 * side_px, length)  # so that the object's copies on the torus stay out of sight
-    shape = tuple(8 * round(FINENESS * (side + more) / 8) for side in sensor[::-1])  # of small factors
+    shape = tuple(8 * round(FINENESS * side / 8) for side in apart[::-1])  # of small factors
     texture = rng.uniform(0, TEXTURE) * _texture(shape, rng) if rng.random() < TEXTURED else np.zeros(shape)
     if picture.ground is None:
         inside = float(covered.sum() / max(cover.sum(), 1e-6))
@@ -122,7 +124,9 @@ def _scene(
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
     darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
     centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
-    return PeriodicImage(np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1)), FINENESS, 0.0, centre, sensor)
+    width, height = (sensor + 2 * reach if settings.follow else sensor).tolist()
+    image = np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1))
+    return PeriodicImage(image, FINENESS, 0.0, centre, (width, height))
 
 
 def _posed(picture: Picture, side: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

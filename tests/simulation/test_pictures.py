@@ -112,7 +112,7 @@ def test_a_crop_follows_the_object(tmp_path):
     motion = np.stack([np.linspace(0, 4, 9), np.linspace(0, -2, 9)], axis=1)
     moving = [(t, 4 + 10 + round(t / 2), 4 + 6 - round(t / 4), 1) for t in range(9)]
     still = [(t, 4, 4 + 9, 0) for t in range(9)]  # at the crop's left border
-    events = _crop(np.array(sorted(moving + still), EVENT_DTYPE), np.arange(9.0), motion, 4, (20, 12))
+    events = _crop(np.array(sorted(moving + still), EVENT_DTYPE), np.arange(9.0), motion, np.array([4, 4]), (20, 12))
     assert {(x, y) for _, x, y, p in events.tolist() if p} == {(10, 6)} and (events["p"] == 1).sum() == 9
     assert [(t, x) for t, x, _, p in events.tolist() if not p] == [(0, 0), (1, 0)]  # half a pixel is rounded to even
     picture = read_picture(saved(tmp_path / "a.png", bar()))
