@@ -30,8 +30,8 @@ def write_mnist(folder: Path, mnist: Path, n: int) -> None:
             Image.fromarray(image).save(path)
 
 
-def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None, turned: tuple[int, ...] = (0,)) -> None:
-    """Class -> a character, black on white, by each font that has them all, and turned by degrees."""
+def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> None:
+    """Class -> a character, black on white, by each font that has them all."""
     from PIL import Image, ImageDraw
 
     for font_name, font in _fonts("".join(glyphs.values()), fonts):
@@ -40,9 +40,7 @@ def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None, turne
             left, top, right, bottom = font.getbbox(text)
             picture = Image.new("L", (right - left + HEIGHT, bottom - top + HEIGHT), 255)
             ImageDraw.Draw(picture).text((HEIGHT / 2 - left, HEIGHT / 2 - top), text, 0, font)
-            for degrees in turned:
-                rotated = picture.rotate(degrees, Image.Resampling.BICUBIC, expand=True, fillcolor=255)
-                rotated.save(folder / name / f"{font_name} {degrees}.png")
+            picture.save(folder / name / f"{font_name}.png")
 
 
 def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:

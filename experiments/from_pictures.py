@@ -56,7 +56,7 @@ def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: P
     if name == "nmnist":
         write_mnist(folder, data_folder(mnist, "mnist", "--mnist"), n)
     elif name == "poker":
-        write_glyphs(folder, PIPS, fonts, (0, 180))
+        write_glyphs(folder, PIPS, fonts)
     elif name == "made":
         made_pictures.write_pictures(folder, 10, 0)
     else:

@@ -16,13 +16,13 @@ from experiments.mnist import load_mnist
 
 
 def test_fonts_draw_the_same_symbols_each_in_its_way(tmp_path):
-    write_glyphs(tmp_path, PIPS, None, (0, 180))
+    write_glyphs(tmp_path, PIPS, None)
     files = {name: sorted(path.name for path in (tmp_path / name).iterdir()) for name in PIPS}
-    assert len(files["cl"]) >= 6 and all(names == files["cl"] for names in files.values())
+    assert len(files["cl"]) >= 3 and all(names == files["cl"] for names in files.values())
     drawn = {path.read_bytes() for path in tmp_path.glob("*/*.png")}
     assert len(drawn) > 0.9 * sum(map(len, files.values()))
-    upright, turned = (read_picture(tmp_path / "sp" / name).cover for name in files["sp"][:2])
-    assert abs(upright - turned[::-1, ::-1]).mean() < 0.05 < abs(upright - turned).mean()
+    heart, spade = (read_picture(tmp_path / name / files["he"][0]).cover for name in ("he", "sp"))
+    assert heart[: len(heart) // 4].mean() > 0.6 > 0.4 > spade[: len(spade) // 4].mean()  # two lobes, and a tip
 
 
 def test_made_objects_differ_and_repeat(tmp_path):
