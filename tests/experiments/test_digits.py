@@ -52,6 +52,7 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
 def test_each_step_continues_the_one_before_and_the_last_is_tested(nmnist, mnist, tmp_path, monkeypatch):
     monkeypatch.setattr("experiments.digits_data.FIRST_INDEX", 10)
     monkeypatch.setattr("experiments.digits.available_cores", lambda: 1)
+    monkeypatch.setattr("async_tnt.training.resynthesis.N_CALIBRATION", 12)
     data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=no_progress)
     assert (data.record["real_recordings"], data.record["simulated_recordings"]) == (40, 5)
     assert len(data.training) == 135 and len(data.tests["test"][0]) == 30
