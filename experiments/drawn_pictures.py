@@ -34,13 +34,15 @@ def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> No
     """Class -> a character, black on white, by each font that has them all."""
     from PIL import Image, ImageDraw
 
-    for font_name, font in _fonts("".join(glyphs.values()), fonts):
+    for old in folder.glob("*/*.png"):
+        old.unlink()
+    for k, (font_name, font) in enumerate(_fonts("".join(glyphs.values()), fonts)):
         for name, text in glyphs.items():
             (folder / name).mkdir(parents=True, exist_ok=True)
             left, top, right, bottom = font.getbbox(text)
             picture = Image.new("L", (right - left + HEIGHT, bottom - top + HEIGHT), 255)
             ImageDraw.Draw(picture).text((HEIGHT / 2 - left, HEIGHT / 2 - top), text, 0, font)
-            picture.save(folder / name / f"{font_name}.png")
+            picture.save(folder / name / f"{k:03} {font_name}.png")
 
 
 def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:

@@ -4,7 +4,8 @@
                                          [--picture FILE]
 
 Each data set has MNIST's training images, or none, and the first 0, 1, 10, 100 or all recordings of each class;
-`async-tnt train` is given the sensor's size alone. Finished trainings in --out are kept, interrupted ones resume.
+`async-tnt train` is given the sensor's size alone. Where it finds pictures, it also turns, shears and thins windows.
+Finished trainings in --out are kept, interrupted ones resume.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def measure(
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
             words = [*OPTIONS[name].split(), *more, "--seed", seed, "--out", model, "--json"]
-            began = time.monotonic()
+            began, is_new = time.monotonic(), not model.exists()
             record = command("train", pictures, *words)
             minutes = (time.monotonic() - began) / 60
             reports = [command("evaluate", model, folder, "--json") for folder in tests]
@@ -95,7 +95,7 @@ def measure(
                     "recordings": int(confusion.sum()),
                     "window_accuracy": float(np.trace(windows) / windows.sum()),
                     "windows": int(windows.sum()),
-                    "minutes": minutes,
+                    "minutes": minutes if is_new else None,
                     "simulated_held_out": record["validation"]["per_window"],
                     "confusion": confusion.tolist(),
                 }
@@ -115,7 +115,7 @@ def measure(
 def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) -> dict[str, Any]:
     """What the networks have of `n` simulated digits; also writes the model to bundle."""
     models = [load_model(out / f"models/nmnist{seed}.safetensors") for seed in range(len(networks))]
-    tested = {"recordings of": "N-MNIST's official test part", **networks[0]}
+    tested = {"recordings of": "N-MNIST's official test part", **networks[0], "minutes": None}
     replace(models[0], record={**models[0].record, "test": tested}).save(out / "digits-from-pictures.safetensors")
     images, labels = load_mnist(mnist, "test")
     return moving_digits.accuracies(models, images[:n], labels[:n])

@@ -156,7 +156,7 @@ def _read(
     from async_tnt.training.groups import check_share, groups_by_pattern, groups_checksum
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
-    from async_tnt.training.settings import default_config, settings_for
+    from async_tnt.training.settings import OF_PICTURES, default_config, settings_for
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
     pixels = _pixels_of(args, start)
@@ -164,7 +164,8 @@ def _read(
     given |= {"window_us": args.window_us} if args.window_us else {}
     config = start.config if start is not None else default_config(**given, **volume_of(args.volume))
     BatchVolumes(config)
-    wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror}}
+    more = OF_PICTURES if find_pictures(args.dataset) else {}
+    wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror, **more}}
     wanted |= {name: getattr(args, name) for name in ("epochs", "network") if getattr(args, name) is not None}
     settings = settings_for(config, 1, **wanted)
     if start is None:

@@ -15,6 +15,7 @@ pixels      see `random_pixels`
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,8 +35,10 @@ APART = 0.25
 """Between the light of an object that is cut out and its ground, at least."""
 FINENESS = 2
 """Places of the image in a sensor pixel."""
-FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 3.0, 52, 300
-"""Of a motion; the light runs straight between frames."""
+FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 2.0, 52, 500
+"""Of a motion, closer together in time where it is faster: the light runs straight from one to the next."""
+FINE = 4_000
+"""Moments at which a motion is drawn."""
 LIGHTS = "positive", "negative", "both"
 
 
@@ -72,9 +75,8 @@ def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Gen
     side_px = smaller * rng.uniform(*settings.size)
     longest = LONGEST_FOLLOWED if settings.follow else LONGEST
     length = smaller * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
-    n = int(np.clip(FRAMES_A_PX * length, FEWEST_FRAMES, MOST_FRAMES))
-    motion, turn = random_motion(length, np.linspace(0, 1, n), rng, MOTIONS)
-    times_us = np.linspace(0, settings.window_us, n)
+    shares, motion, turn = _frames_of(*random_motion(length, np.linspace(0, 1, FINE), rng, MOTIONS))
+    times_us = settings.window_us * shares
     reach = np.ceil(np.abs(motion).max(0)).astype(int)
     scene = _scene(picture, side_px, reach, settings, rng)
     half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
@@ -84,6 +86,20 @@ def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Gen
     return _crop(events, times_us, motion, reach, settings.sensor) if settings.follow else events
 
 
+def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shares of the window, (n,), at which frames are made, and motion and turn there, (n, 2).
+
+    motion, turn : at `FINE` moments, evenly.
+    """
+    shares = np.linspace(0, 1, len(motion))
+    gone_px = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(motion, axis=0).T))])
+    frames = FRAMES_A_PX * gone_px + FEWEST_FRAMES * shares  # so many until then
+    n = int(min(np.ceil(frames[-1]), MOST_FRAMES))
+    at = np.interp(np.linspace(0, frames[-1], n + 1), frames, shares)
+    motion, turn = (np.stack([np.interp(at, shares, column) for column in of.T], axis=1) for of in (motion, turn))
+    return at, motion, turn
+
+
 def _crop(
     events: np.ndarray, times_us: np.ndarray, motion: np.ndarray, reach: np.ndarray, sensor: tuple[int, int]
 ) -> np.ndarray:
@@ -91,7 +107,8 @@ def _crop(
     borders of a larger one."""
     inside = np.ones(len(events), bool)
     for axis, name in enumerate("xy"):
-        at = events[name] - reach[axis] - np.rint(np.interp(events["t"], times_us, motion[:, axis])).astype(np.int64)
+        moved = np.rint(np.interp(events["t"], times_us, motion[:, axis]))
+        at = events[name].astype(np.int64) - reach[axis] - moved.astype(np.int64)
         inside &= (at >= 0) & (at < sensor[axis])
         events[name] = np.where(inside, at, 0)
     return events[inside]
@@ -104,8 +121,9 @@ def _scene(
     so far apart are copies on the torus, or the borders of a sensor whose crop follows the object."""
     sensor = np.array(settings.sensor)
     apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
+    apart *= np.exp(MOTIONS.growth) / np.cos(MOTIONS.turn)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
-    shape = tuple(8 * round(FINENESS * side / 8) for side in apart[::-1])  # of small factors
+    shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])  # of small factors
     texture = rng.uniform(0, TEXTURE) * _texture(shape, rng) if rng.random() < TEXTURED else np.zeros(shape)
     if picture.ground is None:
         inside = float(covered.sum() / max(cover.sum(), 1e-6))

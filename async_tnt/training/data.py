@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -122,10 +123,12 @@ def dataset_data(
     of_pictures, bad_pictures = check_pictures(pictures, dataset.classes, dataset.recordings.labels, progress)
     names = (*recordings.names, *(picture.name for picture in of_pictures))
     labels = np.concatenate([recordings.labels, np.array([one.label for one in of_pictures], np.int64)])
-    learned, held_out, how, counted = _split(folder, names, labels, groups, validation, seed)
+    kinds = 2 * labels + (np.arange(len(labels)) >= len(recordings))  # of pictures as large a share as of recordings
+    learned, held_out, how, counted = _split(folder, names, kinds, groups, validation, seed)
     held_out_names = tuple(names[r] for r in held_out)
     about: dict[str, Any] = {}
     if of_pictures:
+        began = time.monotonic()
         recordings, learned, held_out, about = with_pictures(
             recordings,
             of_pictures,
@@ -136,7 +139,9 @@ def dataset_data(
             workers=workers,
             progress=progress,
         )
-        notes.append("pictures: {pictures}, those to learn from recorded {takes} times each".format(**about))
+        seconds = time.monotonic() - began
+        words = "pictures: {pictures}, those to learn from recorded {takes} times each (took {:.0f} s)"
+        notes.append(words.format(seconds, **about))
 
     def windows_of(of: Recordings, which: np.ndarray | None = None) -> Windows:
         return make_windows(of, config.window_us, which=which, first_event=True, duration_us=None)

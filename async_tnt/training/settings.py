@@ -27,6 +27,8 @@ CHANGES = MappingProxyType(
 """Of `Augmentation` for a data set by default: windows end early or begin late, as in a stream, or show nothing; they
 are shifted and scaled. Rotation, shear and thinning cost .01 on N-CARS' held-out recordings: candidate "turned and
 thinned" of `experiments/recipes.py`."""
+OF_PICTURES = MappingProxyType({"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3})
+"""Further changes where a data set holds pictures, whose recordings are simulated once for all epochs."""
 EARLIEST = 0.05
 """The earliest end of such a window, as a share of the complete one."""
 RECIPE = MappingProxyType(

@@ -35,12 +35,13 @@ from async_tnt.training.moved_windows import read_arrays
 from async_tnt.training.recordings import COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
 
-MANIFEST, FORMAT = "pictures.json", 1  # of the recordings: a change of what is simulated counts it up
+MANIFEST, FORMAT = "pictures.json", 2  # of the recordings: a change of what is simulated counts it up
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
 """Of all pictures together, about; of each at least one, and at most `MOST_TAKES`."""
 MOST_TAKES = 200
-FULL_PIXELS, FEWEST = 128 * 128, 0.1
-"""Of a larger sensor fewer, as they take longer, but at least this share."""
+FULL_PIXELS, FOLLOWED, FEWEST = 128 * 128, 6, 0.1
+"""Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many times; but at least this
+share."""
 CHUNK = 200
 """Recordings of a file."""
 N_EXAMPLES, N_TAKES = 5, 6
@@ -186,7 +187,8 @@ def simulate_pictures(
     ------
     ValueError : the folder holds recordings of other pictures or settings, or a damaged file.
     """
-    share = float(np.clip(FULL_PIXELS / (settings.sensor[0] * settings.sensor[1]), FEWEST, 1))
+    pixels = settings.sensor[0] * settings.sensor[1] * (FOLLOWED if settings.follow else 1)
+    share = float(np.clip(FULL_PIXELS / pixels, FEWEST, 1))
     takes = int(np.clip(round(share * RECORDINGS[part] / max(1, len(pictures))), 1, MOST_TAKES))
     folder.mkdir(parents=True, exist_ok=True)
     checksum = 0

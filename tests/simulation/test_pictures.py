@@ -11,7 +11,7 @@ from PIL import Image
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.simulation.measured_pixels import MeasuredPixels
-from async_tnt.simulation.picture_scene import SceneSettings, _crop, record_picture
+from async_tnt.simulation.picture_scene import SceneSettings, _crop, _frames_of, record_picture
 from async_tnt.simulation.pictures import read_picture
 from async_tnt.simulation.random_pixels import random_pixels
 
@@ -110,14 +110,29 @@ def test_positives_and_negatives_have_opposite_signs(tmp_path):
 def test_a_crop_follows_the_object(tmp_path):
     """What moves along, by 4 pixels to the right and 2 up in 8 us, stays at its place; what stands still leaves."""
     motion = np.stack([np.linspace(0, 4, 9), np.linspace(0, -2, 9)], axis=1)
-    moving = [(t, 4 + 10 + round(t / 2), 4 + 6 - round(t / 4), 1) for t in range(9)]
-    still = [(t, 4, 4 + 9, 0) for t in range(9)]  # at the crop's left border
-    events = _crop(np.array(sorted(moving + still), EVENT_DTYPE), np.arange(9.0), motion, np.array([4, 4]), (20, 12))
+    reach, times = np.array([4, 3]), np.arange(9.0)
+    moving = [(t, 4 + 10 + round(t / 2), 3 + 6 - round(t / 4), 1) for t in range(9)]
+    still = [(t, 4, 3 + 9, 0) for t in range(9)]  # at the crop's left border
+    events = _crop(np.array(sorted(moving + still), EVENT_DTYPE), times, motion, reach, (20, 12))
     assert {(x, y) for _, x, y, p in events.tolist() if p} == {(10, 6)} and (events["p"] == 1).sum() == 9
     assert [(t, x) for t, x, _, p in events.tolist() if not p] == [(0, 0), (1, 0)]  # half a pixel is rounded to even
-    picture = read_picture(saved(tmp_path / "a.png", bar()))
-    found = recordings(picture, 20, SceneSettings((34, 30), 105_000, follow=True))
-    assert all(one["x"].max(initial=0) < 34 and one["y"].max(initial=0) < 30 for one in found)
+    at_the_end = np.array([(8, 1, 6, 1), (8, 1, 4, 1)], EVENT_DTYPE)  # the other way: left of where the crop began
+    assert _crop(at_the_end, times, -motion, reach, (20, 12)).tolist() == [(8, 1, 1, 1)]
+    picture = read_picture(saved(tmp_path / "a.png", bar(rows=slice(2, 18), columns=slice(4, 20))))
+    found = recordings(picture, 60, SceneSettings((40, 30), 25_000, size=(0.4, 0.4), follow=True))
+    assert all(one["x"].max(initial=0) < 40 and one["y"].max(initial=0) < 30 for one in found)
+    for axis in "xy":  # 12 pixels, in whatever way they go
+        extents = [np.ptp(np.quantile(one[axis], (0.1, 0.9))) for one in found if len(one) > 200]
+        assert len(extents) > 40 and 9 < np.median(extents) < 17
+
+
+def test_frames_are_closer_together_where_the_motion_is_faster():
+    shares = np.linspace(0, 1, 4_001)
+    motion = np.stack([30 * np.where(shares < 0.1, 10 * shares, 1.0), 0 * shares], axis=1)
+    at, displacement, turn = _frames_of(motion, -motion / 10)
+    np.testing.assert_allclose(turn, -displacement / 10)
+    assert np.hypot(*np.diff(displacement, axis=0).T).max() < 0.51 and np.diff(at).max() < 0.02
+    assert (at[0], at[-1], len(at)) == (0, 1, 113)  # 60 for 30 pixels, 52 for the time, and the first
 
 
 def test_the_object_has_the_stated_size(tmp_path):

@@ -8,10 +8,10 @@ from small_sets import write_pictures
 
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.training import simulated_pictures
+from async_tnt.training import settings, simulated_pictures
 from async_tnt.training.data import dataset_data
 from async_tnt.training.recordings import RecordingsWriter
-from async_tnt.training.settings import default_config
+from async_tnt.training.settings import default_config, settings_for
 from async_tnt.training.simulated_pictures import (
     LabelledPicture,
     find_pictures,
@@ -64,9 +64,11 @@ def test_bad_pictures_are_named_and_left_out(tmp_path):
         data_of(tmp_path / "p")
 
 
-def test_a_single_picture_is_not_on_both_sides(tmp_path):
+def test_a_single_picture_is_not_on_both_sides_and_recorded_so_often(tmp_path, monkeypatch):
+    monkeypatch.setattr(simulated_pictures, "MOST_TAKES", 15)  # of 40 / 2
     data = data_of(write_pictures(tmp_path / "p", n=1))
     assert len(data.validation) == 0 and any("not held out" in note for note in data.notes)
+    assert data.record["pictures"]["takes"] == 15
 
 
 def test_pictures_and_recordings_mix(tmp_path):
@@ -77,11 +79,12 @@ def test_pictures_and_recordings_mix(tmp_path):
         for i in range(4):
             t = np.sort(np.random.default_rng((len(name), i)).integers(0, 100_000, 300))
             x, y, p = (np.random.default_rng(i).integers(0, n, 300) for n in (*SENSOR, 2))
-            np.savez(tmp_path / "p" / name / f"r{i}.npz", t=t, x=x, y=y, p=p)
+            np.savez(tmp_path / "p" / name / f"{name}{90 + i}.npz", t=t, x=x, y=y, p=p)
     data = data_of(tmp_path / "p")
     of_class = {name: (data.training.labels == k).sum() for k, name in enumerate(data.classes)}
     assert list(of_class) == ["bar", "disc", "wave"] and of_class["wave"] == 3 and of_class["bar"] > of_class["wave"]
     assert {file.name for file in find_pictures(tmp_path / "p")["bar"]} == {f"bar{i:02}.png" for i in range(5)}
+    assert set(data.held_out) == {"bar/bar04.png", "bar/bar93.npz", "disc/disc04.png", "wave/wave93.npz"}
 
 
 def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
@@ -149,15 +152,18 @@ def test_a_camera_is_measured(tmp_path):
         measure_camera(tmp_path / "a.npz", 5_000_000, SENSOR)
 
 
-def test_trained_on_pictures_alone(tmp_path, program):
+def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):
     """The whole command: its model tells bars from discs that it was not shown; the record says what it is from."""
     write_pictures(tmp_path / "p", n=8)
+    asked = []
+    monkeypatch.setattr(settings, "settings_for", lambda *a, **k: asked.append(k) or settings_for(*a, **k))
     out = tmp_path / "m.safetensors"
     code, printed, err = program(
         "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--json"
     )
     assert code == 0, err
     assert (tmp_path / "runs/m/pictures/pictures.png").stat().st_size > 10_000
+    assert all(settings.OF_PICTURES.items() <= one["augmentation"].items() for one in asked) and asked
     record = json.loads(printed)
     assert record["data"]["pictures"]["pictures"] == 16 and record["data"]["pictures"]["settings"]["size"] == [0.4, 0.8]
     repeated = program("train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out)
