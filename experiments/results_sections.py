@@ -99,8 +99,8 @@ than the shape; "raw" is the control. Earlier versions, with at most 8 variation
 variations was chosen by accuracy on held-out recordings in re-synthesized motions. No result led to these changes.
 Untransformed, trained on 1 and confounded are of the present code, which finds paths where events are few; the other
 re-synthesized columns are of the rules and images before it. With those, raw had .982 in 1/all and in 1/sim, and .981
-confounded: total variation in the place of the present penalty, and half of the motions without turns, did not bring the
-difference back; on the 21,603 windows of 1/train there is none (.990 before, too)."""
+confounded: total variation in the place of the present penalty, and half of the motions without turns, did not bring
+the difference back; on the 21,603 windows of 1/train there is none (.990 before, too)."""
 
 FEW = """\
 Trained in one direction, or in all; means of seeds (lowest to highest). Saccades: 4,800 recordings of N-MNIST's
