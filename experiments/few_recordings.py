@@ -49,13 +49,14 @@ def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
     return round(np.mean(counts))
 
 
-def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, n_pictures: int, options: list[str]) -> dict[str, Any]:
+def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> dict[str, Any]:
     """Train and test all of them."""
+    n_pictures, options, per_class = (20, ("--epochs", "1"), (0, 10)) if quick else (60_000, (), PER_CLASS)
     pictures = out / "mnist"
     write_mnist(pictures, mnist, n_pictures)
     found: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
-    with progress(len(WAYS) * len(PER_CLASS), "training") as bar:
-        for n in PER_CLASS:
+    with progress(len(WAYS) * len(per_class), "training") as bar:
+        for n in per_class:
             for way, rows in found.items():
                 alone = way == "recordings alone"
                 bar.update()
@@ -109,7 +110,7 @@ def draw(report: dict[str, Any]) -> Figure:
 
 def main(argv: list[str] | None = None) -> int:
     """Measure or read, print, write and draw."""
-    parser = script_parser("few_recordings", __doc__, "one epoch, 200 pictures", draws=True)
+    parser = script_parser("few_recordings", __doc__, "one epoch, 20 pictures, 10 recordings", draws=True)
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="networks of each (default: 1)")
@@ -119,8 +120,7 @@ def main(argv: list[str] | None = None) -> int:
     def measured() -> dict[str, Any]:
         folders = data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist")
         with TemporaryDirectory() as name:
-            n, options = (200, ["--epochs", "1"]) if args.quick else (60_000, [])
-            return measure(*folders, args.out or Path(name), args.seeds, n, options)
+            return measure(*folders, args.out or Path(name), args.seeds, args.quick)
 
     report = report_of(args, measured)
     print("\n".join(lines(report)))

@@ -123,7 +123,7 @@ def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) 
 
 def main(argv: list[str] | None = None) -> int:
     """Draw, train, test, print and write."""
-    parser = script_parser("from_pictures", __doc__, "one seed and epoch, 500 pictures")
+    parser = script_parser("from_pictures", __doc__, "one seed and epoch, 20 pictures of MNIST")
     for name in [name for name in TITLES if name != "made"]:
         add_folder(parser, f"--{name}", TITLES[name])
     parser.add_argument("--made", action="store_true", help="made objects")
@@ -144,7 +144,7 @@ def main(argv: list[str] | None = None) -> int:
         report = json.loads(args.json.read_text(encoding="utf-8"))
     for name, folder in folders.items():
         pictures = args.out / name
-        write_pictures(name, pictures, args.mnist, 500 if args.quick else args.pictures, args.fonts)
+        write_pictures(name, pictures, args.mnist, 20 if args.quick else args.pictures, args.fonts)
         seeds, more = (1, ("--epochs", "1")) if args.quick else (args.seeds, ())
         if name == "nmnist":
             link_official(folder, args.out)
