@@ -164,8 +164,8 @@ def _read(
     given |= {"window_us": args.window_us} if args.window_us else {}
     config = start.config if start is not None else default_config(**given, **volume_of(args.volume))
     BatchVolumes(config)
-    more = OF_PICTURES if find_pictures(args.dataset) else {}
-    wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror, **more}}
+    has_pictures = bool(find_pictures(args.dataset))
+    wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror, **(OF_PICTURES if has_pictures else {})}}
     wanted |= {name: getattr(args, name) for name in ("epochs", "network") if getattr(args, name) is not None}
     settings = settings_for(config, 1, **wanted)
     if start is None:
@@ -182,7 +182,7 @@ def _read(
         if pixels.sensor is None:
             raise ValueError("--camera needs --sensor WxH, the camera's pixels")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor)
-    if find_pictures(args.dataset):
+    if has_pictures:
         sources |= {"light": args.light, "follow": args.follow, "size": list(args.size)}
         sources |= {"camera": camera and asdict(camera)}
     recordings = file_sizes(args.dataset, "Train")
