@@ -15,7 +15,7 @@ TYPE_CHECKING = False  # type checkers assume True, as for `typing.TYPE_CHECKING
 if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.compile_ahead import warmup
     from async_tnt.config import TNTConfig
-    from async_tnt.decision import Counts, Decision
+    from async_tnt.decision import Counts, Decision, Object
     from async_tnt.events import EVENT_DTYPE
     from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
     from async_tnt.networks.loading import bundled_models, load_model
@@ -38,7 +38,7 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
         {
             "compile_ahead": "warmup",
             "config": "TNTConfig",
-            "decision": "Counts Decision",
+            "decision": "Counts Decision Object",
             "events": "EVENT_DTYPE",
             "networks.compiled": "CompiledClassifier CompiledRegressor",
             "networks.loading": "bundled_models load_model",
@@ -58,6 +58,6 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
 
 __all__ = [
     "EVENT_DTYPE", "BackgroundReader", "CompiledClassifier", "CompiledRegressor", "Counts", "Decision",
-    "LeakyIntegrator", "Model", "PacketQueue", "PixelFilter", "Processor", "ReplayBufferFull", "TNTConfig", "TNTVolume",
-    "astream", "bundled_models", "load_model", "open_recording", "replay", "stream", "warmup",
+    "LeakyIntegrator", "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "ReplayBufferFull", "TNTConfig",
+    "TNTVolume", "astream", "bundled_models", "load_model", "open_recording", "replay", "stream", "warmup",
 ]  # fmt: skip

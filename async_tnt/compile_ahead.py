@@ -26,6 +26,7 @@ REPLAY = {"store_events", "cells_to_float32"}
 CLASSIFIER = {"classify_cells"}
 WHOLE_NETWORK = {"set_input", "forward"}
 REGRESSOR = WHOLE_NETWORK | {"centroid"}
+LOCATOR = {"locate_cells"}
 OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
 EVENT_TRIGGERS = {"advance_triggers", "why_due"}
 
@@ -68,8 +69,9 @@ def compile_for(config: TNTConfig, classifier: object, regressor: object, *, dro
     drops_late : whether late events are searched for.
     by_event : whether a trigger looks at every event.
     """
-    compiled = type(classifier) is CompiledClassifier
-    names = EVENTS | (CLASSIFIER if compiled else OTHER_CLASSIFIERS)
+    compiled = classifier if type(classifier) is CompiledClassifier else None
+    finds_objects = compiled is not None and compiled.reader is not None
+    names = EVENTS | (OTHER_CLASSIFIERS if compiled is None else LOCATOR if finds_objects else CLASSIFIER)
     if drops_late:
         names |= LATE
     if config.needs_replay:
@@ -78,7 +80,7 @@ def compile_for(config: TNTConfig, classifier: object, regressor: object, *, dro
         names |= REGRESSOR
     if by_event:
         names |= EVENT_TRIGGERS
-        if compiled and not config.needs_replay:
+        if compiled and not finds_objects and not config.needs_replay:
             names |= {"absorb_and_decide"}
     compile_kernels(names)
 

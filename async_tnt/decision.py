@@ -1,4 +1,4 @@
-"""Decision: the classification of a window at one moment; Counts: what became of the events."""
+"""Decision: what a window shows at one moment; Object: what stands where; Counts: what became of the events."""
 
 from __future__ import annotations
 
@@ -10,18 +10,41 @@ import numpy as np
 Trigger = Literal["window", "every_us", "every_events", "activity", "confidence", "fire", "end"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
-class Decision:
-    """The classification of a window at one moment."""
+@dataclass(frozen=True, slots=True)
+class Object:
+    """Something that a map model has found."""
 
     label: str
-    """Name of the likeliest class."""
+    """Name of its likeliest class."""
     index: int
     """Number of that class, from 0."""
+    probability: float
+    """Of that class, at this place."""
+    x: float
+    """Where it stands, in sensor pixels."""
+    y: float
+    id: int
+    """The same from decision to decision, see `kernels.objects`."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON; probability to six decimals, position to two."""
+        numbers = {"probability": round(self.probability, 6), "x": round(self.x, 2), "y": round(self.y, 2)}
+        return {"id": self.id, "label": self.label, **numbers}
+
+
+@dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
+class Decision:
+    """What a window shows at one moment: its class, or with a map model the objects in it."""
+
+    label: str | None
+    """Name of the likeliest class; of objects the likeliest one's, None where there is none."""
+    index: int
+    """Number of that class, from 0; -1 where there is no object."""
     probabilities: np.ndarray
-    """Softmax of the logits: float64, shape (n_classes,)."""
+    """Softmax of the logits: float64, shape (n_classes,); of n objects (n, n_classes + 1), the last column nothing."""
     logits: np.ndarray
-    """What the classifier answered: float32, shape (n_classes,)."""
+    """What the classifier answered: float32, shape (n_classes,); of a map model (n_classes + 1, R, C), read-only, and
+    valid until the next decision: copy it to keep it."""
     window_start_us: int
     """Start of the window, in microseconds."""
     time_us: int
@@ -33,20 +56,29 @@ class Decision:
     trigger: Trigger
     """What caused it: `window` (which closed), `every_us`, `every_events`, `activity`, `confidence` (which closed the
     window), `fire` (on demand), `end` (of the stream)."""
+    objects: tuple[Object, ...] | None = None
+    """What a map model has found, the likeliest first; None with any other model."""
 
     @property
     def probability(self) -> float:
-        """Probability of the likeliest class."""
-        return float(self.probabilities[self.index])
+        """Probability of the likeliest class; 0 where there is no object."""
+        if self.objects is None:
+            return float(self.probabilities[self.index])
+        return self.objects[0].probability if self.objects else 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; probabilities to six decimals, no logits."""
+        """Plain values, for JSON; probabilities to six decimals, no logits. With a map model `objects` in place of
+        `probabilities`."""
+        if self.objects is None:
+            answer: dict[str, Any] = {"probabilities": [round(float(p), 6) for p in self.probabilities]}
+        else:
+            answer = {"objects": [found.to_dict() for found in self.objects]}
         return {
             "time_us": self.time_us,
             "window_start_us": self.window_start_us,
             "label": self.label,
             "probability": round(self.probability, 6),
-            "probabilities": [round(float(p), 6) for p in self.probabilities],
+            **answer,
             "events": self.events,
             "complete": self.complete,
             "trigger": self.trigger,

@@ -91,7 +91,7 @@ class Processor(TriggerAttributes):
         self._classifier = WindowClassifier(self.config, classifier, classes)
         self._running = Running("Processor")
         start_us = None if start_us is None else checked_time("start_us", start_us)
-        self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence, activity))
+        self._triggers = Triggers(self._checked(TriggerSettings(every_us, every_events, confidence, activity)))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._compile(regressor)
         self._windows = WindowScheduler(self.config, hop_us, start_us, replay_events, regressor)
@@ -106,6 +106,7 @@ class Processor(TriggerAttributes):
         self._decoder.reset()
         self._windows.reset()
         self._triggers.forget()
+        self._classifier.forget()
         self._choose_paths()
         if self.start_us is not None:
             self._open_windows(self.start_us)
@@ -322,13 +323,18 @@ class Processor(TriggerAttributes):
     @one_at_a_time
     def _set_triggers(self, settings: TriggerSettings) -> None:
         """Change the triggers; they apply to the open window, too."""
-        self._triggers.set(settings)
+        self._triggers.set(self._checked(settings))
         self._compile(None)
         self._choose_paths()
         if len(self._windows):
             oldest = self._windows.oldest
             self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
         self._windows.set_limit(self._triggers.next_due_us)
+
+    def _checked(self, settings: TriggerSettings) -> TriggerSettings:
+        if settings.confidence is not None and self._classifier.finds_objects:
+            raise ValueError("`confidence` needs one answer for the window; a map model finds objects")
+        return settings
 
     def _compile(self, regressor: Regressor | None) -> None:
         """Compile what these settings call, so that no event has to wait for it."""

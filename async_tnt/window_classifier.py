@@ -9,12 +9,13 @@ import numpy as np
 
 from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision, Trigger
+from async_tnt.decision import Decision, Object, Trigger
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
+from async_tnt.networks.objects import ObjectReader, even_places, logits_shape, new_tracks
 from async_tnt.volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
@@ -81,7 +82,25 @@ class WindowClassifier:
             shape = compiled.shape
             raise ValueError(f"`classifier` must take volumes of shape {self._config.shape}, got one for {shape}")
         self._classifier, self._compiled = classifier, compiled
-        self.decides_in_stretches = compiled is not None and not self._config.needs_replay
+        self._reader: ObjectReader | None = None if compiled is None else compiled.reader
+        self._tracks = self._new_tracks()
+        self.decides_in_stretches = compiled is not None and self._reader is None and not self._config.needs_replay
+
+    @property
+    def finds_objects(self) -> bool:
+        """Whether the classifier is known to compute maps, on which objects are found."""
+        return self._reader is not None
+
+    def forget(self) -> None:
+        """Forget the objects of earlier decisions."""
+        self._tracks = self._new_tracks()
+
+    def _new_tracks(self) -> np.ndarray:
+        if self._reader is None:
+            return np.empty((0, 4))
+        shape = self._reader.shape
+        places = getattr(self._classifier, "places", None) or even_places(shape, self._config.sensor)
+        return new_tracks(places, shape, self._config.window_us)
 
     def decide(
         self, volume: TNTVolume, trigger: Trigger, complete: bool = False, confidence: float | None = None
@@ -96,18 +115,23 @@ class WindowClassifier:
         ------
         ValueError : there is not one finite logit for each class. What the classifier raises passes through.
         """
+        n_events, start_us = volume.n_events, volume.start_us
+        time_us = volume.newest_us if n_events else start_us
+        window = start_us, time_us, n_events
+        if self._compiled is not None and self._compiled.reader is not None:
+            n = self._compiled.locate(volume, self._tracks, trigger != "fire")
+            return self._decision_of_map(n, self._compiled.reader, self._compiled.map, window, trigger, complete)
         if self._compiled is not None:
             index, logits, probabilities = self._compiled.answer(volume)
         else:
-            try:
-                logits = np.asarray(self._classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
-            except Exception as error:
-                if not hasattr(self._classifier, "state_dict"):
-                    raise
-                raise TypeError(
-                    "`classifier` must take an array (C, H, W); a torch module is wrapped, TorchClassifier(module), or "
-                    f"compiled, Model.from_torch(module, config, classes): it failed with {one_line(error)!r}"
-                ) from error
+            logits = self._call(volume)
+            shape = logits_shape(logits.shape)
+            if shape is not None and len(shape) == 3:
+                logits = logits.reshape(shape)
+                reader = self._reader_for(logits.shape)
+                n = reader.read(logits, self._tracks, time_us, trigger != "fire")
+                return self._decision_of_map(n, reader, logits, window, trigger, complete)
+            logits = logits.reshape(-1)
             probabilities = np.empty(logits.size)
             index = softmax(logits, probabilities) if logits.size else -1
         classes = self._classes_for(logits.size)
@@ -115,9 +139,46 @@ class WindowClassifier:
             raise _not_finite(logits)
         if confidence is not None and probabilities[index] >= confidence:
             trigger, complete = "confidence", True
-        n_events, start_us = volume.n_events, volume.start_us
-        time_us = volume.newest_us if n_events else start_us
         return Decision(classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger)
+
+    def _call(self, volume: TNTVolume) -> np.ndarray:
+        """What another classifier answers, a copy."""
+        try:
+            return np.asarray(self._classifier(volume.array)).astype(np.float32)
+        except Exception as error:
+            if not hasattr(self._classifier, "state_dict"):
+                raise
+            raise TypeError(
+                "`classifier` must take an array (C, H, W); a torch module is wrapped, TorchClassifier(module), or "
+                f"compiled, Model.from_torch(module, config, classes): it failed with {one_line(error)!r}"
+            ) from error
+
+    def _reader_for(self, shape: tuple[int, ...]) -> ObjectReader:
+        """What reads maps of this shape."""
+        if self._reader is None or self._reader.shape != shape:
+            self._reader = ObjectReader(shape)
+            self._tracks = self._new_tracks()
+        return self._reader
+
+    def _decision_of_map(
+        self,
+        n: int,
+        reader: ObjectReader,
+        logits: np.ndarray,
+        window: tuple[int, int, int],
+        trigger: Trigger,
+        complete: bool,
+    ) -> Decision:
+        """The decision of a map on which the reader has found n objects; window: start, newest time, events."""
+        classes = self._classes_for(logits.shape[0] - 1)
+        if n < 0:
+            raise ValueError("`classifier` must return finite logits, got some on its map that are not")
+        objects = tuple(
+            Object(classes[int(k)], int(k), probability, x, y, int(number))
+            for x, y, probability, k, number in reader.found[:n].tolist()
+        )
+        label, index = (objects[0].label, objects[0].index) if n else (None, -1)
+        return Decision(label, index, reader.probabilities[:n].copy(), logits, *window, complete, trigger, objects)
 
     def decide_stretch(
         self, volume: TNTVolume, triggers: np.ndarray, columns: Columns, first: int, last: int

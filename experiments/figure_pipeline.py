@@ -59,7 +59,9 @@ def draw_pipeline(window: Window) -> Figure:
     transformed = config.transform == "tnt"
     decision = decision_of(window, model)
     figure = new_figure(6.9)
-    headline(figure, f"{subject.name}, window {window.number}: from events to “{shortened(decision.label, 10)}”")
+    headline(
+        figure, f"{subject.name}, window {window.number}: from events to “{shortened(decision.label or 'nothing', 10)}”"
+    )
     polarity_legend(figure)
 
     recording = _stage(figure, "1  recording", 0.62, (0.62, 1.05, 1.7, 1.75))

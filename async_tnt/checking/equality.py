@@ -63,15 +63,16 @@ class Comparison:
 
 
 def same_class(ours: np.ndarray, theirs: np.ndarray, bound: float) -> bool:
-    """Whether two networks' logits decide alike; either class will do where logits within `bound` may swap them.
+    """Whether two networks' logits, (K,) or maps (K, R, C), decide alike at each place; either class will do where
+    logits within `bound` may swap them.
 
     Examples
     --------
     >>> same_class(np.array([1.0, 2.0]), np.array([2.0, 1.0]), 0.1), same_class(np.zeros(2), np.array([0.0, 0.1]), 0.1)
     (False, True)
     """
-    second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
-    return bool(ours.argmax() == theirs.argmax() or first - second <= 2 * bound)
+    second, first = np.sort(theirs, 0)[-2:] if len(theirs) > 1 else (-np.inf, theirs[0])
+    return bool(np.all((ours.argmax(0) == theirs.argmax(0)) | (first - second <= 2 * bound)))
 
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.archives import how_to_run, stream_archive
-from async_tnt.cli.options import add_archive, model_of
+from async_tnt.cli.options import add_archive, model_of, of_windows
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
@@ -71,7 +71,7 @@ def main(args: argparse.Namespace) -> int:
     if args.picture is not None:
         check_picture(args.picture)
     run = how_to_run(args)
-    model = model_of(args)
+    model = of_windows(model_of(args), args.model)
     pixels = selector_of(args, model)
     recordings, labels = labelled_recordings(args.dataset, model)
     fill_cache()

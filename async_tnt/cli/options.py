@@ -95,6 +95,13 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
     return [f for file in args.files for f in (bundled if file == SAMPLES and not SAMPLES.exists() else [file])]
 
 
+def of_windows(model: Model, name: str | Path) -> Model:
+    """The model, if it has one answer for a window; a ValueError for a map model, whose answers are objects."""
+    if model.places is not None:
+        raise ValueError(f"{name} finds objects, and has no class for a window; run, view, check and bench take it")
+    return model
+
+
 def model_of(args: argparse.Namespace) -> Model:
     if Path(args.model).suffix.lower() == ".onnx":
         raise ValueError(

@@ -64,9 +64,10 @@ def note(*lines: str) -> None:
 def text_line(name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None = None) -> str:
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
+    objects = "".join(f"  {o.id}: {o.label} ({o.x:.0f}, {o.y:.0f})" for o in decision.objects or ())
     return (
-        f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
-        f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}"
+        f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label or '-':<8} "
+        f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}{objects}"
     )
 
 

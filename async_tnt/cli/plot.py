@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import add_volume, positive_int, size_of, volume_of
+from async_tnt.cli.options import add_volume, of_windows, positive_int, size_of, volume_of
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.events import as_events
@@ -97,7 +97,8 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     OSError : a file is missing or not readable.
     """
     recording = open_recording(path)
-    trained = load_model(args.model or DEFAULT_MODEL)
+    name = args.model or DEFAULT_MODEL
+    trained = of_windows(load_model(name), name)
     model: Model | None = trained
     sensor = _sensor(recording, args, trained)
     config = trained.config

@@ -165,7 +165,7 @@ def print_decisions(
         say(line(str(recording.path), decision, latency_us))
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
-    if closed and summary:
+    if closed and summary and decision.objects is None:
         mean = np.mean(closed, axis=0)
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import command_words, size_of, volume_of
+from async_tnt.cli.options import command_words, of_windows, size_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import CONFUSION, draw_confusion, draw_motions, draw_pictures
@@ -98,8 +98,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.fitting import fit
     from async_tnt.training.run_folder import plot_curves
 
-    start = load_model(args.start_from) if args.start_from else None
-    teachers = [load_model(name) for name in args.teacher]
+    start = of_windows(load_model(args.start_from), args.start_from) if args.start_from else None
+    teachers = [of_windows(load_model(name), name) for name in args.teacher]
     data, settings, sources = _read(args, start, teachers, run_folder)
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)

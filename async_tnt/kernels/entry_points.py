@@ -2,12 +2,13 @@
 
 from typing import Any
 
-from numba import boolean, float32, float64, int64, types, uint32
+from numba import boolean, float32, float64, int64, types, uint32, uint64
 
 from .absorb import absorb, absorb_one, store_events
 from .classify import absorb_and_decide, classify_cells, softmax
 from .forward import forward
 from .heatmap import centroid
+from .objects import locate_cells, locate_on_map, score_map
 from .readout import cells_to_float32, empty_volume
 from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
 from .sync_input import set_input
@@ -17,6 +18,8 @@ _STATE = _TRIGGER = float64[::1]
 _ARRAY = float32[:, :, ::1]
 _VOLUME = types.Array(float32, 3, "C", readonly=True)
 _NETWORK = int64[::1], float32[::1], float32[::1], uint32[::1]
+_OBJECTS = int64[::1], float64[:, ::1], uint64[:, ::1], float64[:, ::1], float64[:, ::1]
+_TRACKS = float64[:, ::1], int64, boolean
 
 ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     kernel.__name__: (kernel, arguments)
@@ -35,6 +38,9 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (set_input, (_VOLUME, int64[::1], float32[::1])),
         (forward, _NETWORK),
         (centroid, (float32[::1], int64, int64, int64)),
+        (score_map, (float32[::1], *_OBJECTS[:3])),
+        (locate_on_map, (float32[::1], *_OBJECTS, *_TRACKS)),
+        (locate_cells, (_STATE, *_NETWORK, *_OBJECTS, *_TRACKS)),
         (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
         (
             absorb_and_decide,

@@ -10,15 +10,17 @@ from async_tnt.checks import Running, one_at_a_time
 from async_tnt.events import Columns
 from async_tnt.kernels.classify import absorb_and_decide, classify_cells
 from async_tnt.kernels.heatmap import centroid
+from async_tnt.kernels.objects import locate_cells, score_map
 from async_tnt.kernels.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
+from async_tnt.networks.objects import ObjectReader, new_tracks
 from async_tnt.networks.program import StepWork, VolumeInput, make_program
 from async_tnt.volume import TNTVolume
 
 
 class CompiledClassifier:
-    """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,).
+    """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,), of a map model (n_classes + 1, R, C).
 
     Equal to torch to 1e-4. Called with an array it computes the whole network;
     `refresh` computes what has changed in a volume since its last call. Both give the same logits, bit for bit.
@@ -31,7 +33,8 @@ class CompiledClassifier:
     Attributes
     ----------
     shape : (C, H, W) of the volumes.
-    n_classes : number of logits.
+    n_classes : number of classes.
+    places : of a map model: where on the sensor the places of its map lie; of others None.
     network : the arrays that compiled code reads, see `kernels.program`.
 
     Raises
@@ -52,10 +55,18 @@ class CompiledClassifier:
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
+        self.places = model.places
         self._running = Running("CompiledClassifier")
         self._program = make_program(model.layers[CLASSIFIER], self.shape, model.weights)
         self.network = self._program.arrays
         self._input = VolumeInput(self.shape)
+        self.logits_shape = model.logits_shape
+        program = self._program
+        self.reader = (
+            None
+            if self.places is None
+            else ObjectReader(self.logits_shape, program.output_layout, program.output_changes)
+        )
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -63,8 +74,12 @@ class CompiledClassifier:
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,), a new array."""
-        return self._program.run(self._input(volume))[: self.n_classes].copy()
+        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new array."""
+        logits = self._program.run(self._input(volume))
+        if self.reader is None:
+            return logits[: self.n_classes].copy()
+        score_map(self.network.maps, *self.reader.arrays[:3])
+        return self.map.copy()
 
     def refresh(self, volume: TNTVolume) -> np.ndarray:
         """Logits of a volume's open window, a new array; quick where little has changed since the last call.
@@ -75,7 +90,7 @@ class CompiledClassifier:
 
         Returns
         -------
-        float32, shape (n_classes,).
+        float32, shape (n_classes,) or (n_classes + 1, R, C).
 
         Raises
         ------
@@ -83,7 +98,18 @@ class CompiledClassifier:
         """
         if volume.config.shape != self.shape:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")
-        return self.answer(volume)[1]
+        if self.places is None:
+            return self.answer(volume)[1]
+        self.locate(volume, new_tracks(self.places, self.logits_shape, 0), False)
+        return self.map.copy()
+
+    @property
+    def map(self) -> np.ndarray:
+        """Of a map model: its last map, (n_classes + 1, R, C), read-only; the next call changes it."""
+        first, *strides = (4 * n for n in self._program.output_layout)
+        view = np.ndarray(self.logits_shape, np.float32, self.network.maps, first, (strides[2], *strides[:2]))
+        view.flags.writeable = False
+        return view
 
     @property
     def work(self) -> list[tuple[StepWork, int]]:
@@ -99,6 +125,17 @@ class CompiledClassifier:
             return classify_cells(volume.state(), *self.network, logits, probabilities), logits, probabilities
         finally:
             self._running.now = False
+
+    @one_at_a_time
+    def locate(self, volume: TNTVolume, tracks: np.ndarray, keep: bool) -> int:
+        """`answer` of a map model: how many objects there are (-1 if a logit is not finite), which `reader` has.
+
+        tracks, keep : see `kernels.objects.locate_on_map`.
+        """
+        assert self.reader is not None
+        time_us = volume.newest_us if volume.n_events else volume.start_us
+        n: int = locate_cells(volume.state(), *self.network, *self.reader.arrays, tracks, time_us, keep)
+        return n
 
     @one_at_a_time
     def decide_stretch(

@@ -61,7 +61,9 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
         return _of_file(Path(name_or_path))
     model = load_model(name_or_path)
     if engine == "onnx":
-        return Engine("onnx", model, model.classes, {"classifier": OnnxClassifier(to_onnx(model))})
+        classifier = OnnxClassifier(to_onnx(model))
+        classifier.places = model.places
+        return Engine("onnx", model, model.classes, {"classifier": classifier})
     if engine == "torch":
         return Engine("torch", model, model.classes, _torch_networks(model))
     return Engine("compiled", model, model.classes)
@@ -86,7 +88,7 @@ def _torch_networks(model: Model) -> dict[str, Any]:
     with needs_extra("reference", "engine torch runs the reference network, which needs torch"):
         import tnt_reference  # noqa: F401
         import torch  # noqa: F401
-    networks: dict[str, Any] = {"classifier": TorchClassifier(torch_classifier(model))}
+    networks: dict[str, Any] = {"classifier": TorchClassifier(torch_classifier(model), places=model.places)}
     if model.config.needs_regressor:
         networks["regressor"] = landmark_function(model)
     return networks

@@ -14,6 +14,7 @@ from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.conversion_check import TOLERANCE, compare
 from async_tnt.networks.graph import CLASSIFIER, layer_shapes, tensors_of
 from async_tnt.networks.model import Model
+from async_tnt.networks.objects import logits_shape
 from async_tnt.networks.onnx_export import is_damaged, read_metadata
 from async_tnt.networks.onnx_layers import Node, OnnxLayers
 from async_tnt.networks.onnx_network import open_session
@@ -65,7 +66,8 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
         raise ValueError(f"{path}: {error}") from None
     if classes is None:
         shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
-        classes = [str(k) for k in range(list(shapes.values())[-1][0])]
+        read = logits_shape(list(shapes.values())[-1]) or (0,)
+        classes = [str(k) for k in range(read[0] - (len(read) == 3))]
     model = Model(config, weights, tuple(classes), {}, {CLASSIFIER: layers})
     try:
         _compare_with_onnxruntime(path, proto, model)

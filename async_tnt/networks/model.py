@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,10 +22,12 @@ from async_tnt.networks.graph import (
     REGRESSOR,
     VOLUME,
     Network,
+    Shape,
     layer_shapes,
     multiplications,
     tensors_of,
 )
+from async_tnt.networks.objects import Places, places_of
 
 if TYPE_CHECKING:
     from torch import nn
@@ -44,7 +46,8 @@ class Model:
     ----------
     config : TNTConfig.
     weights : float32 arrays, by the names that the network's layers give them.
-    classes : names, in the order of the network's outputs.
+    classes : names, in the order of the network's outputs. A map model, whose network computes a map (n_classes + 1,
+        R, C), finds objects of these classes; the last channel is nothing.
     record : how it was trained: data, seed, accuracy, what was tried.
     network : its layers, see `networks.graph`: {"classifier": [...]}, volume (C, H, W) -> logits, and with landmark
         "regressor" (and transform "tnt"), and then only, {"regressor": [...]}, raw volume -> landmark. By default the
@@ -143,10 +146,43 @@ class Model:
         return self.network
 
     @property
+    def logits_shape(self) -> Shape:
+        """(n_classes,), or (n_classes, 1, 1); of a map model (n_classes + 1, R, C)."""
+        return self._shapes[self.layers[CLASSIFIER][-1]["name"]]
+
+    @property
+    def places(self) -> Places | None:
+        """Of a map model: where on the sensor the places of its map lie. None of any other."""
+        if self.logits_shape[0] == len(self.classes):
+            return None
+        return places_of(self.layers[CLASSIFIER], self._shapes, self.config)
+
+    def for_sensor(self, sensor: tuple[int, int]) -> Model:
+        """The same network for another sensor, (width, height), at the scale that it was trained at.
+
+        A pixel of the sensor stays as many pixels of the grid. Meant for map models, and other networks of convolutions
+        and poolings alone.
+
+        Raises
+        ------
+        ValueError : the network does not fit volumes of another size, as one with dense layers.
+        """
+        scale = [g / s for g, s in zip(self.config.grid, self.config.sensor, strict=True)]
+        grid = tuple(max(2, round(share * side)) for share, side in zip(scale, sensor, strict=True))
+        return replace(self, config=self.config.replace(sensor=tuple(sensor), grid=grid))
+
+    @property
     def multiplications(self) -> int:
         """Of the classifier's convolutions and dense layers, computed as a whole."""
-        shapes = {name: w.shape for name, w in self.weights.items()}
-        return multiplications(self.layers[CLASSIFIER], self.config.shape, shapes)
+        return multiplications(self.layers[CLASSIFIER], self.config.shape, self._tensors)
+
+    @property
+    def _shapes(self) -> dict[str, Shape]:
+        return layer_shapes(self.layers[CLASSIFIER], self.config.shape, self._tensors)
+
+    @property
+    def _tensors(self) -> dict[str, Shape]:
+        return {name: w.shape for name, w in self.weights.items()}
 
     def __repr__(self) -> str:
         ops = Counter(layer["op"] for layers in self.layers.values() for layer in layers if layer.get("weights"))
@@ -263,8 +299,16 @@ def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTC
     tensors = {name: w.shape for name, w in weights.items()}
     shapes = {name: layer_shapes(layers, config.shape, tensors) for name, layers in network.items()}
     logits = list(shapes[CLASSIFIER].values())[-1]
-    if logits not in ((n_classes,), (n_classes, 1, 1)):
-        raise ValueError(f"the network must compute {n_classes} logits, one for each class, got {logits}")
+    is_map = len(logits) == 3 and logits[0] == n_classes + 1
+    if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
+        raise ValueError(
+            f"the network must compute {n_classes} logits, one for each class, or a map of {n_classes + 1} channels, "
+            f"one for each class and the last for nothing; got {logits}"
+        )
+    if is_map and config.transform != "none":
+        raise ValueError(
+            f"a map model needs transform='none', as a place of its map is one of the sensor; got {config.transform!r}"
+        )
     _check_centroids(network, shapes, config)
     _check_values(network, weights)
 

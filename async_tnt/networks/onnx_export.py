@@ -38,7 +38,8 @@ BLANK = 64 * "0"  # in place of the checksum while it is computed
 
 
 def to_onnx(model: Model) -> onnx.ModelProto:
-    """The classifier of a Model, `model`: input `volume` (1, C, H, W), output `logits` (1, n_classes), float32.
+    """The classifier of a Model, `model`: input `volume` (1, C, H, W), output `logits` (1, n_classes), of a map model
+    (1, n_classes + 1, R, C), float32.
 
     Weights are initializers under their names in `Model.weights`. `metadata_props` hold what a model file's metadata
     holds (`format`, `config`, `classes`, `record`, `network`), and `sha256`, a hash of the whole file. A landmark
@@ -53,16 +54,17 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         import onnx
     nodes = _Nodes(model, onnx.helper.make_node)
     if nodes.output != "logits":
-        nodes.add("Flatten", [nodes.output], "logits")
+        nodes.add("Flatten" if model.places is None else "Identity", [nodes.output], "logits")
     n_bytes = sum(w.nbytes for w in nodes.weights.values())
     if n_bytes >= MAX_BYTES:
         raise ValueError(f"an ONNX file holds less than 2 GiB, the classifier's weights are {n_bytes:_} bytes")
     make, float32 = onnx.helper, onnx.TensorProto.FLOAT
+    shape = [len(model.classes)] if model.places is None else model.logits_shape
     graph = make.make_graph(
         nodes.nodes,
         CLASSIFIER,
         [make.make_tensor_value_info("volume", float32, [1, *model.config.shape])],
-        [make.make_tensor_value_info("logits", float32, [1, len(model.classes)])],
+        [make.make_tensor_value_info("logits", float32, [1, *shape])],
         [onnx.numpy_helper.from_array(w, name) for name, w in nodes.weights.items()],
     )
     made: onnx.ModelProto = make.make_model(

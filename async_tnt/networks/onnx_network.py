@@ -12,6 +12,7 @@ import numpy as np
 
 from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
 from async_tnt.config import MAX_CELLS
+from async_tnt.networks.objects import LOGITS, Places, logits_shape
 from async_tnt.networks.onnx_export import Exported, is_damaged, read_metadata
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ class OnnxClassifier:
     """A classifier in an ONNX file, run by onnxruntime: volume (C, H, W) -> logits (n_classes,).
 
     `Processor(config, classifier=OnnxClassifier("net.onnx"))` decides by any network of one input, float32 of shape
-    (1, C, H, W) or with an open batch, and one output, float32 logits of any shape that has one axis longer than 1.
+    (1, C, H, W) or with an open batch, and one output, float32 logits of any shape that has one axis longer than 1, or
+    a map (1, n_classes + 1, R, C), see `Model`.
     Files by `to_onnx` or `async-tnt export` hold their configuration and classes:
     `Processor(net.config, classifier=net, classes=net.classes)`.
 
@@ -41,7 +43,8 @@ class OnnxClassifier:
     Attributes
     ----------
     shape : (C, H, W).
-    n_classes : logits.
+    n_classes : logits, or channels of a map but for the last.
+    places : of a map: where its places lie; None, and by default: they divide the sensor evenly.
     config, classes : TNTConfig and names, if this package wrote the file; else None.
 
     Raises
@@ -64,7 +67,8 @@ class OnnxClassifier:
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
-        self.n_classes = self._answer.size
+        self.n_classes = self._answer.size if self._answer.ndim == 1 else len(self._answer) - 1
+        self.places: Places | None = None
         self.exported: Exported | None = exported
         self.config = None if exported is None else exported.config
         self.classes = None if exported is None else exported.classes
@@ -93,19 +97,19 @@ class OnnxClassifier:
             (answer,) = self._session.run([output.name], {input_name: volume})  # its size may depend on the input's
         except Exception as error:  # of many types, none of them a ValueError
             raise ValueError(f"{self._name}: the network fails on an empty volume: {one_line(error)}") from None
-        if answer.size == 0 or answer.size != max(answer.shape, default=1):
+        if (shape_read := logits_shape(answer.shape)) is None:
             raise ValueError(
-                f"{self._name}: the network must give logits (1, n_classes) of a volume, got shape {answer.shape}"
+                f"{self._name}: the network must give logits {LOGITS}, of a volume, got shape {answer.shape}"
             )
         answer = np.zeros(answer.shape, np.float32)
         binding = self._session.io_binding()
         binding.bind_input(input_name, "cpu", 0, np.float32, volume.shape, volume.ctypes.data)
         binding.bind_output(output.name, "cpu", 0, answer.dtype.type, answer.shape, answer.ctypes.data)
-        return volume[0], answer.reshape(-1), binding
+        return volume[0], answer.reshape(shape_read), binding
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,), a new array."""
+        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new array."""
         if volume.shape != self.shape:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
         np.copyto(self._volume, volume)
@@ -208,9 +212,7 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
 def check_output(outputs: list[Any]) -> None:
     """Refuse a network that does not have one output, float32."""
     if len(outputs) != 1 or outputs[0].type != "tensor(float)":
-        raise ValueError(
-            f"the network must have one output, logits (1, n_classes), tensor(float); got {_listed(outputs)}"
-        )
+        raise ValueError(f"the network must have one output, logits {LOGITS}, tensor(float); got {_listed(outputs)}")
 
 
 def _listed(values: list[Any]) -> str:

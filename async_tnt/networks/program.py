@@ -43,10 +43,14 @@ class Program:
 
     arrays : ProgramArrays.
     steps : in order.
+    output_layout : where in `maps` the output begins, numbers from one of its rows, columns and channels to the next.
+    output_changes : where in the program the records of the output's changes begin.
     """
 
     arrays: ProgramArrays
     steps: list[StepWork]
+    output_layout: tuple[int, int, int, int]
+    output_changes: list[int]
 
     def run(self, volume: np.ndarray) -> np.ndarray:
         """Compute the whole network: volume, as `VolumeInput` returns it -> the output's numbers, a view that begins
@@ -130,7 +134,8 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
         np.concatenate([program, np.array(tables, np.int64)]), packed_weights, values, np.zeros(places.size, np.uint32)
     )
     work = [StepWork(step.name, step.rows * step.columns, step.products) for step in steps]
-    return Program(arrays, work)
+    layout = firsts[output], _pitch(output), output.channels, 1
+    return Program(arrays, work, layout, [records[writer] + P.CHANGED for writer in output.writers])
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:

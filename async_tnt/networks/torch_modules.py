@@ -15,6 +15,7 @@ import numpy as np
 from async_tnt.checks import needs_extra, positive_int
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
+from async_tnt.networks.objects import LOGITS, Places, logits_shape
 
 if TYPE_CHECKING:
     import tnt_reference
@@ -61,8 +62,10 @@ class TorchClassifier:
 
     Parameters
     ----------
-    module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1, n_classes).
-        Modules are put into eval mode in place: call `module.train()` before training continues.
+    module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1, n_classes), or a
+        map (1, n_classes + 1, R, C), see `Model`. Modules are put into eval mode in place: call `module.train()` before
+        training continues.
+    places : of a map: where its places lie; by default they divide the sensor evenly.
     threads : given to `torch.set_num_threads`, once, here. That is process-wide: it also applies
         to other classifiers and to training in this process. None leaves it unchanged.
 
@@ -73,7 +76,13 @@ class TorchClassifier:
     ValueError : `threads` is less than 1; (when called) the logits have another shape.
     """
 
-    def __init__(self, module: Callable[[torch.Tensor], torch.Tensor], *, threads: int | None = 1) -> None:
+    def __init__(
+        self,
+        module: Callable[[torch.Tensor], torch.Tensor],
+        *,
+        threads: int | None = 1,
+        places: Places | None = None,
+    ) -> None:
         with needs_extra("reference", "torch modules need torch"):
             import torch
         if isinstance(module, torch.export.ExportedProgram):
@@ -82,7 +91,7 @@ class TorchClassifier:
             raise TypeError(f"`module` must be callable, got {type(module).__name__}")
         if threads is not None:
             torch.set_num_threads(positive_int("threads", threads))
-        self.module = module
+        self.module, self.places = module, places
         self._torch = torch
         self._like = torch.empty(0)  # on the device and of the type of the module
         if isinstance(module, torch.nn.Module):
@@ -93,7 +102,7 @@ class TorchClassifier:
             self._like = torch.empty(0, dtype=first.dtype, device=first.device)
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,), a new array."""
+        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new array."""
         torch = self._torch
         # One copy, 1 us for 9 x 34 x 34: torch has no read-only tensors, and a module that works in place (a first
         # layer `ReLU(inplace=True)`) or keeps its input would otherwise write into, or read from, the open window.
@@ -102,7 +111,8 @@ class TorchClassifier:
             logits: Any = self.module(tensor)
             if not isinstance(logits, torch.Tensor):
                 raise TypeError(f"the module must return a tensor of logits, got {type(logits).__name__}")
-            if logits.numel() == 0 or logits.numel() != max(logits.shape, default=1):
-                raise ValueError(f"the module must return logits (1, n_classes), got shape {tuple(logits.shape)}")
-            answer: np.ndarray = logits.reshape(-1).to("cpu", torch.float32).numpy()
+            shape = logits_shape(tuple(logits.shape))
+            if shape is None:
+                raise ValueError(f"the module must return logits {LOGITS}, got shape {tuple(logits.shape)}")
+            answer: np.ndarray = logits.reshape(shape).to("cpu", torch.float32).numpy()
         return answer.copy()  # the module may keep its tensor

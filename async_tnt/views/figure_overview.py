@@ -111,7 +111,9 @@ def draw_classes(axes: Any, subject: Subject, model: Model, decisions: list[Deci
     for decision in last if len(last) <= MOST_NAMED else ():
         start_ms = subject.since_start_ms(decision.window_start_us)
         axes.axvline(start_ms, color=PALE, lw=0.8, zorder=0)
-        note(axes, f"“{shortened(decision.label, 10)}” {decision.probability:.2f}", (start_ms, 1.0), (3, 3))
+        note(
+            axes, f"“{shortened(decision.label or 'nothing', 10)}” {decision.probability:.2f}", (start_ms, 1.0), (3, 3)
+        )
     axes.set(xlim=subject.since_start_ms(np.array([starts_us[0], starts_us[-1] + model.config.window_us])), ylim=(0, 1))
     axes.set(yticks=[0, 0.5, 1], ylabel="class probability")
     handles, names = axes.get_legend_handles_labels()

@@ -15,7 +15,7 @@ from async_tnt.processor import Processor
 
 TIMELINE = "time"
 """The recording's own microseconds, as a duration."""
-EVENTS, LANDMARK = "events/image", "events/landmark"
+EVENTS, LANDMARK, OBJECTS = "events/image", "events/landmark", "events/objects"
 RAW, TNT = "volumes/raw", "volumes/tnt"
 PROBABILITIES = "probabilities"
 CLASS, DECISIONS = "class", "decisions"
@@ -98,6 +98,11 @@ class StreamLog:
             places = [np.add(self._config.to_sensor(*processor.landmark), 0.5)] if now.events else np.empty((0, 2))
             radius = rr.components.Radius.ui_points(5.0)
             self._write(LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0))
+        if now.objects is not None:
+            centres = np.array([(found.x, found.y) for found in now.objects]).reshape(-1, 2) + 0.5  # as above
+            labels = [f"{found.label} {found.probability:.2f}" for found in now.objects]
+            size = rr.components.Radius.ui_points(6.0)
+            self._write(OBJECTS, rr.Points2D(centres, radii=size, labels=labels, colors=[WHITE], draw_order=100.0))
         self._write(CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN))
         if now.events:
             self._write_probabilities(now)
@@ -107,7 +112,8 @@ class StreamLog:
         n_left_out = self._n_pending - len(self._pending)
         for d in self._pending:
             span = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
-            text = f"{d.label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {span}"
+            label = "nothing" if d.label is None else d.label
+            text = f"{label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {span}"
             if n_left_out:
                 text += f" ({n_left_out:,} decisions before it are not shown)"
                 n_left_out = 0
@@ -125,6 +131,9 @@ class StreamLog:
 
     def _write_probabilities(self, decision: Decision) -> None:
         shown = decision.probabilities if self._is_few else [decision.probability]
+        if decision.objects is not None:  # of each class the likeliest object
+            shown = [max((o.probability for o in decision.objects if o.label == c), default=0.0) for c in self._classes]
+            shown = shown if self._is_few else [decision.probability]
         self._write(PROBABILITIES, self._rr.Scalars(shown))
 
     def _set_time(self, t_us: int) -> None:
@@ -220,11 +229,16 @@ def class_text(now: Decision, classes: Sequence[str]) -> str:
     """Markdown: the class of the open window at this moment, and the likeliest classes."""
     if now.events == 0:
         return "# no event\n\nThe window has no event yet."
+    if now.objects is not None:
+        rows = "\n".join(
+            f"| {o.id} | {_plain(o.label)} | {o.probability:.3f} | {o.x:.0f}, {o.y:.0f} |" for o in now.objects
+        )
+        return f"# {len(now.objects)} objects\n\n| number | class | probability | place |\n|---|---|---|---|\n{rows}\n"
     length_ms = (now.time_us - now.window_start_us) / 1e3
     likeliest = np.argsort(-now.probabilities, kind="stable")[:MOST_NAMED]
     rows = "\n".join(f"| {_plain(classes[k])} | {now.probabilities[k]:.3f} |" for k in likeliest)
     about = f"with probability {now.probability:.3f}, from {now.events:,} events in {length_ms:,.1f} ms"
-    return f"# {_plain(now.label)}\n\n{about}\n\n| class | probability |\n|---|---|\n{rows}\n"
+    return f"# {_plain(now.label or 'nothing')}\n\n{about}\n\n| class | probability |\n|---|---|\n{rows}\n"
 
 
 def _plain(text: str) -> str:

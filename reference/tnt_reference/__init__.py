@@ -3,7 +3,7 @@
 Nothing here imports anything of `async_tnt`, or shares code with it: the two are compared with each other.
 Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py` (the Temporal
 Normalization Transform), then `networks.py`. Independent of these: `images.py`, `hats.py`, `motion.py`,
-`moving_image.py`.
+`moving_image.py`, `objects.py`.
 """
 
 from .hats import hats
@@ -12,12 +12,14 @@ from .landmarks import fitted_flow, landmark
 from .layers import LayerNetwork, heatmap_centroid
 from .motion import move_by_flow
 from .networks import Classifier, LandmarkRegressor, Pipeline
+from .objects import FoundObject, objects_on_map
 from .transform import TNTCoordinates, tnt_coordinates
 from .volume import event_volume, tnt_volume
 from .window import until_newest, windows_of_events
 
 __all__ = [
     "Classifier",
+    "FoundObject",
     "LandmarkRegressor",
     "LayerNetwork",
     "Pipeline",
@@ -30,6 +32,7 @@ __all__ = [
     "heatmap_centroid",
     "landmark",
     "move_by_flow",
+    "objects_on_map",
     "time_image",
     "tnt_coordinates",
     "tnt_volume",

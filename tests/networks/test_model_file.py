@@ -130,7 +130,11 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
 @pytest.mark.parametrize(
     "changes, error, message",
     [
-        ({"classes": ("a", "b")}, ValueError, "the network must compute 2 logits, one for each class, got (3,)"),
+        (
+            {"classes": ("a", "b")},
+            ValueError,
+            "the network must compute 2 logits, one for each class, or a map",
+        ),
         ({"classes": ()}, ValueError, "`classes` must hold at least one name"),
         ({"classes": ("a", "b", "a")}, ValueError, "`classes` must have different names, got ('a', 'b', 'a')"),
         ({"classes": "abc"}, TypeError, "`classes` must be a tuple or list of names, got 'abc'"),

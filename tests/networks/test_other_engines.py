@@ -77,17 +77,18 @@ WRONG = [
     ),
     (
         network(TWO_OUTPUTS, outputs=[("one", MAPS), ("two", MAPS)]),
-        "must have one output, logits (1, n_classes), tensor(float); got 'one' tensor(float) (1, 2, 6, 5), 'two' ",
+        "must have one output, logits (1, n_classes), or a map (1, n_classes + 1, R, C), tensor(float); got 'one' "
+        "tensor(float) (1, 2, 6, 5), 'two' ",
     ),
     (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
     (
-        network([node("Relu", ["image"], ["scores"])], outputs=[("scores", MAPS)]),
-        "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)",
+        network([node("Transpose", ["image"], ["scores"], perm=[1, 0, 2, 3])], outputs=[("scores", (2, 1, 6, 5))]),
+        "must give logits (1, n_classes), or a map (1, n_classes + 1, R, C), of a volume, got shape (2, 1, 6, 5)",
     ),
 ]
 
 
-@pytest.mark.parametrize("content, message", WRONG, ids=["two inputs", "two outputs", "float64", "a map"])
+@pytest.mark.parametrize("content, message", WRONG, ids=["two inputs", "two outputs", "float64", "two maps"])
 def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_path, capfd):
     path = tmp_path / "{what} 100%.onnx"
     path.write_bytes(content)
@@ -109,9 +110,9 @@ def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_pat
         (lambda: TorchClassifier(len, threads=0), ValueError, "`threads` must be at least 1, got 0"),
         (lambda: TorchClassifier(5), TypeError, "`module` must be callable, got int"),
         (
-            lambda: TorchClassifier(lambda v: v)(VOLUME),
+            lambda: TorchClassifier(lambda v: v[None])(VOLUME),
             ValueError,
-            "the module must return logits (1, n_classes), ",
+            "the module must return logits (1, n_classes), or a map (1, n_classes + 1, R, C), got shape (1, 1, 2,",
         ),
         (
             lambda: TorchClassifier(lambda v: (v, 1))(VOLUME),

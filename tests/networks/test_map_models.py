@@ -1,0 +1,293 @@
+"""Map models: what stands where, after any events and packets, equal to the reference on the whole map."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from deciding import key
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from made import events_of, random_events, random_model
+from tnt_reference import objects_on_map
+from torch import nn
+
+from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model
+from async_tnt.networks import OnnxClassifier, TorchClassifier, to_onnx
+from async_tnt.networks.torch_modules import torch_classifier
+
+CONFIG = TNTConfig(
+    sensor=(70, 40), grid=(70, 40), bins=2, polarity="split", transform="none", landmark="center", window_us=4000
+)
+
+
+def map_model(config=CONFIG, n_classes=3, seed=0) -> Model:
+    """A few convolutions and two heads that are joined; here and there a class is likelier than nothing."""
+
+    class Net(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.stem = nn.Sequential(nn.Conv2d(config.channels, 8, 5, 2, 2), nn.ReLU(), nn.Conv2d(8, 8, 3, padding=1))
+            self.classes, self.nothing = nn.Conv2d(8, n_classes, 1), nn.Conv2d(8, 1, 1)
+
+        def forward(self, volume):
+            x = torch.relu(self.stem(volume))
+            return torch.cat([self.classes(x), self.nothing(x)], 1)
+
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        net = Net()
+        with torch.no_grad():
+            net.nothing.bias.add_(0.15)
+            for part in (net.classes, net.nothing):
+                part.weight.mul_(8)
+    return Model.from_torch(net, config, [f"class {k}" for k in range(n_classes)])
+
+
+def as_rows(objects):
+    return [(found.index, found.probability, found.x, found.y) for found in objects]
+
+
+def expected_rows(logits, places):
+    """By the reference."""
+    found = objects_on_map(torch.from_numpy(logits))
+    return [(o.label, o.probability, places.x0 + places.dx * o.column, places.y0 + places.dy * o.row) for o in found]
+
+
+def assert_rows(rows, expected):
+    """The order of equally likely objects may differ."""
+    assert len(rows) == len(expected)
+    for ours, theirs in zip(sorted(rows), sorted(expected), strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-12, abs=1e-9)
+
+
+# -- on a whole map ----------------------------------------------------------------------------------------------
+
+numbers = st.one_of(st.sampled_from([-1.0, 0.0, 0.5, 1.0, 2.0]), st.floats(-(2.0**99), 2.0**99, width=32))
+
+
+@settings(max_examples=3 * settings.default.max_examples)
+@given(
+    st.tuples(st.integers(2, 4), st.integers(1, 9), st.sampled_from([2, 5, 66])).flatmap(
+        lambda shape: arrays(np.float32, shape, elements=numbers)
+    )
+)
+def test_objects_of_any_map_are_those_of_the_reference(logits):
+    """With many equal numbers, at borders, in one row."""
+    classes = [str(k) for k in range(len(logits) - 1)]
+    processor = Processor(CONFIG, classifier=lambda volume: logits, classes=classes)
+    decision = processor.fire()
+    dy, dx = 40 / logits.shape[1], 70 / logits.shape[2]  # places that nobody states divide the sensor evenly
+    expected = [
+        (o.label, o.probability, dx * (o.column + 0.5) - 0.5, dy * (o.row + 0.5) - 0.5)
+        for o in objects_on_map(torch.from_numpy(logits))
+    ]
+    assert_rows(as_rows(decision.objects), expected)
+    assert decision.logits.tobytes() == logits.tobytes()
+    probabilities = [found.probability for found in decision.objects]
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert decision.label == (decision.objects[0].label if decision.objects else None)
+    assert decision.probability == (probabilities[0] if probabilities else 0.0)
+    assert decision.probabilities.shape == (len(probabilities), len(logits))
+
+
+def test_objects_by_hand():
+    """Two classes on a map of 3 x 8 places of a sensor of 32 x 12: places are 4 pixels wide."""
+    logits = np.zeros((3, 3, 8), np.float32)
+    logits[2] = 1.0  # nothing
+    logits[0, 1, 1], logits[0, 1, 2] = 4.0, 2.0  # 3 and 1 above nothing: 1/4 of a place to the right
+    logits[1, 0, 6] = logits[1, 2, 6] = 2.0  # as likely as each other, two rows apart: the upper one
+    config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
+    decision = Processor(config, classifier=lambda volume: logits, classes=["a", "b"]).fire()
+    a, b = decision.objects
+    e = np.exp
+    assert (a.label, a.x, a.y, a.id) == ("a", 1.5 + 4 * 1.25, 1.5 + 4, 0)
+    assert a.probability == pytest.approx(e(4) / (e(4) + e(0) + e(1)))
+    assert (b.label, b.x, b.y, b.id) == ("b", 1.5 + 4 * 6, 1.5, 1)
+    assert decision.to_dict()["objects"][0] == {"id": 0, "label": "a", "probability": 0.93624, "x": 6.5, "y": 5.5}
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_a_map_that_is_not_finite_is_refused_until_it_is(wrong):
+    logits = np.zeros((3, 4, 5), np.float32)
+    logits[1, 2, 3] = wrong
+    processor = Processor(CONFIG, classifier=lambda volume: logits, classes=["a", "b"])
+    with pytest.raises(ValueError, match="must return finite logits"):
+        processor.fire()
+    logits[1, 2, 3] = 1.0
+    assert len(processor.fire().objects) == 1
+
+
+# -- in a stream -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 7, 300, 5000])
+def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
+    """The same objects and numbers, to the bit; and on each map those of the reference."""
+    model = map_model()
+    events = random_events(2500, seed=size, sensor=CONFIG.sensor, duration_us=9500)
+    dense = CompiledClassifier(model)
+
+    class Whole:
+        places = model.places
+
+        def __call__(self, volume):
+            return dense(volume)
+
+    processor = Processor(model, every_events=50)
+    whole = Processor(CONFIG, classifier=Whole(), classes=model.classes, every_events=50)
+    expected = whole.push(events) + whole.finish()
+    n_found = 0
+    decisions = []
+    for first in range(0, len(events), size):
+        for decision in processor.push(events[first : first + size]):
+            decisions.append(decision)
+    decisions += processor.finish()
+    assert len(decisions) == len(expected) > 50
+    for ours, theirs in zip(decisions, expected, strict=True):
+        assert key(ours)[:6] == key(theirs)[:6] and ours.objects == theirs.objects
+        assert ours.probabilities.tobytes() == theirs.probabilities.tobytes()
+        assert_rows(as_rows(ours.objects), expected_rows(theirs.logits, model.places))
+        n_found += len(ours.objects)
+    assert n_found > 3 * len(decisions)
+
+
+@settings(max_examples=settings.default.max_examples)
+@given(st.integers(0, 3), st.lists(st.sampled_from([1, 2, 40, "array", "copy", "other"]), min_size=3, max_size=25))
+def test_scores_and_peaks_follow_the_map(seed, script):
+    """After single events, packets, whole passes, copies and another volume."""
+    model = map_model(seed=seed)
+    classifier, dense = CompiledClassifier(model), CompiledClassifier(model)
+    volumes = [TNTVolume(CONFIG), TNTVolume(CONFIG)]
+    tracks = Processor(model)._classifier._tracks
+    for k, step in enumerate(script):
+        volume = volumes[0]
+        if step == "array":
+            array = np.random.default_rng(k).poisson(0.05, CONFIG.shape).astype(np.float32)
+            assert classifier(array).tobytes() == dense(array).tobytes()
+        elif step == "copy":
+            classifier = pickle.loads(pickle.dumps(classifier)) if k % 2 else copy.deepcopy(classifier)
+        elif step == "other":
+            volumes.reverse()
+        else:
+            volume.update(random_events(step, seed=k, sensor=CONFIG.sensor, duration_us=1, start_us=k))
+        n = classifier.locate(volumes[0], tracks, False)
+        logits = dense(volumes[0].array)
+        assert classifier.map.tobytes() == logits.tobytes()
+        rows = [(int(c), p, x, y) for x, y, p, c, _ in classifier.reader.found[:n].tolist()]
+        assert_rows(rows, expected_rows(logits, model.places))
+
+
+def test_fire_and_copies_leave_the_stream_as_it_is():
+    model, events = map_model(), random_events(1500, seed=3, sensor=CONFIG.sensor, duration_us=9000)
+    plain, disturbed = Processor(model, every_us=500), Processor(model, every_us=500)
+    expected, found = plain.push(events) + plain.finish(), []
+    for first in range(0, len(events), 100):
+        found += disturbed.push(events[first : first + 100])
+        disturbed.fire()
+        disturbed = pickle.loads(pickle.dumps(disturbed)) if first % 200 else copy.copy(disturbed)
+    found += disturbed.finish()
+    assert [d.objects for d in found] == [d.objects for d in expected]
+    plain.reset()
+    assert [d.objects for d in plain.push(events) + plain.finish()] == [d.objects for d in expected]
+
+
+def test_an_object_keeps_its_number_while_it_moves():
+    """Two objects that approach each other, one of which changes its class, and vanishes for less than a window."""
+    config = CONFIG.replace(sensor=(80, 80), grid=(80, 80))
+    shown = np.zeros((3, 20, 20), np.float32)  # places of 4 pixels
+    processor = Processor(config, classifier=lambda volume: shown, classes=["a", "b"], every_events=1)
+
+    def show(t, *objects):
+        shown[:] = 0
+        shown[2] = 1
+        for label, column in objects:
+            shown[label, 10, column] = 3
+        (decision,) = processor.push(([t], [5], [5], [1]))
+        return {round((found.x - 1.5) / 4): (found.label, found.id) for found in decision.objects}
+
+    assert show(0, (0, 2), (1, 15)) == {2: ("a", 0), 15: ("b", 1)}
+    assert show(100, (0, 5), (1, 12)) == {5: ("a", 0), 12: ("b", 1)}
+    assert show(200, (1, 6)) == {6: ("b", 0)}  # of another class, and where only the first one can be
+    assert show(300, (0, 7), (1, 11)) == {7: ("a", 0), 11: ("b", 1)}
+    assert show(400, (0, 12)) == {12: ("a", 1)}
+    assert show(500, (0, 19)) == {19: ("a", 2)}  # further than four places
+    assert show(3999) == {}
+    processor.push(([4600], [5], [5], [1]))  # a window and more after all but the last were seen
+    assert show(4601, (0, 7)) == {7: ("a", 3)}
+    processor.reset()
+    assert show(0, (0, 7)) == {7: ("a", 0)}
+
+
+# -- the model ---------------------------------------------------------------------------------------------------
+
+
+def test_places_lie_in_the_middle_of_what_they_depend_on():
+    """A pixel that a place depends on symmetrically: only there an impulse gives a symmetric map."""
+    net = nn.Sequential(nn.Conv2d(1, 1, 5, 2, 2), nn.MaxPool2d(2), nn.Conv2d(1, 1, 3, dilation=2), nn.Conv2d(1, 2, 1))
+    config = TNTConfig(
+        sensor=(120, 60), grid=(60, 60), bins=1, polarity="unsigned", transform="none", landmark="center"
+    )
+    model = Model.from_torch(net, config, ["a"])
+    # rows in grid pixels: stride 2 from 0; pairs of them, 1 + 4 k; without the two at the border, 9 + 4 k
+    places = model.places
+    assert (places.y0, places.dy) == pytest.approx((9, 4))
+    assert (places.x0, places.dx) == pytest.approx((9 * 119 / 59, 4 * 119 / 59))
+    assert model.logits_shape == (2, 11, 11)
+    assert load_model("digits").places is None
+
+
+def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
+    model = map_model()
+    volume = TNTVolume(CONFIG)
+    volume.update(random_events(900, seed=4, sensor=CONFIG.sensor, duration_us=3000))
+    saved = load_model(model.save(tmp_path / "map.safetensors"))
+    expected = CompiledClassifier(model).refresh(volume)
+    assert CompiledClassifier(saved).refresh(volume).tobytes() == expected.tobytes()
+    events = random_events(900, seed=5, sensor=CONFIG.sensor, duration_us=3000)
+    engines = TorchClassifier(torch_classifier(model), places=model.places), OnnxClassifier(to_onnx(model))
+    engines[1].places = model.places
+    compiled = Processor(model)
+    compiled.push(events)
+    for engine in engines:
+        assert engine(volume.array).shape == model.logits_shape
+        other = Processor(CONFIG, classifier=engine, classes=model.classes)
+        other.push(events)
+        found, same = other.fire().objects, compiled.fire().objects
+        assert len(found) == len(same) > 3
+        for a, b in zip(sorted(as_rows(found)), sorted(as_rows(same)), strict=True):
+            assert a == pytest.approx(b, abs=1e-3)
+
+
+def test_the_same_network_for_another_sensor():
+    """What it finds near a place does not depend on the sensor, away from the border."""
+    model = map_model()
+    large = model.for_sensor((140, 90))
+    assert large.config.grid == (140, 90) and large.logits_shape == (4, 45, 70)
+    events = random_events(500, seed=6, sensor=(30, 30), duration_us=3000)
+    moved = events_of(events["t"], events["x"] + 20, events["y"] + 4, events["p"])
+    far = events_of(events["t"], events["x"] + 80, events["y"] + 44, events["p"])
+    maps = []
+    for one, stream in ((model, moved), (large, far)):
+        volume = TNTVolume(one.config)
+        volume.update(stream)
+        maps.append(CompiledClassifier(one).refresh(volume))
+    assert maps[0][:, 2:17, 10:25].tobytes() == maps[1][:, 22:37, 40:55].tobytes()
+    with pytest.raises(ValueError, match=r"layer 'fc1' \(dense\): its weight must have shape"):
+        random_model(CONFIG).for_sensor((64, 64))
+
+
+def test_what_a_map_model_refuses():
+    model = map_model()
+    with pytest.raises(ValueError, match="needs transform='none'"):
+        Model(CONFIG.replace(transform="tnt"), model.weights, model.classes, {}, model.layers)
+    with pytest.raises(ValueError, match=r"4 logits, one for each class, or a map of 5 channels.*got \(4, 20, 35\)"):
+        Model(CONFIG, model.weights, (*model.classes, "one more"), {}, model.layers)
+    with pytest.raises(ValueError, match="`confidence` needs one answer for the window"):
+        Processor(model, confidence=0.9)
+    processor = Processor(model, every_us=100)
+    with pytest.raises(ValueError, match="`confidence` needs one answer"):
+        processor.confidence = 0.9
+    assert processor.confidence is None
