@@ -20,12 +20,12 @@ import numpy as np
 
 from async_tnt.progress import progress
 from async_tnt.resynthesis.calibration import describe
-from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.mnist import load_mnist
 from experiments.set_manifest import MovingMnist
 from experiments.shards import Shard, open_shard
+from experiments.simulated_digits import simulate_digit
+from experiments.trajectories import nmnist_saccades
 
 N_RECORDINGS = 200
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)

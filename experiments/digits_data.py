@@ -12,12 +12,12 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.progress import Bar, no_progress
-from async_tnt.simulation.digits import simulate_digit
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.training.data import TrainingData
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows, make_windows
 from experiments.mnist import load_mnist
+from experiments.simulated_digits import simulate_digit
 
 CLASSES = tuple("0123456789")
 SACCADE_US = 105_000

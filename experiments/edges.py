@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from async_tnt.progress import progress
-from async_tnt.simulation.scene import render
-from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_timing import machine
 from experiments.comparison import recordings_by_image
+from experiments.digit_scene import render
 from experiments.mnist import load_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
+from experiments.trajectories import nmnist_saccades
 
 N_RECORDINGS = 1_000
 ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
+from experiments.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
 
 FROM_CENTRE = "-from-centre"
 KINDS = ("constant", "bell", "constant" + FROM_CENTRE, "bell" + FROM_CENTRE, "nmnist")

@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike
 
 from async_tnt import Model
 from async_tnt.progress import progress
-from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.scene import Scene
-from async_tnt.simulation.trajectories import Saccades, Trajectory, nmnist_saccades
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.pipeline import pipeline_of
 from async_tnt.training.recordings import RecordingsWriter
 from async_tnt.training.windows import Windows, make_windows
+from experiments.digit_scene import Scene
 from experiments.digits_data import SACCADE_US
 from experiments.motions import motions_of
+from experiments.simulated_digits import simulate_digit
+from experiments.trajectories import Saccades, Trajectory, nmnist_saccades
 
 SPEEDS = 0.25, 0.5, 1.0, 2.0, 4.0
 

@@ -15,9 +15,9 @@ from async_tnt.files import check_folder
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.resynthesis.calibration import side_by_side
-from async_tnt.simulation.scene import Scene
 from async_tnt.sources.files.nmnist import write_nmnist
 from experiments.comparison import compare, recordings_by_image
+from experiments.digit_scene import Scene
 from experiments.motions import KINDS
 from experiments.moving_mnist_set import build
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser

@@ -23,13 +23,13 @@ from async_tnt.evaluation.processes import run_all
 from async_tnt.files import locked_folder
 from async_tnt.package import __version__, available_cores
 from async_tnt.progress import progress
-from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.scene import Scene
 from async_tnt.simulation.simulator import PixelModel
+from experiments.digit_scene import Scene
 from experiments.mnist import load_mnist
 from experiments.motions import NMNIST_SENSOR, Motion, flow_of, motions_of
 from experiments.set_manifest import MovingMnist, read_manifest, shard_names, write_manifest
 from experiments.shards import open_shard, write_shard
+from experiments.simulated_digits import simulate_digit
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.simulation.digits import simulate_digit
 from async_tnt.sources.files.nmnist import write_nmnist
 from experiments.mnist import load_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
+from experiments.simulated_digits import simulate_digit
 
 FIRST_SAMPLE = 2_000
 """Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings show."""

@@ -1,22 +1,7 @@
-"""Simulate an event camera in front of a moving image: trajectories, scene, pixels, digits.
+"""Simulate an event camera in front of a moving picture. Needs no torch."""
 
-Needs no torch.
-"""
-
-from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.scene import Scene, render
+from async_tnt.simulation.picture_scene import SceneSettings, record_picture
+from async_tnt.simulation.pictures import Picture
 from async_tnt.simulation.simulator import PixelModel, simulate
-from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
 
-__all__ = [
-    "ConstantVelocity",
-    "PixelModel",
-    "Saccade",
-    "Saccades",
-    "Scene",
-    "Trajectory",
-    "nmnist_saccades",
-    "render",
-    "simulate",
-    "simulate_digit",
-]
+__all__ = ["Picture", "PixelModel", "SceneSettings", "record_picture", "simulate"]

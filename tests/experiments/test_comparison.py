@@ -5,10 +5,10 @@ import pytest
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis.calibration import side_by_side
-from async_tnt.simulation.digits import simulate_digit
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
 from experiments.mnist import load_mnist
+from experiments.simulated_digits import simulate_digit
 
 ALONG, ACROSS = "ON - OFF centroid, along the motion", "ON - OFF centroid, across the motion"
 

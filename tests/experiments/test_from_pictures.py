@@ -8,11 +8,11 @@ pytest.importorskip("matplotlib", reason="its fonts draw the pictures (extra `pl
 
 from async_tnt import load_model
 from async_tnt.simulation.pictures import read_picture
-from async_tnt.simulation.trajectories import nmnist_saccades
 from experiments import few_recordings, made_pictures, moving_digits
 from experiments.drawn_pictures import PIPS, write_glyphs, write_mnist
 from experiments.from_pictures import link_official
 from experiments.mnist import load_mnist
+from experiments.trajectories import nmnist_saccades
 
 
 def test_fonts_draw_the_same_symbols_each_in_its_way(tmp_path):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from async_tnt.simulation.trajectories import nmnist_saccades
 from experiments.motions import KINDS, motions_of
+from experiments.trajectories import nmnist_saccades
 
 RNG = np.random.default_rng(0)
 STRAIGHT = {f"{kind} {motion.name}": motion for kind in KINDS if kind != "nmnist" for motion in motions_of(kind)}

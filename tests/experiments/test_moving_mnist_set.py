@@ -6,12 +6,12 @@ import shutil
 import numpy as np
 import pytest
 
-from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.trajectories import ConstantVelocity
 from experiments.mnist import load_mnist
 from experiments.motions import motions_of
 from experiments.moving_mnist_set import build, open_set
 from experiments.shards import open_shard
+from experiments.simulated_digits import simulate_digit
+from experiments.trajectories import ConstantVelocity
 
 QUICK = {"digits": 5, "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 

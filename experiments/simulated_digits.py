@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from async_tnt.simulation.scene import Scene, render
 from async_tnt.simulation.simulator import PixelModel, simulate
-from async_tnt.simulation.trajectories import Trajectory, nmnist_saccades
+from experiments.digit_scene import Scene, render
+from experiments.trajectories import Trajectory, nmnist_saccades
 
 
 def simulate_digit(

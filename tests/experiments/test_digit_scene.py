@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from async_tnt.simulation.scene import Scene, render, translate
-from async_tnt.simulation.trajectories import Saccade
+from experiments.digit_scene import Scene, render, translate
+from experiments.trajectories import Saccade
 
 SHARP = Scene(contrast=4.0, gamma=1.0, blur_px=0.0)
 POINT = np.zeros((3, 4))
