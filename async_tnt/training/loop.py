@@ -12,19 +12,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.nn import functional as F
 from torch.optim.swa_utils import AveragedModel
 
 from async_tnt.config import TNTConfig
-from async_tnt.evaluation.scores import share_right
 from async_tnt.files import locked_folder
-from async_tnt.kernels.window_batches import SHOWN
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
-from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
-from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export, pipeline_of
+from async_tnt.training.objectives import ClassOfWindows, Objective, ObjectsInScenes
+from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
@@ -49,12 +46,13 @@ def train(
     start: Model | None = None,
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
+    everywhere: bool = False,
     sources: Mapping[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
     device: str | None = None,
 ) -> TrainResult:
-    """Train a classifier.
+    """Train a classifier, or a map model.
 
     After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from it and ends with
     the same weights as if it had never stopped: all randomness is drawn from (seed, epoch).
@@ -69,6 +67,7 @@ def train(
     start : a model to continue from; None starts with random weights.
     motions : other motions of the training windows, shown among these.
     teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
+    everywhere : train a map model, on scenes of several windows; without `start`, `motions` and `teachers`.
     sources : what the data comes from, for a checkpoint that is compared before any data is read: `recordings`, name ->
         bytes, and anything that decides which of their events are seen.
     progress : makes the progress bar, which counts optimizer steps.
@@ -82,6 +81,8 @@ def train(
     BlockingIOError : another process is training there.
     """
     _check(config, training, validation, classes, start, teachers)
+    windowed = ClassOfWindows(config, validation, settings, len(classes), teachers)
+    objective: Objective = ObjectsInScenes(config, validation, settings, classes) if everywhere else windowed
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     pipeline = (
         new_pipeline(config, len(classes), settings.seed, training, settings.network, logarithm=settings.logarithm)
@@ -97,6 +98,7 @@ def train(
     recordings = files.pop("recordings", {})
     identity = {
         **files,
+        **({"everywhere": True} if everywhere else {}),
         **identity_of(config, settings, training, validation, start, classes, motions and motions.settings, teachers),
     }
     state = load_checkpoint(run_folder, identity)
@@ -107,7 +109,6 @@ def train(
         optimizer.load_state_dict(state["optimizer"])
         history = state["history"]
 
-    masters = [pipeline_of(teacher) for teacher in teachers]
     fast = settings.precision == "auto" and _is_fast_at_bfloat16(device)
     in_16_bits = fast or settings.precision == "bfloat16"
     steps = settings.n_steps(len(training))
@@ -121,27 +122,20 @@ def train(
         for epoch in range(len(history), n_epochs):
             pipeline.train()
             torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])  # of dropout
-            total_loss, n_right, n_of_a_class, n_seen = 0.0, 0, 0, 0
+            total_loss, n_right, n_counted, n_seen = 0.0, 0, 0, 0
             n_steps = min(steps, n_iterations - epoch * steps)
             batches = batches_of(config, training, settings, epoch, motions)
             for step, (windows, draws) in enumerate(islice(batches, n_steps)):
                 _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
-                target = _targets(windows.labels, draws, len(classes))
-                if teachers:
-                    target = _taught(target, windows, draws, masters)
-                target = target.to(device)
                 with torch.autocast(device, torch.bfloat16, enabled=in_16_bits):
-                    logits = pipeline(windows, draws)
-                loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
+                    found = objective.loss(pipeline, windows, draws)
                 optimizer.zero_grad(set_to_none=True)
-                loss.backward()
+                found.loss.backward()
                 optimizer.step()
                 if settings.averaging:
                     averaged.update_parameters(pipeline)
-                total_loss += loss.item() * len(windows)
-                of_a_class = np.ones(len(windows), bool) if draws is None else draws.nothing == SHOWN
-                n_right += int((logits.argmax(1).cpu().numpy() == windows.labels)[of_a_class].sum())
-                n_of_a_class += int(of_a_class.sum())
+                total_loss += found.loss.item() * len(windows)
+                n_right, n_counted = n_right + found.n_right, n_counted + found.n
                 n_seen += len(windows)
                 bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
             del windows, draws, batches  # the events of an epoch, before those of the next are read
@@ -150,12 +144,12 @@ def train(
                     "epoch": epoch + 1,
                     "iterations": epoch * steps + n_steps,
                     "loss": total_loss / n_seen,
-                    "training": n_right / max(1, n_of_a_class),
-                    **_validate(final, validation, settings),
+                    "training": n_right / max(1, n_counted),
+                    **objective.validate(final),
                 }
             )
             if motions is not None and len(motions.validation) >= MIN_MOVED:
-                moved = _validate(final, motions.validation, settings)
+                moved = windowed.of_windows(final, motions.validation)
                 history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
             checkpoint = {
                 "identity": identity,
@@ -170,7 +164,7 @@ def train(
             bar.clear()
             report(history[-1])
 
-    return TrainResult(export(final, classes, {}), history)
+    return TrainResult(export(final, classes, {}, objective.config), history)
 
 
 def _check(
@@ -252,45 +246,13 @@ def _is_fast_at_bfloat16(device: str) -> bool:
     return not {"amx_bf16", "avx512_bf16", "bf16"}.isdisjoint(words)
 
 
-def _targets(labels: np.ndarray, draws: Draws | None, n_classes: int) -> torch.Tensor:
-    """(N, n_classes): all on the class; the same on all classes where nothing is shown (Hendrycks, Mazeika, Dietterich
-    2019, arXiv:1812.04606), so that no class is decided with confidence."""
-    targets = np.eye(n_classes, dtype=np.float32)[labels]
-    if draws is not None:
-        targets[draws.nothing != SHOWN] = 1.0 / n_classes
-    return torch.from_numpy(targets)
-
-
-def _taught(target: torch.Tensor, windows: Windows, draws: Draws | None, teachers: Sequence[Pipeline]) -> torch.Tensor:
-    """Half of the target, half what teachers say of the same windows; where nothing is shown, the target."""
-    with torch.no_grad():
-        said = torch.stack([torch.softmax(teacher(windows, draws), 1) for teacher in teachers]).mean(0)
-    taught = (target + said) / 2
-    return taught if draws is None else torch.where(torch.from_numpy(draws.nothing != SHOWN)[:, None], target, taught)
-
-
-def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> dict[str, float]:
-    """Accuracy and loss at the windows' ends; with `balance`, the loss is the mean over classes."""
-    if len(windows) == 0:
-        return {}
-    probabilities = class_probabilities(pipeline, windows)
-    labels = windows.labels
-    losses = -np.log(probabilities[np.arange(len(labels)), labels] + 1e-12)
-    parts = [losses[labels == label] for label in np.unique(labels)] if settings.balance else [losses]
-    return {
-        "per_window": float((probabilities.argmax(1) == labels).mean()),
-        "per_recording": share_right(confusion_by_recording(probabilities, windows)),
-        "validation_loss": float(np.mean([part.mean() for part in parts])),
-    }
-
-
 def _average(share: float, before: torch.Tensor, now: torch.Tensor, n: int | torch.Tensor) -> torch.Tensor:
     """Of the weights after n + 1 steps. The first ones keep less than `share`, or they would count for hundreds."""
     kept = min(share, (1 + int(n)) / (10 + int(n)))
     return before * kept + now * (1 - kept)
 
 
-def _optimizer(pipeline: Pipeline, settings: TrainSettings) -> torch.optim.Optimizer:
+def _optimizer(pipeline: torch.nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
     weights = [w for w in pipeline.parameters() if w.ndim > 1]
     biases = [w for w in pipeline.parameters() if w.ndim == 1]
     groups: list[dict[str, Any]] = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]

@@ -67,7 +67,11 @@ class Pipeline(nn.Module):
 
     def forward(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
         """Logits (N, n_classes) of N windows, augmented by `draws`."""
-        logits: torch.Tensor = self.classifier(self._on_device(self.volumes(windows, draws), self.scale))
+        return self.classify(self.volumes(windows, draws))
+
+    def classify(self, volumes: torch.Tensor) -> torch.Tensor:
+        """Logits of volumes (N, C, H, W)."""
+        logits: torch.Tensor = self.classifier(self._on_device(volumes, self.scale))
         return logits.float()
 
     def volumes(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
@@ -183,17 +187,22 @@ def input_scale(config: TNTConfig, windows: Windows, n: int = 512) -> float:
     return float(1.0 / np.sqrt(max(mean_square, 1e-12)))
 
 
-def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any]) -> Model:
+def export(
+    pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any], config: TNTConfig | None = None
+) -> Model:
     """The finished model; its first layers absorb their input's scale, so that they take raw volumes.
 
     conv1(scale V) = w * (scale V) = (scale w) * V
+
+    config : of the volumes that the model takes; by default the pipeline's.
 
     Raises
     ------
     NotImplementedError : names the first operation of a network that has no compiled form.
     ValueError : the classifier does not compute one logit for each class, or a layer does not fit.
     """
-    model = Model.from_torch(pipeline.classifier, pipeline.config, classes, record=record, regressor=pipeline.regressor)
+    config = config or pipeline.config
+    model = Model.from_torch(pipeline.classifier, config, classes, record=record, regressor=pipeline.regressor)
     weights, network = dict(model.weights), dict(model.layers)
     for name, scale in ((CLASSIFIER, pipeline.scale), (REGRESSOR, pipeline.raw_scale)):
         if name not in network or scale == 1:
