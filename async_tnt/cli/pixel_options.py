@@ -36,9 +36,7 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
         action="store_true",
         help="with --roi: the region becomes the sensor, so that a large camera fits a model for W x H pixels",
     )
-    parser.add_argument(
-        "--mask", type=Path, metavar="FILE", help="leave out the events of hot pixels, found by `async-tnt mask`"
-    )
+    parser.add_argument("--mask", type=Path, metavar="FILE", help="leave out hot pixels, found by `async-tnt mask`")
 
 
 def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSelector:

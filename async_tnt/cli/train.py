@@ -68,6 +68,7 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
     """Refuse options that do not go together, before anything is read."""
     from async_tnt.training.simulated_pictures import find_pictures
 
+    _check_everywhere(args)
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
     if find_pictures(args.dataset):
@@ -92,6 +93,15 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
     parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
     if any(run_folder.resolve().is_relative_to(part.resolve()) for part in parts):
         raise ValueError(f"--out must lie outside of {parts[0]}, in which a folder is a class; got {args.out}")
+
+
+def _check_everywhere(args: argparse.Namespace) -> None:
+    if args.everywhere:
+        given = {"--start-from": args.start_from, "--teacher": args.teacher, "--motions": args.motions != "recorded"}
+        if some := [name for name, value in given.items() if value]:
+            raise ValueError(
+                f"{', '.join(some)} must come without --everywhere, which learns scenes from the beginning"
+            )
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
@@ -167,9 +177,10 @@ def _read(
     has_pictures = bool(find_pictures(args.dataset))
     wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror, **(OF_PICTURES if has_pictures else {})}}
     wanted |= {name: getattr(args, name) for name in ("epochs", "network") if getattr(args, name) is not None}
+    wanted |= {"everywhere": True} if args.everywhere else {}
     settings = settings_for(config, 1, **wanted)
     if start is None:
-        check_network(settings.network, config)
+        check_network(settings.network, config, everywhere=args.everywhere)
     check_share(args.validation)
     groups_by_pattern((), args.groups or "")
     sources: dict[str, Any] = {
@@ -210,7 +221,7 @@ def _read(
         progress=progress,
     )
     if start is None:
-        check_network(settings.network, data.config)
+        check_network(settings.network, data.config, everywhere=args.everywhere)
     return data, settings_for(data.config, len(data.training), **wanted), {**sources, "recordings": recordings}
 
 
@@ -292,6 +303,8 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
             return
         printed_at = time.monotonic()
         text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
+        if "f1" in row:
+            text += f"  held out: F1 {row['f1']:.4f}"
         if "per_window" in row:
             text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
         if "motions_per_window" in row:
@@ -316,6 +329,10 @@ def _print_summary(
     for name, title in TITLES.items():
         if name in summary:
             found = summary[name]
+            if "f1" in found:
+                early = ", ".join(f"{f1:.4f} after {ms} ms" for ms, f1 in found["f1_against_time_ms"].items())
+                say(f"{title}: F1 {found['f1']:.4f} of {found['objects']} objects in scenes ({early})")
+                continue
             by_recording = ""
             if "recordings" in found:
                 by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"

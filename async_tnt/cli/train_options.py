@@ -109,11 +109,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grid", type=size_text, metavar="WxH", help="of the volume (default: at most 120 pixels long)"
     )
     add_volume(network, "ON and OFF counts, or 5 bins, by the data")
+    network.add_argument("--everywhere", action="store_true", help="find objects anywhere: learn scenes of several")
     network.add_argument(
         "--network",
         metavar="NAME",
-        help="residual, conv4, separable, thesis, or FILE.py:FUNCTION, your own, of channels, (width, "
-        "height), n_classes (default: residual)",
+        help="residual (default), conv4, separable, thesis, map (with --everywhere), or FILE.py:FUNCTION, your own, "
+        "of channels, (width, height), n_classes",
     )
     network.add_argument(
         "--start-from",

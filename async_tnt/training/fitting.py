@@ -17,6 +17,7 @@ from async_tnt.training.evaluation import evaluate
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
 from async_tnt.training.pipeline import pipeline_of
+from async_tnt.training.scene_scores import SceneScores
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
 
@@ -31,7 +32,7 @@ class Fitted:
     Parameters
     ----------
     model : calibrated; its record says what it was trained on, how, and how accurate it is on what was held out.
-    scores : of the held-out recordings; None where nothing is held out.
+    scores : of the held-out recordings; None where nothing is held out, and of a map model.
     history : one dict per epoch, see `train`.
     """
 
@@ -43,7 +44,11 @@ class Fitted:
         """The same with the accuracy on `data.tests` in the record. This may take long."""
         pipeline, record = pipeline_of(self.model), dict(self.model.record)
         for name, (windows, more) in data.tests.items():
-            record[name] = {**evaluate(pipeline, windows, times_ms=moments_ms(self.model)).to_dict(), **more}
+            if self.model.places is not None:
+                found = SceneScores(data.config, self.model, windows).to_dict(pipeline)
+            else:
+                found = evaluate(pipeline, windows, times_ms=moments_ms(self.model)).to_dict()
+            record[name] = {**found, **more}
         return replace(self, model=replace(self.model, record=record))
 
 
@@ -99,7 +104,9 @@ def fit(
     if start is not None:
         summary["started_from"] = {name: start.record[name] for name in STARTED_FROM if name in start.record}
     scores = None
-    if len(data.validation):
+    if settings.everywhere and len(data.validation):
+        summary["validation"] = SceneScores(data.config, model, data.validation).to_dict(pipeline_of(model))
+    elif len(data.validation):
         found = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
         model, temperature = calibrated(model, found.temperature)
         found = found.at_temperature(temperature)

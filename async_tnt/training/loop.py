@@ -46,7 +46,6 @@ def train(
     start: Model | None = None,
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
-    everywhere: bool = False,
     sources: Mapping[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
@@ -67,7 +66,6 @@ def train(
     start : a model to continue from; None starts with random weights.
     motions : other motions of the training windows, shown among these.
     teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
-    everywhere : train a map model, on scenes of several windows; without `start`, `motions` and `teachers`.
     sources : what the data comes from, for a checkpoint that is compared before any data is read: `recordings`, name ->
         bytes, and anything that decides which of their events are seen.
     progress : makes the progress bar, which counts optimizer steps.
@@ -81,8 +79,10 @@ def train(
     BlockingIOError : another process is training there.
     """
     _check(config, training, validation, classes, start, teachers)
+    if settings.everywhere and (start is not None or motions is not None or teachers):
+        raise ValueError("`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on scenes")
     windowed = ClassOfWindows(config, validation, settings, len(classes), teachers)
-    objective: Objective = ObjectsInScenes(config, validation, settings, classes) if everywhere else windowed
+    objective: Objective = ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     pipeline = (
         new_pipeline(config, len(classes), settings.seed, training, settings.network, logarithm=settings.logarithm)
@@ -98,7 +98,6 @@ def train(
     recordings = files.pop("recordings", {})
     identity = {
         **files,
-        **({"everywhere": True} if everywhere else {}),
         **identity_of(config, settings, training, validation, start, classes, motions and motions.settings, teachers),
     }
     state = load_checkpoint(run_folder, identity)

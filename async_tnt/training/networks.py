@@ -1,6 +1,7 @@
 """Networks to train: a few that suit small sensors and small machines, or one's own.
 
-Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes), of layers that have a compiled form.
+Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes), `map` to maps of them (N, n_classes + 1, R,
+C), of layers that have a compiled form.
 """
 
 from __future__ import annotations
@@ -90,8 +91,27 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
     )
 
 
-NETWORKS: dict[str, Build] = {"thesis": thesis, "conv4": conv4, "residual": residual, "separable": separable}
-SMALLEST = {"thesis": 4, "conv4": 8, "residual": 16, "separable": 8}
+def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    """A map of logits, a place for 4x4 pixels, each of which sees about 35x35: a channel for each class and a last one
+    for nothing."""
+    return nn.Sequential(
+        *_conv(channels, 16, 5, stride=2),
+        nn.MaxPool2d(2),
+        *_conv(16, 32),
+        *_conv(32, 48),
+        *_conv(48, 64),
+        nn.Conv2d(64, n_classes + 1, 1),
+    )
+
+
+NETWORKS: dict[str, Build] = {
+    "thesis": thesis,
+    "conv4": conv4,
+    "residual": residual,
+    "separable": separable,
+    "map": object_map,
+}
+SMALLEST = {"thesis": 4, "conv4": 8, "residual": 16, "separable": 8, "map": 4}
 """The least side of a grid."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -14,11 +14,11 @@ from async_tnt.config import TNTConfig
 from async_tnt.evaluation.scores import share_right
 from async_tnt.kernels.window_batches import SHOWN
 from async_tnt.networks.model import Model
-from async_tnt.networks.objects import ObjectReader, new_tracks
 from async_tnt.training.augment import Draws, unchanged
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.networks import build_network
 from async_tnt.training.pipeline import Pipeline, pipeline_of
+from async_tnt.training.scene_scores import REACH, SceneScores
 from async_tnt.training.scenes import SceneMaker, Scenes
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
@@ -110,11 +110,9 @@ class ClassOfWindows:
         }
 
 
-REACH, LEFT_OUT, WEIGHT = 0.15, 0.3, 4.0
-"""Shares of a recording's shorter side: a place so near to an object, or the nearest one, is to name its class; one
-that is so near is left out; others are to say nothing. And what an object's places weigh, by those of nothing."""
-N_SCENES = 400
-"""That are held out."""
+LEFT_OUT, WEIGHT = 0.3, 4.0
+"""A share of a recording's shorter side: a place within `REACH` of an object, or the nearest one, is to name its class;
+one that is so near is left out; others are to say nothing. And what an object's places weigh, by those of nothing."""
 
 
 class ObjectsInScenes:
@@ -135,13 +133,13 @@ class ObjectsInScenes:
     ) -> None:
         self._maker = SceneMaker(config)
         self.config = self._maker.config
-        self._validation, self._seed = validation, settings.seed
         network = build_network(settings.network, config.channels, self.config.grid, len(classes))
         model = Model.from_torch(network, self.config, classes)
         if model.places is None:
             raise ValueError(f"`network` {settings.network} must compute a map of {len(classes) + 1} channels")
         self._places, self._map = model.places, model.logits_shape
         self._shorter = min(config.sensor)
+        self._scores = SceneScores(config, model, validation) if len(validation) else None
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
         draws = unchanged(len(windows), self._maker.config) if draws is None else draws
@@ -173,39 +171,4 @@ class ObjectsInScenes:
         return target, weight
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
-        return {} if len(self._validation) == 0 else {"f1": self.f1(pipeline, 1.0)}
-
-    def f1(self, pipeline: Pipeline, share: float) -> float:
-        """On scenes of held-out windows, after this share of a window: an object counts as found where one of its class
-        is found within `REACH`, the likeliest one first."""
-        rng = np.random.default_rng(self._seed)
-        reader, tracks = ObjectReader(self._map), new_tracks(self._places, self._map, 0)
-        order = rng.permutation(len(self._validation))[: round(N_SCENES * 2.5)]
-        was_training = pipeline.training
-        pipeline.eval()
-        n_right = n_found = n_there = 0
-        for first in range(0, len(order), 64):
-            windows = self._validation[order[first : first + 64]]
-            draws = unchanged(len(windows), self._maker.crops)
-            draws.until_us[:] = round(share * self.config.window_us)
-            scenes = self._maker(windows, draws, rng)
-            with torch.no_grad():
-                maps = pipeline.classify(torch.from_numpy(scenes.volumes)).cpu().numpy()
-            for k, logits in enumerate(maps):
-                found = reader.found[: reader.read(logits, tracks, 0, False)]
-                there = scenes.scene == k
-                n_right += n_matched(found, scenes.label[there], scenes.position[there], REACH * self._shorter)
-                n_found, n_there = n_found + len(found), n_there + int(there.sum())
-        pipeline.train(was_training)
-        return 2 * n_right / max(1, n_found + n_there)
-
-
-def n_matched(found: Any, labels: np.ndarray, positions: np.ndarray, within: float) -> int:
-    """How many objects that were found, the likeliest first (`ObjectReader.found`), are of the class of one that is
-    there, within so many pixels, which no other is matched with."""
-    free = np.ones(len(labels), bool)
-    for x, y, _, label, _ in found:
-        away = np.where(free & (labels == label), np.hypot(positions[:, 0] - x, positions[:, 1] - y), np.inf)
-        if len(away) and away.min() <= within:
-            free[away.argmin()] = False
-    return int((~free).sum())
+        return {} if self._scores is None else {"f1": self._scores.f1(pipeline)}

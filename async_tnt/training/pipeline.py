@@ -146,21 +146,25 @@ def new_pipeline(
     return Pipeline(config, classifier, regressor, **scales)
 
 
-def check_network(name: str, config: TNTConfig) -> None:
-    """Refuse a network that cannot be built for this configuration, or has no compiled form, before it is trained.
+def check_network(name: str, config: TNTConfig, *, everywhere: bool = False) -> None:
+    """Refuse a network that cannot be built for this configuration, has no compiled form, or computes a map where there
+    is none to learn, or none where there is, before it is trained.
 
     Raises
     ------
     ValueError : what is wrong with it.
     """
     try:
-        Model.from_torch(
+        model = Model.from_torch(
             build_network(name, config.channels, config.grid, 2),
             config.replace(landmark="center", remove_flow=False),
             "ab",
         )
     except NotImplementedError as error:
         raise ValueError(f"`network` {name}: {error}") from None
+    if everywhere != (model.places is not None):
+        wanted = "a map of a channel for each class and one for nothing" if everywhere else "one logit for each class"
+        raise ValueError(f"`network` {name} must compute {wanted}, got {model.logits_shape} for two classes")
 
 
 def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:

@@ -22,7 +22,7 @@ from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-FORMAT = 7  # of the checkpoint
+FORMAT = 8  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
 
@@ -180,6 +180,7 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
         "training": "training (augmented)",
         "per_window": "validation, by window",
         "per_recording": "validation, by recording",
+        "f1": "validation, F1 of scenes",
     }
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     panels = zip(figure.subplots(1, 2), ("cross entropy", "accuracy"), (losses, accuracies), strict=True)

@@ -132,4 +132,4 @@ class SceneMaker:
             recordings.append(events[np.argsort(events["t"], kind="stable")])
         noise = Recordings.from_events(recordings, [0] * n_scenes)
         windows = Windows(noise, np.arange(n_scenes), np.zeros(n_scenes, np.int64))
-        return self._scenes(windows)
+        return self._scenes(windows).copy()

@@ -43,6 +43,8 @@ RECIPE = MappingProxyType(
     }
 )
 """Of `TrainSettings` for a data set by default; compared with others by `experiments/recipes.py`."""
+EVERYWHERE = MappingProxyType({"network": "map", "balance": False})
+"""Of a map model's by default, instead: in scenes nothing is far more frequent than any class."""
 LONGER_SIDE = 120
 """Of a default grid."""
 BINS, OFTEN = 5, 2.25
@@ -78,6 +80,7 @@ class TrainSettings:
     balance : each epoch shows every class equally often, and the validation loss weights classes equally; else
         windows count equally.
     network : the classifier, see `training.networks.build_network`. Not used where a model is trained further.
+    everywhere : train a map model, on scenes of several windows, see `scenes`; `batch` counts these windows.
     """
 
     epochs: int = 10
@@ -95,6 +98,7 @@ class TrainSettings:
     precision: str = "float32"
     balance: bool = False
     network: str = "thesis"
+    everywhere: bool = False
 
     def __post_init__(self) -> None:
         for name, low in (("epochs", 1), ("iterations", 1), ("passes", 1), ("batch", 1), ("seed", 0)):
@@ -181,4 +185,6 @@ def settings_for(config: TNTConfig, n_windows: int, *, epochs: int | None = None
         earliest_ms = EARLIEST * config.window_us / 1e3
         augmentation = Augmentation.for_sensor(config, **{"partial_from_ms": earliest_ms, **CHANGES, **augmentation})
     ours = {**RECIPE, "logarithm": config.polarity != "signed"}
+    if settings.get("everywhere"):
+        ours |= EVERYWHERE
     return TrainSettings(epochs=epochs, augmentation=augmentation, **{**ours, **settings})

@@ -1,0 +1,180 @@
+"""Scenes of several recordings, and map models that learn from them."""
+
+import json
+
+import numpy as np
+import pytest
+from made import events_of
+from training.gestures import bar, write_set
+
+pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+
+from tnt_reference import event_volume
+
+from async_tnt import Processor, TNTConfig, load_model
+from async_tnt.kernels.objects import FOUND_SIZE
+from async_tnt.training import scenes as module
+from async_tnt.training.augment import Augmentation, unchanged
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.scene_scores import n_matched
+from async_tnt.training.scenes import SceneMaker
+from async_tnt.training.windows import Windows
+
+CONFIG = TNTConfig(
+    sensor=(20, 16), grid=(20, 16), bins=3, polarity="split", transform="none", landmark="center", window_us=1000
+)
+
+
+def recordings(n, n_events=60, seed=0):
+    """Each within a rectangle of its own, whose middle is not the sensor's."""
+    rng = np.random.default_rng(seed)
+    events = []
+    for k in range(n):
+        t = np.sort(rng.integers(0, 1000, n_events))
+        x, y = rng.integers(2 + k % 3, 14 + k % 4, n_events), rng.integers(1, 12 + k % 3, n_events)
+        events.append(events_of(t, x, y, rng.integers(0, 2, n_events)))
+    made = Recordings.from_events(events, np.arange(n) % 3)
+    return events, Windows(made, np.arange(n), np.zeros(n, np.int64))
+
+
+@pytest.fixture
+def no_noise(monkeypatch):
+    monkeypatch.setattr(module, "NOISE_HZ", (0.0, 0.0))
+    monkeypatch.setattr(module, "HOT_EVENTS", (0, 1))
+
+
+@pytest.mark.parametrize("grid", [(20, 16), (10, 8)])
+def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(grid, no_noise):
+    """By the reference: each recording moved to its place, events beyond the border left out, in whole cells."""
+    config = CONFIG.replace(grid=grid)
+    maker = SceneMaker(config)
+    assert (maker.config.sensor, maker.config.grid) == ((60, 48), (3 * grid[0], 3 * grid[1]))
+    events, windows = recordings(12, 200)
+    draws = unchanged(12, config)
+    draws.until_us[:] = 700
+    scenes = maker(windows, draws, np.random.default_rng(5))
+    middles = windows.recordings.middles
+    expected = np.zeros(scenes.volumes.shape)
+    again = np.random.default_rng(5)  # the draws of starts, as the maker makes them
+    again.integers(max(1, round(12 / module.OBJECTS)), size=12)
+    again.integers(12, size=len(scenes.volumes))
+    later = np.where(again.random(12) < 0.5, again.integers(0, 500, 12), 0)
+    assert (scenes.label == windows.labels).all()  # none is left out
+    for i, (scene, place) in enumerate(zip(scenes.scene, scenes.position, strict=True)):
+        one = events[i][events[i]["t"] + later[i] < 700]
+        step = (np.array(config.sensor) - 1) / (np.array(config.grid) - 1)
+        cells = np.rint((place - middles[i]) / step).astype(int)
+        assert np.allclose(cells * step, place - middles[i])
+        settings = {"start_us": 0, "window_us": 1000, "bins": 3, "polarity": "split"}
+        small = event_volume(
+            one["t"] + later[i], one["x"], one["y"], one["p"], sensor=config.sensor, grid=config.grid, **settings
+        ).numpy()
+        canvas = np.zeros((6, 5 * grid[1], 5 * grid[0]))
+        top, left = grid[1] + cells[1], grid[0] + cells[0]
+        canvas[:, top : top + grid[1], left : left + grid[0]] = small
+        expected[scene] += canvas[:, grid[1] : 4 * grid[1], grid[0] : 4 * grid[0]]
+    assert np.abs(scenes.volumes - expected).max() < 1e-5
+    assert expected.any()
+
+
+def test_scenes_are_drawn_anew_but_the_same_from_the_same_seed():
+    maker, (_, windows) = SceneMaker(CONFIG), recordings(40)
+    draws = Augmentation.for_sensor(CONFIG, nothing=0.3).draw(windows, CONFIG, np.random.default_rng(1))
+    first, same, other = (maker(windows, draws, np.random.default_rng(seed)) for seed in (2, 2, 3))
+    assert first.volumes.tobytes() == same.volumes.tobytes() and (first.position == same.position).all()
+    assert first.volumes.tobytes() != other.volumes.tobytes()
+    assert len(first.label) < 36  # what shows nothing is no object
+    assert (first.position > -2).all() and (first.position < (62, 50)).all()
+    for scene in range(len(first.volumes)):
+        there = first.position[first.scene == scene]
+        away = np.hypot(*(there[:, None] - there[None]).transpose(2, 0, 1))
+        assert away[~np.eye(len(there), dtype=bool)].min(initial=99) > 0.4 * 16 - 1.5  # moved to whole cells since
+
+
+def test_volumes_that_are_no_sums_are_refused():
+    for config in (CONFIG.replace(transform="tnt"), CONFIG.replace(representation="time_surface", bins=1)):
+        with pytest.raises(ValueError, match="a scene is a sum of volumes"):
+            SceneMaker(config)
+
+
+def test_matches_by_hand():
+    """An object is matched once, with the nearest of its class; a second one found there is too many."""
+    found = np.zeros((4, FOUND_SIZE))
+    found[:, :4] = [(10, 10, 0.9, 0), (11, 10, 0.8, 0), (30, 10, 0.7, 1), (50, 10, 0.6, 1)]
+    labels, positions = np.array([0, 0, 1]), np.array([[10.0, 10], [40, 40], [50, 13]])
+    assert n_matched(found, labels, positions, 3.0) == 2
+    assert n_matched(found, labels, positions, 2.0) == 1
+    assert n_matched(found, np.zeros(0, int), np.zeros((0, 2)), 3.0) == 0
+    assert n_matched(found[:0], labels, positions, 3.0) == 0
+
+
+@pytest.fixture(scope="module")
+def finder(tmp_path_factory):
+    """A map model of upright and flat bars at 32x32."""
+    from async_tnt.cli import main
+
+    folder = tmp_path_factory.mktemp("finder")
+    write_set(folder / "bars", {"upright": 60, "flat": 60}, side=32)
+    out = folder / "bars.safetensors"
+    words = ["train", str(folder / "bars"), "--out", str(out), "--everywhere", "--epochs", "14"]
+    assert main(words) == 0
+    return out
+
+
+def test_a_trained_map_model_finds_what_stands_on_a_larger_sensor(finder, capsys):
+    model = load_model(finder)
+    assert model.config.sensor == (96, 96) and model.places is not None
+    found = model.record["validation"]
+    assert found["f1"] > 0.8 and found["objects"] > 20
+    assert json.loads(finder.with_suffix(".json").read_text())["history"][-1]["f1"] == pytest.approx(
+        found["f1"], abs=0.05
+    )
+    wide = Processor(model.for_sensor((200, 120)))
+    parts = []
+    for k, (kind, x, y) in enumerate([("upright", 20, 20), ("flat", 150, 10), ("upright", 90, 70)]):
+        events = bar(kind, 900 + k, side=32)
+        events["x"] += x
+        events["y"] += y
+        parts.append(events)
+    events = np.concatenate(parts)
+    wide.push(events[np.argsort(events["t"], kind="stable")])
+    objects = sorted((o.x, o.y, o.label) for o in wide.fire().objects)
+    expected = [(36, 36, "upright"), (106, 86, "upright"), (166, 26, "flat")]
+    assert [label for *_, label in objects] == [label for *_, label in expected]
+    assert np.abs(np.array([o[:2] for o in objects]) - [o[:2] for o in expected]).max() < 6
+
+
+def test_run_prints_objects_and_other_commands_refuse_them(finder, program, tmp_path):
+    events = bar("flat", 5, side=32)
+    events["x"] += 30
+    events["y"] += 40
+    path = tmp_path / "scene.npz"
+    np.savez(path, events=events, sensor=np.array((96, 96)))
+    code, out, err = program("run", path, "--model", finder)
+    assert (code, err) == (0, "") and "flat (4" in out.splitlines()[-1]
+    code, out, _ = program("run", path, "--model", finder, "--json")
+    (decision,) = map(json.loads, out.splitlines())
+    assert code == 0 and decision["label"] == "flat" and decision["objects"][0]["label"] == "flat"
+    assert set(decision["objects"][0]) == {"id", "label", "probability", "x", "y"}
+    for words in (
+        ("evaluate", finder, tmp_path),
+        ("plot", path, "--model", finder),
+        ("run", path, "--confidence", "0.9"),
+    ):
+        more = ("--model", finder) if words[0] == "run" else ()
+        code, _, err = program(*words, *more)
+        assert code == 2 and err.count("\n") == 1 and "objects" in err
+
+
+def test_options_that_do_not_go_with_everywhere(tmp_path, program):
+    write_set(tmp_path / "bars", {"upright": 3, "flat": 3}, side=32)
+    for words, message in [
+        (("--teacher", "digits"), "--teacher must come without --everywhere"),
+        (("--motions", "resynthesized"), "--motions must come without --everywhere"),
+        (("--network", "residual"), "must compute a map"),
+        (("--volume", "representation=time_surface"), "a scene is a sum of volumes"),
+    ]:
+        code, _, err = program("train", tmp_path / "bars", "--everywhere", "--out", tmp_path / "m.safetensors", *words)
+        assert code == 2 and message in err.splitlines()[-1], err
+    code, _, err = program("train", tmp_path / "bars", "--network", "map", "--out", tmp_path / "m.safetensors")
+    assert code == 2 and "must compute one logit for each class" in err
