@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -116,6 +117,33 @@ def bare() -> str:
         sizes = (f"{networks[0][key]:,}" for key in ("windows", "recordings"))
         rows.append([found["title"], str(len(networks)), *(f"{s} of {n}" for s, n in zip(shares, sizes, strict=True))])
     return table(["data set", "networks", "windows", "recordings"], rows)
+
+
+def from_pictures() -> str:
+    """The same for `train` given pictures alone."""
+    rows = []
+    for found in results("from_pictures")["sets"].values():
+        options = found["command"].partition("PICTURES ")[2]
+        rows.append([found["title"], f"`{options}`", f"{found['pictures']['pictures']:,}", *_tested(found)])
+    return table(["recordings of", "options", "pictures", "networks", "windows", "recordings"], rows)
+
+
+def _tested(found: dict[str, Any]) -> list[str]:
+    """Networks, windows right, recordings right."""
+    networks = found["networks"]
+    shares = (cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy"))
+    sizes = (f"{networks[0][key]:,}" for key in ("windows", "recordings"))
+    return [str(len(networks)), *(f"{share} of {n}" for share, n in zip(shares, sizes, strict=True))]
+
+
+def moved_digits() -> str:
+    """Digits in simulated motions that N-MNIST does not have: mean over the networks."""
+    rows = []
+    for test, cases in results("from_pictures")["sets"]["nmnist"]["simulated"].items():
+        means = {case: float(np.mean(shares)) for case, shares in cases.items()}
+        worst = min(means, key=lambda case: means[case])
+        rows.append([test, str(len(means)), _mean(list(means.values())), f"{three_digits(means[worst])} ({worst})"])
+    return table(["1,000 test images", "motions or speeds", "mean", "worst"], rows)
 
 
 def recipes() -> str:

@@ -10,6 +10,17 @@ from experiments import dataset_tables as datasets
 from experiments import decision_tables as decisions
 from experiments import stream_tables as streams
 from experiments import thesis_tables as thesis
+from experiments.results_texts import (
+    CARS,
+    DEFAULT,
+    FEW,
+    FROM_PICTURES,
+    INPUTS,
+    MOTIONS,
+    RECIPE,
+    SIMULATED,
+    THESIS,
+)
 
 Table = Callable[[], str]
 
@@ -33,96 +44,6 @@ class Section:
     tables: dict[Table, str] = field(default_factory=dict)
     picture: str = ""
 
-
-RECIPE = """\
-Not the official N-MNIST test: training used the official training recordings 1-1,000 and 7,000 of the official *test*
-recordings, the test 1,000 others of these, 100 per digit. The standard error is 0.2-0.3 %. The model: TNT about the
-running centroid, t_max 4, nine bins of 105 ms on 34 x 34 pixels, 16 and 32 convolution channels, 64 hidden units,
-137,738 weights.
-
-It was trained in five steps, which `python -m experiments.digits` repeats in hours. The fourth also shows scattered
-events, the fifth all kinds of nothing of `train`; half of its target is what the fourth model says. .27 of the weights
-are the fourth model's, .73 the average over the fifth step; the probabilities are calibrated.
-
-Data: 7,201 real and 20,000 simulated recordings of MNIST training images from 5,000 on; 799 real ones were held out.
-Augmentation: the window's start moves by up to 5 ms, events by 1.5 px, rotation 10 degrees, scale and shear 10 %, up
-to 30 % of events dropped, every fifth window (in the last two steps every second) cut at 15-105 ms; in these, every
-fifth or 15 % of the windows show nothing. AdamW, decay 0.01, batches of 64, cosine rate from 0.002 (then .001, .001,
-.0005, .001), label smoothing 0.05, seed 0.
-
-Trainings were compared on held-out recordings, and on the bundled samples, which are no test therefore: the last one
-mixes two by the largest share with which all samples are right. 7, 8, 9, 11 and one more have read the test; none
-chose."""
-
-CARS = """\
-N-CARS (A. Sironi et al. 2018, [arXiv:1803.07913](https://arxiv.org/abs/1803.07913)): 15,422 recordings to train on (one
-is a duplicate) and 8,607 to test on. Each row is `async-tnt train n-cars_train --sensor 120x100` with its options. The
-recipe was found on the last fifth of the training part; of the first row the last twentieth is held out, on which the
-networks have .966 to .976. When all networks of a row were trained, each read the test part once, the first two also
-together, by the mean of their probabilities. Earlier versions of this project had seen it, with other recipes (.81 to
-.93). Most training recordings are right by the width and height of their crops alone, which a table of the training
-part tells, smoothed over two pixels; so are most test recordings: a shortcut that every network on these crops may
-take. For each row and each input, 11,679 decisions of the first network, one after every event, were compared with the
-network computed in full: all bits are equal. The rows of the comparison of inputs are of an earlier version."""
-
-DEFAULT = """\
-No test part was read: held out are the last recordings of each class, of HOTS' characters the end of each recording,
-and of `sessions`, which is made, a second session with other thresholds, noise, places and sizes. Where objects move
-far within a window, counts lose accuracy to time bins; on N-CARS, bins to counts. Events of one polarity of an active
-pixel tell the two apart: N-CARS has 1.7 of them, `sessions` 3.0, N-MNIST 3.2, POKER-DVS 4.1, the characters 11. From
-2.25 on the default is five bins; that value was set after these five. N-CARS and N-MNIST: ten epochs; without
-`--mirror`."""
-
-INPUTS = """\
-On each data set every input gets the same network and number of steps, five seeds. N-MNIST: trained on all three
-saccades or on the first, tested on all three or in 30 simulated motions ("sim"); 3,000 steps, t_max 2, translations;
-volumes are signed, images split by polarity, `line` has its flow removed, HATS 8x8 cells. N-CARS: accuracy at the time
-given; network `residual`, six epochs, t_max 3, all split by polarity, on a grid of 60x50, HATS with 12x10 cells.
-Costs, on N-CARS: an event in the volume, and a decision after every event."""
-
-THESIS = """\
-Columns: trained on / tested on. *all*: all three saccades; *1*: the first; *others*: the second and third; *train*:
-all three of the training digits; *sim*: 30 simulated motions. The rows were listed before the first was trained; they
-share network, optimizer and number of steps (3,000), with events thinned by up to 30 %. Mean ± standard deviation over
-five seeds. Data as for `digits`; of simulated sets only images are tested that no training recording shows. No number
-of the second or third saccade or of the simulated motions chose a row, a setting or a number of steps of this table;
-in other motions the numbers of some earlier settings had been seen (t_max 2, 4 and 8, a scale for each bin, rotations,
-scalings and shears; one or two seeds: .379 to .473 in 1/all). t_max 2 has the lowest held-out loss of 2, 3, 4 and 8
-for each of `center` (.090), `running` (.086) and `line` (.097), after 2,260 steps on the first saccade with rotations,
-scalings and shears. `results/table.json` has all settings, seeds and intervals."""
-
-MOTIONS = """\
-All networks are trained for 8,000 steps; the motions of a row are made once, for all seeds. *confounded*: each digit
-is seen in one saccade only, 0-3 in the first, 4-6 in the second and 7-9 in the third, so that the motion tells more
-than the shape; "raw" is the control. Earlier versions, with at most 8 variations of a window, were tested on saccades
-2 and 3 and on the simulated set. The image's prior and the random places were changed once after that; the number of
-variations was chosen by accuracy on held-out recordings in re-synthesized motions. No result led to these changes.
-Untransformed, trained on 1 and confounded are of the present code, which finds paths where events are few; the other
-re-synthesized columns are of the rules and images before it. With those, raw had .982 in 1/all and in 1/sim, and .981
-confounded: total variation in the place of the present penalty, and half of the motions without turns, did not bring
-the difference back; on the 21,603 windows of 1/train there is none (.990 before, too)."""
-
-FEW = """\
-Trained in one direction, or in all; means of seeds (lowest to highest). Saccades: 4,800 recordings of N-MNIST's
-Train show the first one, or all three in turn; the 1,000 of Test show each. Hands: eight dark objects, 1,280 recordings
-that move to the right, or in eight directions; 320 in each test. The signs were chosen by the first and last row."""
-
-SIMULATED = """\
-200 recordings of N-MNIST's test set, simulations of the same MNIST images under N-MNIST's own motion, and
-N-MOVING-MNIST's `constant` and `bell` motions; the last with `--motions bell`. Constant motion spreads the same events
-evenly over the window, hence the longer intervals. With 8 px a digit's outermost image ring leaves the sensor; it is
-empty in 98.9 % of the images.
-
-| mean of a saccade | N-MNIST | simulated | constant | bell |
-|---|---|---|---|---|
-| events | 1387 | 1407 | 1389 | 1264 |
-| active pixels [%] | 26.3 | 26.1 | 25.5 | 24.7 |
-| events per active pixel | 4.57 | 4.67 | 4.72 | 4.43 |
-| same-pixel interval, 5 % quantile [ms] | 2.13 | 2.28 | 3.25 | 2.34 |
-| same-pixel interval, median [ms] | 4.52 | 4.64 | 7.22 | 5.41 |
-| ON events [%] | 49.7 | 49.1 | 48.5 | 48.6 |
-| ON minus OFF centroid along the motion [px] | -3.92 | -3.65 | -3.88 | -3.81 |
-| ON minus OFF centroid across the motion [px] | -0.17 | -0.25 | -0.01 | -0.01 |"""
 
 SECTIONS = (
     Section(
@@ -301,6 +222,15 @@ SECTIONS = (
         "`experiments/made_hands.py`) set none.",
         "experiments.found_paths --nmnist N-MNIST --json experiments/results/found_paths.json",
         {accuracy.found_paths: "Windows with a path that is relied on"},
+    ),
+    Section(
+        "Pictures alone",
+        FROM_PICTURES,
+        "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters --made --fonts FONTS",
+        {
+            datasets.from_pictures: "Tested on real recordings, or on those of another renderer",
+            datasets.moved_digits: "N-MNIST's networks on simulated test images, in motions and speeds of their own",
+        },
     ),
     Section(
         "Simulated and real recordings",

@@ -259,7 +259,9 @@ def command_words(
         value = getattr(args, action.dest)
         if action.type is Path or value == action.default or action.dest in leave_out:
             continue
-        values = value if isinstance(value, (list, tuple)) else [value]
+        if isinstance(value, tuple):  # a range
+            value = "-".join(f"{end:g}" for end in value)
+        values = value if isinstance(value, list) else [value]
         if action.dest in ("start_from", "network", "teacher"):
             values = [Path(one).name for one in values]
         text = shlex.join(map(str, values))

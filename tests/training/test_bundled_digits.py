@@ -1,4 +1,4 @@
-"""The bundled model `digits`: right on every bundled sample, and as accurate as its record says."""
+"""The bundled models of digits: right on every bundled sample, and as accurate as their records say."""
 
 import pytest
 
@@ -15,17 +15,25 @@ from experiments.digits_data import DURATION_US, read_nmnist_folder  # noqa: E40
 from_either = pytest.mark.parametrize("first_event", [False, True], ids=["from 0", "from the first event"])
 
 
-@pytest.fixture(scope="module")
-def model():
-    return load_model("digits")
+@pytest.fixture(scope="module", params=["digits", "digits-from-pictures"])
+def model(request):
+    return load_model(request.param)
 
 
-def test_its_record_has_its_data_accuracy_and_command(model):
+def test_the_record_of_digits_has_its_data_accuracy_and_command():
+    model = load_model("digits")
     record = model.record
     assert model.config.transform == "tnt" and model.classes == tuple("0123456789")
     assert {"data", "command", "seed", "epochs", "versions", "validation", "test", "tried"} <= set(record)
     assert "official" in record["data"]["note"]  # not the official split: stated where the numbers are
     assert record["test"]["per_window"] >= 0.97 and record["test"]["per_recording"] >= 0.985
+
+
+def test_the_other_one_saw_pictures_alone():
+    model = load_model("digits-from-pictures")
+    data, test = model.record["data"], model.record["test"]
+    assert model.classes == tuple("0123456789") and data["pictures"]["pictures"] == 60_000
+    assert test["recordings"] == 8_000 and test["window_accuracy"] >= 0.985
 
 
 @from_either

@@ -112,7 +112,10 @@ def test_without_torch_the_message_says_what_to_install(monkeypatch, program):
 
 REFUSED_EARLY = [
     (("--volume", "remove_flow=yes"), "remove_flow"),
-    (("--network", "conv5"), "must be one of thesis, conv4, residual, separable, or FILE.py:FUNCTION; got 'conv5'"),
+    (
+        ("--network", "conv5"),
+        "must be one of thesis, conv4, residual, separable, map, or FILE.py:FUNCTION; got 'conv5'",
+    ),
     (("--motions", "resynthesized", "--roi", "0,0,9,9"), "--roi must come with --crop"),
     (("--groups", "("), "--groups must be a regular expression, got '('"),
     (("--test",), "trials_to_test.txt; found neither"),
