@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from pathlib import Path
 
-from async_tnt.cli.options import size_of, size_text
+from async_tnt.cli.options import paths_of, size_of, size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
+from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector, Region
+from async_tnt.sources.sensor import Sensor
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:
@@ -61,6 +64,19 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
     roi = None if args.roi is None else parse_roi(args.roi)
     sensor = None if args.sensor is None else size_of(args.sensor)
     return PixelSelection(roi, args.crop, args.mask, sensor)
+
+
+def sensor_to_read(args: argparse.Namespace) -> Sensor | None:
+    """The pixels that a map model is to read: of a region with --crop, of --sensor, or of the first file, if it states
+    them."""
+    if args.roi is not None and args.crop:
+        return parse_roi(args.roi)[2:]
+    if args.sensor is not None:
+        return size_of(args.sensor)
+    for path in paths_of(args)[:1]:
+        with contextlib.suppress(OSError, ValueError, ImportError):  # which is told when it is read
+            return None if isinstance(path, str) else open_recording(path).sensor
+    return None
 
 
 def parse_roi(text: str) -> Region:

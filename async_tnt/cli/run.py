@@ -22,7 +22,7 @@ from async_tnt.cli.options import (
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
 from async_tnt.cli.packets import add_latest, check_latest, live_packets, open_selected
-from async_tnt.cli.pixel_options import add_pixels, selector_of
+from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
 from async_tnt.networks.engines import ENGINES, Engine, choose_engine
@@ -86,7 +86,7 @@ def main(args: argparse.Namespace) -> int:
         return run_archive(args)
     check_no_archive(args)
     check_latest(args)
-    engine = choose_engine(args.model, args.engine)
+    engine = choose_engine(args.model, args.engine, sensor_to_read(args))
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     processor = Processor(engine.model, classes=engine.classes, **engine.networks, **settings)

@@ -12,7 +12,7 @@ from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.packets import add_latest, check_latest, live_packets, open_selected
-from async_tnt.cli.pixel_options import add_pixels, selector_of
+from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
 from async_tnt.networks.engines import choose_engine
@@ -75,7 +75,7 @@ def main(args: argparse.Namespace) -> int:
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
-    engine = choose_engine(args.model)
+    engine = choose_engine(args.model, map_sensor=sensor_to_read(args))
     pixels = selector_of(args, engine.model)
     sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
     speed = args.speed or (1.0 if args.out is None else math.inf)

@@ -35,7 +35,9 @@ class Engine:
         return self.model.config if isinstance(self.model, Model) else self.model
 
 
-def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine:
+def choose_engine(
+    name_or_path: str | Path, engine: str | None = None, map_sensor: tuple[int, int] | None = None
+) -> Engine:
     """A model, and the engine that runs its networks.
 
     Parameters
@@ -43,6 +45,7 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
     name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
     engine : `compiled` (Numba; by default), `onnx` (the classifier, exported in memory, by onnxruntime) or `torch` (the
         reference networks). An .onnx file runs by `onnx`, and only by it.
+    map_sensor : (width, height), what a map model is to be used for, see `Model.for_sensor`. Other models have theirs.
 
     Raises
     ------
@@ -60,6 +63,8 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
             )
         return _of_file(Path(name_or_path))
     model = load_model(name_or_path)
+    if map_sensor is not None and model.places is not None:
+        model = model.for_sensor(map_sensor)
     if engine == "onnx":
         classifier = OnnxClassifier(to_onnx(model))
         classifier.places = model.places

@@ -149,7 +149,7 @@ def test_run_prints_objects_and_other_commands_refuse_them(finder, program, tmp_
     events["x"] += 30
     events["y"] += 40
     path = tmp_path / "scene.npz"
-    np.savez(path, events=events, sensor=np.array((96, 96)))
+    np.savez(path, events=events, sensor=np.array((150, 100)))  # another sensor than the scenes'
     code, out, err = program("run", path, "--model", finder)
     assert (code, err) == (0, "") and "flat (4" in out.splitlines()[-1]
     code, out, _ = program("run", path, "--model", finder, "--json")
