@@ -166,13 +166,15 @@ def _read(
     from async_tnt.training.groups import check_share, groups_by_pattern, groups_checksum
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
-    from async_tnt.training.settings import OF_PICTURES, default_config, settings_for
+    from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
     pixels = _pixels_of(args, start)
     given: dict[str, Any] = {"grid": size_of(args.grid)} if args.grid else {}
     given |= {"window_us": args.window_us} if args.window_us else {}
     config = start.config if start is not None else default_config(**given, **volume_of(args.volume))
+    in_bins = args.motions == "resynthesized" and start is None and not args.volume
+    config = with_bins(config) if in_bins else config
     BatchVolumes(config)
     has_pictures = bool(find_pictures(args.dataset))
     wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror, **(OF_PICTURES if has_pictures else {})}}
@@ -198,7 +200,7 @@ def _read(
         sources |= {"camera": camera and asdict(camera)}
     recordings = file_sizes(args.dataset, "Train")
     fitted = set() if start is not None else {"grid", "window_us"} - given.keys()
-    fitted |= set() if start is not None or args.volume else {"bins"}
+    fitted |= set() if start is not None or args.volume or in_bins else {"bins"}
     later = {"sensor", *fitted} | ({"representation"} if "bins" in fitted else set())
     volume = {name: value for name, value in config.to_dict().items() if name not in later}
     if pixels.sensor is not None and not pixels.crop:
