@@ -131,6 +131,10 @@ def unseen_saccades() -> str:
     return _unseen("unseen_saccades")
 
 
+def unseen_volumes() -> str:
+    return _unseen("unseen_volumes")
+
+
 def _unseen(name: str) -> str:
     """Means over seeds by what was trained on and tested in, with the range of several."""
     accuracy = results(name)["accuracy"]
