@@ -72,6 +72,8 @@ def compile_for(config: TNTConfig, classifier: object, regressor: object, *, dro
     compiled = classifier if type(classifier) is CompiledClassifier else None
     finds_objects = compiled is not None and compiled.reader is not None
     names = EVENTS | (OTHER_CLASSIFIERS if compiled is None else LOCATOR if finds_objects else CLASSIFIER)
+    if compiled is None and getattr(classifier, "places", None) is not None:
+        names |= {"locate_on_map"}
     if drops_late:
         names |= LATE
     if config.needs_replay:

@@ -24,7 +24,8 @@ class Object:
     """Where it stands, in sensor pixels."""
     y: float
     id: int
-    """The same from decision to decision, see `kernels.objects`."""
+    """The same from decision to decision while it moves little. A new object that `fire` finds has the number of the
+    next one; the next decision may give it to another."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; probability to six decimals, position to two."""

@@ -23,7 +23,7 @@ from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
 from async_tnt.triggers import LeakyIntegrator, TriggerAttributes, Triggers, TriggerSettings
 from async_tnt.volume_state import Regressor
-from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
+from async_tnt.window_classifier import NO_CONFIDENCE, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
 
 
@@ -302,7 +302,13 @@ class Processor(TriggerAttributes):
     @classifier.setter
     @one_at_a_time
     def classifier(self, classifier: Classifier) -> None:
+        before = self._classifier.classifier
         self._classifier.classifier = classifier
+        try:
+            self._checked(self._triggers.settings)
+        except ValueError:
+            self._classifier.classifier = before
+            raise
         self._compile(None)
 
     @property
@@ -333,7 +339,7 @@ class Processor(TriggerAttributes):
 
     def _checked(self, settings: TriggerSettings) -> TriggerSettings:
         if settings.confidence is not None and self._classifier.finds_objects:
-            raise ValueError("`confidence` needs one answer for the window; a map model finds objects")
+            raise ValueError(NO_CONFIDENCE)
         return settings
 
     def _compile(self, regressor: Regressor | None) -> None:

@@ -13,6 +13,7 @@ from async_tnt.decision import Decision, Object, Trigger
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
+from async_tnt.kernels.objects import N_KNOWN, NEXT_NUMBER
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.networks.objects import ObjectReader, even_places, logits_shape, new_tracks
@@ -25,6 +26,7 @@ TRIGGER_NAMES: dict[int, Any] = {
     T.BY_ACTIVITY: "activity",
     T.BY_CONFIDENCE: "confidence",
 }
+NO_CONFIDENCE = "`confidence` needs one answer for the window; a map model finds objects"
 ROWS = 256  # decisions made in one compiled call, at most
 
 
@@ -81,8 +83,16 @@ class WindowClassifier:
         if compiled is not None and compiled.shape != self._config.shape:
             shape = compiled.shape
             raise ValueError(f"`classifier` must take volumes of shape {self._config.shape}, got one for {shape}")
+        if compiled is not None and compiled.places is not None and compiled.sensor != self._config.sensor:
+            raise ValueError(
+                f"`classifier` must be for the sensor {self._config.sensor}, in whose pixels objects stand, got one "
+                f"for {compiled.sensor}"
+            )
         self._classifier, self._compiled = classifier, compiled
-        self._reader: ObjectReader | None = None if compiled is None else compiled.reader
+        of_map: Any = () if compiled is not None else getattr(classifier, "logits_shape", ())
+        self._reader: ObjectReader | None = compiled.reader if compiled is not None else None
+        if len(of_map) == 3:
+            self._reader = ObjectReader(of_map)
         self._tracks = self._new_tracks()
         self.decides_in_stretches = compiled is not None and self._reader is None and not self._config.needs_replay
 
@@ -92,15 +102,19 @@ class WindowClassifier:
         return self._reader is not None
 
     def forget(self) -> None:
-        """Forget the objects of earlier decisions."""
-        self._tracks = self._new_tracks()
+        """Forget the objects of earlier decisions, and number them from 0 on."""
+        if self._reader is not None:
+            self._tracks[0, [N_KNOWN, NEXT_NUMBER]] = 0
 
     def _new_tracks(self) -> np.ndarray:
         if self._reader is None:
             return np.empty((0, 4))
         shape = self._reader.shape
         places = getattr(self._classifier, "places", None) or even_places(shape, self._config.sensor)
-        return new_tracks(places, shape, self._config.window_us)
+        tracks = new_tracks(places, shape, self._config.window_us)
+        before = getattr(self, "_tracks", tracks)  # no number is given twice in a stream
+        tracks[0, NEXT_NUMBER] = before[0, NEXT_NUMBER] if len(before) else 0
+        return tracks
 
     def decide(
         self, volume: TNTVolume, trigger: Trigger, complete: bool = False, confidence: float | None = None
@@ -120,17 +134,19 @@ class WindowClassifier:
         window = start_us, time_us, n_events
         if self._compiled is not None and self._compiled.reader is not None:
             n = self._compiled.locate(volume, self._tracks, trigger != "fire")
-            return self._decision_of_map(n, self._compiled.reader, self._compiled.map, window, trigger, complete)
+            return self._decision_of_map(n, self._compiled.map, window, trigger, complete)
         if self._compiled is not None:
             index, logits, probabilities = self._compiled.answer(volume)
         else:
             logits = self._call(volume)
             shape = logits_shape(logits.shape)
             if shape is not None and len(shape) == 3:
+                if confidence is not None:
+                    raise ValueError(NO_CONFIDENCE)
                 logits = logits.reshape(shape)
                 reader = self._reader_for(logits.shape)
                 n = reader.read(logits, self._tracks, time_us, trigger != "fire")
-                return self._decision_of_map(n, reader, logits, window, trigger, complete)
+                return self._decision_of_map(n, logits, window, trigger, complete)
             logits = logits.reshape(-1)
             probabilities = np.empty(logits.size)
             index = softmax(logits, probabilities) if logits.size else -1
@@ -163,14 +179,14 @@ class WindowClassifier:
     def _decision_of_map(
         self,
         n: int,
-        reader: ObjectReader,
         logits: np.ndarray,
         window: tuple[int, int, int],
         trigger: Trigger,
         complete: bool,
     ) -> Decision:
         """The decision of a map on which the reader has found n objects; window: start, newest time, events."""
-        classes = self._classes_for(logits.shape[0] - 1)
+        reader, classes = self._reader, self._classes_for(logits.shape[0] - 1, is_map=True)
+        assert reader is not None
         if n < 0:
             raise ValueError("`classifier` must return finite logits, got some on its map that are not")
         objects = tuple(
@@ -232,13 +248,14 @@ class WindowClassifier:
         ]
         return absorbed, decisions, _not_finite(logits[n]) if end == NOT_FINITE else None
 
-    def _classes_for(self, n: int) -> tuple[str, ...]:
+    def _classes_for(self, n: int, *, is_map: bool = False) -> tuple[str, ...]:
         if n == 0:
             raise ValueError("`classifier` must return logits, got none")
         if self.classes is None:
             self.classes = tuple(str(k) for k in range(n))
         if n != len(self.classes):
-            raise ValueError(f"`classifier` must return {len(self.classes)} logits, one for each class, got {n}")
+            what = "channels, one more than classes" if is_map else "logits, one for each class"
+            raise ValueError(f"`classifier` must return {len(self.classes) + is_map} {what}, got {n + is_map}")
         return self.classes
 
 

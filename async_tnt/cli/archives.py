@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.options import of_windows, paths_of, triggers_of
+from async_tnt.cli.options import check_of_windows, paths_of, triggers_of
 from async_tnt.cli.output import complain, complain_late, counted, say
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.compile_ahead import fill_cache
@@ -21,7 +21,6 @@ from async_tnt.evaluation.records import Record, run_recording
 from async_tnt.evaluation.results import SUFFIXES, Progress, Run, collect
 from async_tnt.files import check_writable
 from async_tnt.networks.engines import choose_engine
-from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
 from async_tnt.progress import progress as progress_bar
 from async_tnt.sources.labelled_recordings import recordings_under
@@ -96,8 +95,7 @@ def run_archive(args: argparse.Namespace) -> int:
     run = how_to_run(args)
     _check_run(args)
     engine = choose_engine(args.model, args.engine)
-    if isinstance(engine.model, Model):
-        of_windows(engine.model, args.model)
+    check_of_windows(engine.finds_objects, args.model)
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     # refuses bad settings before any work

@@ -77,8 +77,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _print(report: dict[str, Any], model: Model) -> None:
+    logits = (len(model.classes),) if model.places is None else model.logits_shape
     for path, n_bytes in report["files"].items():
-        say(f"{path} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> logits (1, {len(model.classes)})")
+        say(f"{path} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> logits {(1, *logits)}")
     say(
         f"onnxruntime {report['onnxruntime']} against the compiled network, {report['windows']} windows of "
         f"{report['recordings']}: logits within {report['largest_logit_difference']:.2g} of the largest, "

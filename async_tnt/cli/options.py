@@ -97,9 +97,14 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
 
 def of_windows(model: Model, name: str | Path) -> Model:
     """The model, if it has one answer for a window; a ValueError for a map model, whose answers are objects."""
-    if model.places is not None:
-        raise ValueError(f"{name} finds objects, and has no class for a window; run, view, check and bench take it")
+    check_of_windows(model.places is not None, name)
     return model
+
+
+def check_of_windows(finds_objects: bool, name: str | Path) -> None:
+    """Refuse what finds objects, where a class for each window is needed."""
+    if finds_objects:
+        raise ValueError(f"{name} finds objects, and has no class for a window; run, view, check and bench take it")
 
 
 def model_of(args: argparse.Namespace) -> Model:

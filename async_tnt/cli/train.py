@@ -16,6 +16,7 @@ from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import CONFUSION, draw_confusion, draw_motions, draw_pictures
 from async_tnt.cli.train_options import add_arguments
+from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
@@ -166,6 +167,7 @@ def _read(
     from async_tnt.training.groups import check_share, groups_by_pattern, groups_checksum
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
+    from async_tnt.training.scenes import SceneMaker
     from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
@@ -181,8 +183,12 @@ def _read(
     wanted |= {name: getattr(args, name) for name in ("epochs", "network") if getattr(args, name) is not None}
     wanted |= {"everywhere": True} if args.everywhere else {}
     settings = settings_for(config, 1, **wanted)
+
+    def seen(config: TNTConfig) -> TNTConfig:
+        return SceneMaker(config).config if args.everywhere else config
+
     if start is None:
-        check_network(settings.network, config, everywhere=args.everywhere)
+        check_network(settings.network, seen(config), everywhere=args.everywhere)
     check_share(args.validation)
     groups_by_pattern((), args.groups or "")
     sources: dict[str, Any] = {
@@ -223,7 +229,7 @@ def _read(
         progress=progress,
     )
     if start is None:
-        check_network(settings.network, data.config, everywhere=args.everywhere)
+        check_network(settings.network, seen(data.config), everywhere=args.everywhere)
     return data, settings_for(data.config, len(data.training), **wanted), {**sources, "recordings": recordings}
 
 

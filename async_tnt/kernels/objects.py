@@ -21,6 +21,8 @@ from .simd import trailing_zeros
 from .sync_input import sync_input
 
 NEAR = 2
+MOST_TRACKED = 256
+"""Objects, the likeliest, that may have the number of an earlier one."""
 
 # `about`, int64: how the map lies in memory, and what is known of it
 FIRST = 0  # where its place (0, 0) begins
@@ -235,19 +237,24 @@ def _position_at(scores, y, x, on_sensor, row):
 
 @compiled
 def _sort(probabilities, found, n):
-    """The likeliest first; equal ones stay in order."""
-    for last in range(1, n):
-        k = last
-        while k > 0 and found[k - 1, PROBABILITY] < found[k, PROBABILITY]:
-            _swap(found, k)
-            _swap(probabilities, k)
-            k -= 1
+    """The likeliest first. Shell's sort: a map of noise may have thousands."""
+    step = 1
+    while 3 * step + 1 < n:
+        step = 3 * step + 1
+    while step > 0:
+        for last in range(step, n):
+            k = last
+            while k >= step and found[k - step, PROBABILITY] < found[k, PROBABILITY]:
+                _swap(found, k, k - step)
+                _swap(probabilities, k, k - step)
+                k -= step
+        step //= 3
 
 
 @compiled
-def _swap(rows, k):
+def _swap(rows, i, k):
     for c in range(rows.shape[1]):
-        rows[k, c], rows[k - 1, c] = rows[k - 1, c], rows[k, c]
+        rows[i, c], rows[k, c] = rows[k, c], rows[i, c]
 
 
 @compiled
@@ -257,7 +264,7 @@ def _number(found, n, tracks, time_us, keep):
     following = tracks[0, NEXT_NUMBER]
     for i in range(n):
         nearest, least = -1, 1.0
-        for j in range(n_known):
+        for j in range(n_known if i < MOST_TRACKED else 0):
             across = (found[i, X] - tracks[KNOWN + j, 1]) / tracks[2, REACH_X]
             down = (found[i, Y] - tracks[KNOWN + j, 2]) / tracks[2, REACH_Y]
             away = across * across + down * down
@@ -278,7 +285,7 @@ def _number(found, n, tracks, time_us, keep):
         if not taken[j] and time_us - tracks[KNOWN + j, 3] <= tracks[0, MEMORY_US]:
             tracks[KNOWN + kept] = tracks[KNOWN + j]
             kept += 1
-    for i in range(min(n, len(tracks) - KNOWN - kept)):
+    for i in range(min(n, MOST_TRACKED, len(tracks) - KNOWN - kept)):
         row = tracks[KNOWN + kept]
         row[0], row[1], row[2], row[3] = found[i, NUMBER], found[i, X], found[i, Y], time_us
         kept += 1

@@ -34,6 +34,7 @@ class CompiledClassifier:
     ----------
     shape : (C, H, W) of the volumes.
     n_classes : number of classes.
+    sensor : (width, height).
     places : of a map model: where on the sensor the places of its map lie; of others None.
     network : the arrays that compiled code reads, see `kernels.program`.
 
@@ -55,7 +56,7 @@ class CompiledClassifier:
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
-        self.places = model.places
+        self.places, self.sensor = model.places, model.config.sensor
         self._running = Running("CompiledClassifier")
         self._program = make_program(model.layers[CLASSIFIER], self.shape, model.weights)
         self.network = self._program.arrays

@@ -30,6 +30,13 @@ class Engine:
     that runs its own."""
 
     @property
+    def finds_objects(self) -> bool:
+        """Whether its answers are objects, and not a class of a window."""
+        if isinstance(self.model, Model):
+            return self.model.places is not None
+        return len(self.networks["classifier"].logits_shape) == 3
+
+    @property
     def config(self) -> TNTConfig:
         """How events become the volumes that the networks read."""
         return self.model.config if isinstance(self.model, Model) else self.model
@@ -66,9 +73,7 @@ def choose_engine(
     if map_sensor is not None and model.places is not None:
         model = model.for_sensor(map_sensor)
     if engine == "onnx":
-        classifier = OnnxClassifier(to_onnx(model))
-        classifier.places = model.places
-        return Engine("onnx", model, model.classes, {"classifier": classifier})
+        return Engine("onnx", model, model.classes, {"classifier": OnnxClassifier(to_onnx(model))})
     if engine == "torch":
         return Engine("torch", model, model.classes, _torch_networks(model))
     return Engine("compiled", model, model.classes)

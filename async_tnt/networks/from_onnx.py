@@ -95,8 +95,8 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
 
     def ours(volume: np.ndarray) -> np.ndarray:
         logits = compiled(volume).astype(np.float64)
-        odds = np.exp(logits - logits.max())
-        return odds / odds.sum() if softmax else logits
+        odds = np.exp(logits - logits.max(0))
+        return odds / odds.sum(0) if softmax else logits
 
     compare(theirs, ours, model.config.shape, max(TOLERANCE, 8 * float(np.finfo(dtype).eps)))
 

@@ -47,7 +47,7 @@ class Model:
     config : TNTConfig.
     weights : float32 arrays, by the names that the network's layers give them.
     classes : names, in the order of the network's outputs. A map model, whose network computes a map (n_classes + 1,
-        R, C), finds objects of these classes; the last channel is nothing.
+        R, C) of more than one place, finds objects of these classes; the last channel is nothing.
     record : how it was trained: data, seed, accuracy, what was tried.
     network : its layers, see `networks.graph`: {"classifier": [...]}, volume (C, H, W) -> logits, and with landmark
         "regressor" (and transform "tnt"), and then only, {"regressor": [...]}, raw volume -> landmark. By default the
@@ -148,14 +148,15 @@ class Model:
     @property
     def logits_shape(self) -> Shape:
         """(n_classes,), or (n_classes, 1, 1); of a map model (n_classes + 1, R, C)."""
-        return self._shapes[self.layers[CLASSIFIER][-1]["name"]]
+        shapes = layer_shapes(self.layers[CLASSIFIER], self.config.shape, self._tensors)
+        return shapes[self.layers[CLASSIFIER][-1]["name"]]
 
     @property
     def places(self) -> Places | None:
         """Of a map model: where on the sensor the places of its map lie. None of any other."""
         if self.logits_shape[0] == len(self.classes):
             return None
-        return places_of(self.layers[CLASSIFIER], self._shapes, self.config)
+        return places_of(self.layers[CLASSIFIER], self.config)
 
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
         """The same network for another sensor, (width, height), at the scale that it was trained at.
@@ -167,6 +168,8 @@ class Model:
         ------
         ValueError : the network does not fit volumes of another size, as one with dense layers.
         """
+        if len(sensor) != 2:
+            raise ValueError(f"`sensor` must be (width, height), got {short(sensor)}")
         scale = [g / s for g, s in zip(self.config.grid, self.config.sensor, strict=True)]
         grid = tuple(max(2, round(share * side)) for share, side in zip(scale, sensor, strict=True))
         return replace(self, config=self.config.replace(sensor=tuple(sensor), grid=grid))
@@ -175,10 +178,6 @@ class Model:
     def multiplications(self) -> int:
         """Of the classifier's convolutions and dense layers, computed as a whole."""
         return multiplications(self.layers[CLASSIFIER], self.config.shape, self._tensors)
-
-    @property
-    def _shapes(self) -> dict[str, Shape]:
-        return layer_shapes(self.layers[CLASSIFIER], self.config.shape, self._tensors)
 
     @property
     def _tensors(self) -> dict[str, Shape]:
@@ -299,7 +298,7 @@ def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTC
     tensors = {name: w.shape for name, w in weights.items()}
     shapes = {name: layer_shapes(layers, config.shape, tensors) for name, layers in network.items()}
     logits = list(shapes[CLASSIFIER].values())[-1]
-    is_map = len(logits) == 3 and logits[0] == n_classes + 1
+    is_map = len(logits) == 3 and logits[0] == n_classes + 1 and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
         raise ValueError(
             f"the network must compute {n_classes} logits, one for each class, or a map of {n_classes + 1} channels, "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,31 +34,40 @@ def even_places(shape: Shape, sensor: tuple[int, int]) -> Places:
     return Places((dx - 1) / 2, dx, (dy - 1) / 2, dy)
 
 
-def places_of(layers: Sequence[Layer], shapes: Mapping[str, Shape], config: TNTConfig) -> Places:
+class _Axis(NamedTuple):
+    """Rows or columns of a map: the middle of what the first one depends on, the distance of the middles, in grid
+    pixels, and how many there are."""
+
+    first: float
+    distance: float
+    n: int
+
+
+def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
     """Where the places of a network's last map lie: in the middle of the pixels that a place depends on.
 
     Of several inputs the first one counts.
     """
-    middles = {VOLUME: ((0.0, 1.0), (0.0, 1.0))}  # (first, distance) of rows, of columns, in grid pixels
+    axes = {VOLUME: [_Axis(0.0, 1.0, config.grid[1]), _Axis(0.0, 1.0, config.grid[0])]}
     for layer in layers:
-        source = layer["inputs"][0]
-        middles[layer["name"]] = tuple(  # type: ignore[assignment]  # of two
-            _middles(layer, axis, shapes[source], middles[source][axis]) for axis in (0, 1)
-        )
-    (y0, dy), (x0, dx) = middles[layers[-1]["name"]]
+        source = axes[layer["inputs"][0]]
+        axes[layer["name"]] = [_through(layer, k, axis) for k, axis in enumerate(source)]
+    rows, columns = axes[layers[-1]["name"]]
     across, down = ((s - 1) / (g - 1) for s, g in zip(config.sensor, config.grid, strict=True))
-    return Places(across * x0, across * dx, down * y0, down * dy)
+    return Places(across * columns.first, across * columns.distance, down * rows.first, down * rows.distance)
 
 
-def _middles(layer: Layer, axis: int, shape: Shape, before: tuple[float, float]) -> tuple[float, float]:
-    first, distance = before
+def _through(layer: Layer, k: int, axis: _Axis) -> _Axis:
     if "kernel" in layer:
-        reach = (layer["kernel"][axis] - 1) * layer.get("dilation", (1, 1))[axis]
-        return first + distance * (reach / 2 - layer["padding"][axis]), distance * layer["stride"][axis]
+        reach = (layer["kernel"][k] - 1) * layer.get("dilation", (1, 1))[k]
+        before, after = layer["padding"][k], layer["padding"][2 + k]
+        stride = layer["stride"][k]
+        n = (axis.n + before + after - reach - 1) // stride + 1
+        return _Axis(axis.first + axis.distance * (reach / 2 - before), axis.distance * stride, n)
     if layer["op"] in ("adaptive_average_pool", "global_average_pool"):
-        wide = shape[1 + axis] / layer.get("size", (1, 1))[axis]
-        return first + distance * (wide - 1) / 2, distance * wide
-    return before
+        n = layer.get("size", (1, 1))[k]
+        return _Axis(axis.first + axis.distance * (axis.n / n - 1) / 2, axis.distance * axis.n / n, n)
+    return axis
 
 
 def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
@@ -121,7 +130,7 @@ def new_tracks(places: Places, shape: Shape, memory_us: int) -> np.ndarray:
 
     memory_us : how long an object that is not found is remembered.
     """
-    tracks = np.zeros((K.KNOWN + 2 * most_objects(*shape[1:]), 4))
+    tracks = np.zeros((K.KNOWN + 2 * min(K.MOST_TRACKED, most_objects(*shape[1:])), 4))
     tracks[0, K.MEMORY_US] = memory_us
     tracks[1, [K.X0, K.DX_PX, K.Y0, K.DY_PX]] = places
     tracks[2, [K.REACH_X, K.REACH_Y]] = REACH * places.dx, REACH * places.dy

@@ -12,7 +12,7 @@ import numpy as np
 
 from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
 from async_tnt.config import MAX_CELLS
-from async_tnt.networks.objects import LOGITS, Places, logits_shape
+from async_tnt.networks.objects import LOGITS, Places, logits_shape, places_of
 from async_tnt.networks.onnx_export import Exported, is_damaged, read_metadata
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class OnnxClassifier:
     ----------
     shape : (C, H, W).
     n_classes : logits, or channels of a map but for the last.
-    places : of a map: where its places lie; None, and by default: they divide the sensor evenly.
+    places : of a map in a file by this package: where its places lie. Else None: they divide the sensor evenly.
     config, classes : TNTConfig and names, if this package wrote the file; else None.
 
     Raises
@@ -68,10 +68,10 @@ class OnnxClassifier:
             raise ValueError(f"{name}: {error}") from None
         self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
         self.n_classes = self._answer.size if self._answer.ndim == 1 else len(self._answer) - 1
-        self.places: Places | None = None
         self.exported: Exported | None = exported
         self.config = None if exported is None else exported.config
         self.classes = None if exported is None else exported.classes
+        self.places = None if exported is None or self._answer.ndim == 1 else _places_of(exported, name)
         if self.config is not None and self.config.shape != self.shape:
             raise ValueError(
                 f"{name} is damaged: its configuration gives volumes of shape {self.config.shape}, its network takes "
@@ -107,6 +107,11 @@ class OnnxClassifier:
         binding.bind_output(output.name, "cpu", 0, answer.dtype.type, answer.shape, answer.ctypes.data)
         return volume[0], answer.reshape(shape_read), binding
 
+    @property
+    def logits_shape(self) -> tuple[int, ...]:
+        """(n_classes,), of a map (n_classes + 1, R, C)."""
+        return self._answer.shape
+
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new array."""
@@ -118,6 +123,13 @@ class OnnxClassifier:
         except Exception as error:  # as above
             raise ValueError(f"{self._name}: the network fails on this volume: {one_line(error)}") from None
         return self._answer.copy()
+
+
+def _places_of(exported: Exported, name: str) -> Places:
+    try:
+        return places_of(exported.layers, exported.config)
+    except (LookupError, TypeError, AttributeError) as error:
+        raise ValueError(f"{name} is damaged: its layers cannot be read ({one_line(error)})") from None
 
 
 # -- opening a file, and whether its network takes one volume and gives one answer --------------------------

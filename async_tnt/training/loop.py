@@ -85,7 +85,15 @@ def train(
     objective: Objective = ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     pipeline = (
-        new_pipeline(config, len(classes), settings.seed, training, settings.network, logarithm=settings.logarithm)
+        new_pipeline(
+            config,
+            len(classes),
+            settings.seed,
+            training,
+            settings.network,
+            logarithm=settings.logarithm,
+            grid=objective.config.grid,
+        )
         if start is None
         else pipeline_before_export(start, training)
     ).to(device)

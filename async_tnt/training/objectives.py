@@ -133,7 +133,8 @@ class ObjectsInScenes:
     ) -> None:
         self._maker = SceneMaker(config)
         self.config = self._maker.config
-        network = build_network(settings.network, config.channels, self.config.grid, len(classes))
+        with torch.random.fork_rng(devices=[]):
+            network = build_network(settings.network, config.channels, self.config.grid, len(classes))
         model = Model.from_torch(network, self.config, classes)
         if model.places is None:
             raise ValueError(f"`network` {settings.network} must compute a map of {len(classes) + 1} channels")
@@ -142,8 +143,8 @@ class ObjectsInScenes:
         self._scores = SceneScores(config, model, validation) if len(validation) else None
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
-        draws = unchanged(len(windows), self._maker.config) if draws is None else draws
-        scenes = self._maker(windows, draws, np.random.default_rng(draws.seed[:1]))
+        rng = np.random.default_rng([*windows.recording.tolist()] if draws is None else draws.seed[:1])
+        scenes = self._maker(windows, unchanged(len(windows), self._maker.crops) if draws is None else draws, rng)
         logits = pipeline.classify(torch.from_numpy(scenes.volumes))
         target, weight = map(torch.from_numpy, self._targets(scenes))
         weight = weight.to(logits.device)

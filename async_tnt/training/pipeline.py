@@ -125,7 +125,14 @@ class Logarithm(nn.Module):
 
 
 def new_pipeline(
-    config: TNTConfig, n_classes: int, seed: int, windows: Windows, network: str = "thesis", *, logarithm: bool = False
+    config: TNTConfig,
+    n_classes: int,
+    seed: int,
+    windows: Windows,
+    network: str = "thesis",
+    *,
+    logarithm: bool = False,
+    grid: tuple[int, int] | None = None,
 ) -> Pipeline:
     """Networks with PyTorch's initial weights, which depend on the seed alone; input scales measured on `windows`.
 
@@ -135,10 +142,11 @@ def new_pipeline(
     ----------
     network : the classifier, see `build_network`.
     logarithm : it takes the logarithm of 1 + the volume, which is then not scaled.
+    grid : of what the classifier takes; by default that of `config`.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        classifier = build_network(network, config.channels, config.grid, n_classes)
+        classifier = build_network(network, config.channels, grid or config.grid, n_classes)
         regressor = landmark_network(config.channels) if config.needs_regressor else None
     scales = input_scales(config, windows)
     if logarithm:

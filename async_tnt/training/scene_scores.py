@@ -73,7 +73,8 @@ class SceneScores:
             with torch.no_grad():
                 maps = pipeline.classify(torch.from_numpy(scenes.volumes)).cpu().numpy()
             for k, logits in enumerate(maps):
-                objects = self._reader.found[: self._reader.read(logits, self._tracks, 0, False)]
+                n = self._reader.read(logits, self._tracks, 0, False)
+                objects = self._reader.found[: max(0, n)]  # none where a logit is not finite
                 inside = scenes.scene == k
                 right += n_matched(objects, scenes.label[inside], scenes.position[inside], self._within)
                 there, found = there + int(inside.sum()), found + len(objects)

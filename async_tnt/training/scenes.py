@@ -15,6 +15,7 @@ An object of fewer than `FEWEST` events by then is none yet.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,10 @@ APART = 0.4
 """Of a recording's shorter side: between two objects, at least. One for which `TRIES` places are nearer is dropped."""
 TRIES = 20
 NOISE_HZ, HOT_EVENTS = (0.1, 0.9), (20, 300)
+MOST_NOISE = 100_000
+"""Events of a scene: a large sensor's would take longer than all else."""
+OUTER = 2, 98
+"""Percentiles of an object's events: its middle is halfway between them, whatever noise is farther out."""
 
 
 @dataclass(frozen=True)
@@ -84,17 +89,19 @@ class SceneMaker:
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
         """Scenes of all these windows, as `rng` draws them."""
         n = len(windows)
+        # on recordings of their own: what begins later must not show what came before
+        windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
+        windows = windows.cut(self.config.window_us)
         scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
         n_scenes = int(scene.max()) + 1
         until_us = draws.until_us[rng.integers(n, size=n_scenes)]
         later_us = np.where(rng.random(n) < 0.5, rng.integers(0, self.config.window_us // 2, n), 0)
-        draws = replace(draws, until_us=until_us[scene], start_us=draws.start_us - later_us)
+        draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
         own = self._crops(windows, draws)
         is_object = (draws.nothing == SHOWN) & (np.abs(own).sum((1, 2, 3)) >= FEWEST)
 
-        middles = windows.recordings.middles[windows.recording]
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
-        middles = (np.einsum("nij,nj->ni", draws.matrix[:, :, :2], middles) + draws.matrix[:, :, 2]) / fine
+        middles = (np.einsum("nij,nj->ni", draws.matrix[:, :, :2], _middles(windows)) + draws.matrix[:, :, 2]) / fine
         volumes = self._noise(n_scenes, until_us, rng)
         position = np.full((n, 2), np.inf)
         for i in range(n):
@@ -109,20 +116,20 @@ class SceneMaker:
 
     def _add(self, volume: np.ndarray, own: np.ndarray, middle: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Add a recording's volume to a scene's, its middle where a place is, in whole cells. Returns that place."""
-        scale = (np.array(self.crops.grid) - 1) / (np.array(self.crops.sensor) - 1)
-        left, top = np.rint((place - middle) * scale).astype(int)
+        scale, in_cells = _cells_a_pixel(self.config), middle * _cells_a_pixel(self.crops)
+        left, top = np.rint(place * scale - in_cells).astype(int)
         (_, height, width), (_, rows, columns) = volume.shape, own.shape
         y0, y1, x0, x1 = max(0, top), min(height, top + rows), max(0, left), min(width, left + columns)
         if y0 < y1 and x0 < x1:
             volume[:, y0:y1, x0:x1] += own[:, y0 - top : y1 - top, x0 - left : x1 - left]
-        found: np.ndarray = middle + np.array([left, top]) / scale
+        found: np.ndarray = (in_cells + np.array([left, top])) / scale
         return found
 
     def _noise(self, n_scenes: int, until_us: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         width, height = self.config.sensor
         recordings = []
         for until in until_us:
-            n = rng.poisson(rng.uniform(*NOISE_HZ) * width * height * until / 1e6)
+            n = min(rng.poisson(rng.uniform(*NOISE_HZ) * width * height * until / 1e6), MOST_NOISE)
             n_hot = int(rng.integers(*HOT_EVENTS)) if rng.random() < 1 / 3 else 0
             events = np.zeros(n + n_hot, EVENT_DTYPE)
             events["x"], events["y"] = rng.integers(width, size=len(events)), rng.integers(height, size=len(events))
@@ -133,3 +140,18 @@ class SceneMaker:
         noise = Recordings.from_events(recordings, [0] * n_scenes)
         windows = Windows(noise, np.arange(n_scenes), np.zeros(n_scenes, np.int64))
         return self._scenes(windows).copy()
+
+
+def _middles(windows: Windows) -> np.ndarray:
+    """(x, y) of each window's object, float64, (N, 2); of one without events, of nothing."""
+    middles = np.zeros((len(windows), 2))
+    for i, (first, last) in enumerate(itertools.pairwise(windows.recordings.offsets)):
+        if first < last:
+            both = [np.percentile(column[first:last], OUTER) for column in (windows.recordings.x, windows.recordings.y)]
+            middles[i] = np.mean(both, axis=1)
+    return middles
+
+
+def _cells_a_pixel(config: TNTConfig) -> np.ndarray:
+    cells: np.ndarray = (np.array(config.grid) - 1) / (np.array(config.sensor) - 1)
+    return cells

@@ -33,8 +33,13 @@ def recordings(n, n_events=60, seed=0):
         t = np.sort(rng.integers(0, 1000, n_events))
         x, y = rng.integers(2 + k % 3, 14 + k % 4, n_events), rng.integers(1, 12 + k % 3, n_events)
         events.append(events_of(t, x, y, rng.integers(0, 2, n_events)))
-    made = Recordings.from_events(events, np.arange(n) % 3)
-    return events, Windows(made, np.arange(n), np.zeros(n, np.int64))
+    whole = []
+    for one in events:  # another window before it, of events that must not be seen
+        before, shown = one.copy(), one.copy()
+        before["x"], shown["t"] = 19, one["t"] + 1000
+        whole.append(np.concatenate([before, shown]))
+    made = Recordings.from_events(whole, np.arange(n) % 3)
+    return events, Windows(made, np.arange(n), np.full(n, 1000))
 
 
 @pytest.fixture
@@ -53,7 +58,7 @@ def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(gr
     draws = unchanged(12, config)
     draws.until_us[:] = 700
     scenes = maker(windows, draws, np.random.default_rng(5))
-    middles = windows.recordings.middles
+    middles = [np.mean([np.percentile(one[c], (2, 98)) for c in "xy"], 1) for one in events]
     expected = np.zeros(scenes.volumes.shape)
     again = np.random.default_rng(5)  # the draws of starts, as the maker makes them
     again.integers(max(1, round(12 / module.OBJECTS)), size=12)
@@ -62,9 +67,10 @@ def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(gr
     assert (scenes.label == windows.labels).all()  # none is left out
     for i, (scene, place) in enumerate(zip(scenes.scene, scenes.position, strict=True)):
         one = events[i][events[i]["t"] + later[i] < 700]
-        step = (np.array(config.sensor) - 1) / (np.array(config.grid) - 1)
-        cells = np.rint((place - middles[i]) / step).astype(int)
-        assert np.allclose(cells * step, place - middles[i])
+        cells_a_pixel = (3 * np.array(grid) - 1) / (np.array([60, 48]) - 1)
+        in_crop = middles[i] * (np.array(grid) - 1) / (np.array([20, 16]) - 1)
+        cells = np.rint(place * cells_a_pixel - in_crop).astype(int)
+        assert np.allclose((cells + in_crop) / cells_a_pixel, place)
         settings = {"start_us": 0, "window_us": 1000, "bins": 3, "polarity": "split"}
         small = event_volume(
             one["t"] + later[i], one["x"], one["y"], one["p"], sensor=config.sensor, grid=config.grid, **settings
