@@ -247,8 +247,8 @@ def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
     expected = CompiledClassifier(model).refresh(volume)
     assert CompiledClassifier(saved).refresh(volume).tobytes() == expected.tobytes()
     events = random_events(900, seed=5, sensor=CONFIG.sensor, duration_us=3000)
-    engines = TorchClassifier(torch_classifier(model), places=model.places), OnnxClassifier(to_onnx(model))
-    engines[1].places = model.places
+    exported = OnnxClassifier(to_onnx(model))
+    engines = TorchClassifier(torch_classifier(model), places=model.places), exported, copy.copy(exported)
     compiled = Processor(model)
     compiled.push(events)
     for engine in engines:
@@ -291,3 +291,33 @@ def test_what_a_map_model_refuses():
     with pytest.raises(ValueError, match="`confidence` needs one answer"):
         processor.confidence = 0.9
     assert processor.confidence is None
+    other = Processor(CONFIG, classifier=lambda volume: [1.0, 0.0, 0.0], confidence=0.9)
+    with pytest.raises(ValueError, match="`confidence` needs one answer"):
+        other.classifier = CompiledClassifier(model)
+    assert other.fire().label == "0"
+    other.classifier = TorchClassifier(torch_classifier(model))  # known to be one from its first answer on
+    with pytest.raises(ValueError, match="`confidence` needs one answer"):
+        other.push_one(0, 3, 3, 1)
+    larger = CONFIG.replace(sensor=(140, 80))
+    with pytest.raises(ValueError, match=r"must be for the sensor \(140, 80\), in whose pixels objects stand"):
+        Processor(larger, classifier=CompiledClassifier(model), classes=model.classes)
+    with pytest.raises(ValueError, match="must return 4 channels, one more than classes, got 3"):
+        Processor(CONFIG, classifier=lambda volume: np.zeros((3, 2, 2)), classes=list("abc")).fire()
+    one_place = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(4, 4, 1))
+    with pytest.raises(ValueError, match=r"must compute 3 logits, .* got \(4, 1, 1\)"):
+        Model.from_torch(one_place, CONFIG, ["a", "b", "c"])  # not a map, but a name too few
+
+
+def test_an_exported_map_model_runs_but_has_no_class_for_a_recording(tmp_path, program):
+    model = map_model()
+    file, events = tmp_path / "map.onnx", random_events(2000, seed=8, sensor=CONFIG.sensor, duration_us=3000)
+    file.write_bytes(to_onnx(model).SerializeToString())
+    np.savez(tmp_path / "a.npz", events=events, sensor=np.array(CONFIG.sensor))
+    model.save(tmp_path / "map.safetensors")
+    lines = [
+        program("run", tmp_path / "a.npz", "--model", one)[1].splitlines()[-1].partition("  end")[2]
+        for one in (file, tmp_path / "map.safetensors")
+    ]
+    assert lines[0] == lines[1] and "(" in lines[0]
+    code, _, err = program("run", tmp_path / "a.npz", "--model", file, "--out", tmp_path / "o.jsonl")
+    assert code == 2 and "map.onnx finds objects, and has no class for a window" in err

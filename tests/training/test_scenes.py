@@ -9,14 +9,16 @@ from training.gestures import bar, write_set
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
+import torch
 from tnt_reference import event_volume
 
-from async_tnt import Processor, TNTConfig, load_model
+from async_tnt import Model, Processor, TNTConfig, load_model
 from async_tnt.kernels.objects import FOUND_SIZE
 from async_tnt.training import scenes as module
 from async_tnt.training.augment import Augmentation, unchanged
+from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.scene_scores import n_matched
+from async_tnt.training.scene_scores import SceneScores, n_matched
 from async_tnt.training.scenes import SceneMaker
 from async_tnt.training.windows import Windows
 
@@ -112,6 +114,18 @@ def test_matches_by_hand():
     assert n_matched(found, labels, positions, 2.0) == 1
     assert n_matched(found, np.zeros(0, int), np.zeros((0, 2)), 3.0) == 0
     assert n_matched(found[:0], labels, positions, 3.0) == 0
+
+
+def test_a_network_that_computes_no_numbers_finds_nothing():
+    """Not what an earlier map has left."""
+    net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
+    _, windows = recordings(30)
+    scores = SceneScores(CONFIG, Model.from_torch(net, SceneMaker(CONFIG).config, "abc"), windows)
+    pipeline = Pipeline(CONFIG, net)
+    assert scores.after(pipeline, 1.0).there > 20
+    with torch.no_grad():
+        net[0].bias.fill_(np.nan)
+    assert (scores.after(pipeline, 1.0).found, scores.f1(pipeline)) == (0, 0.0)
 
 
 @pytest.fixture(scope="module")
