@@ -92,15 +92,16 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
 
 
 def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A map of logits, a place for 4x4 pixels, each of which sees about 35x35: a channel for each class and a last one
-    for nothing."""
+    """A map of logits, a channel for each class and a last one for nothing: a place for 4x4 pixels, each of which sees
+    about 40x40. Wide where a change reaches few places."""
     return nn.Sequential(
-        *_conv(channels, 16, 5, stride=2),
+        *_conv(channels, 32, 5, stride=2),
         nn.MaxPool2d(2),
-        *_conv(16, 32),
-        *_conv(32, 48),
-        *_conv(48, 64),
-        nn.Conv2d(64, n_classes + 1, 1),
+        *_conv(32, 64),
+        *_conv(64, 64),
+        *_conv(64, 48),
+        *_conv(48, 32),
+        nn.Conv2d(32, n_classes + 1, 1),
     )
 
 
