@@ -112,7 +112,7 @@ NETWORKS: dict[str, Build] = {
     "separable": separable,
     "map": object_map,
 }
-SMALLEST = {"thesis": 4, "conv4": 8, "residual": 16, "separable": 8, "map": 4}
+SMALLEST = {"thesis": 4, "conv4": 8, "residual": 16, "separable": 8, "map": 8}
 """The least side of a grid."""
 
 

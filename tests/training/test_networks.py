@@ -56,11 +56,14 @@ def windows():
 @pytest.mark.parametrize("name", [*NETWORKS, "linear", "normed"])
 def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_path):
     """Batch norms and input scale folded; and so does the pipeline that continues from the model."""
-    pipeline = new_pipeline(CONFIG, 3, 0, windows, name if name in NETWORKS else f"{own}:{name}")
+    config = CONFIG.replace(transform="none") if name == "map" else CONFIG
+    pipeline = new_pipeline(config, 3, 0, windows, name if name in NETWORKS else f"{own}:{name}")
     optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.01)
     for _ in range(3):
         optimizer.zero_grad()
-        nn.functional.cross_entropy(pipeline(windows), torch.from_numpy(windows.labels)).backward()
+        logits = pipeline(windows)
+        labels = torch.from_numpy(windows.labels).reshape(-1, *[1] * (logits.ndim - 2))  # of a map: at all places
+        nn.functional.cross_entropy(logits, labels.expand(len(logits), *logits.shape[2:])).backward()
         optimizer.step()
     pipeline.eval()
     with torch.no_grad():
@@ -68,7 +71,7 @@ def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_pa
         model = load_model(export(pipeline, ("a", "b", "c"), {}).save(tmp_path / "m.safetensors"))
         again = pipeline_before_export(model, windows)(windows).numpy()
     compiled = CompiledClassifier(model)
-    found = np.array([compiled(volume) for volume in BatchVolumes(CONFIG)(windows)])
+    found = np.array([compiled(volume) for volume in BatchVolumes(config)(windows)])
     assert np.ptp(expected) > 0.01
     np.testing.assert_allclose(found, expected, atol=1e-4 * max(1, np.abs(expected).max()))
     np.testing.assert_allclose(again, expected, atol=1e-4 * max(1, np.abs(expected).max()))
@@ -93,7 +96,9 @@ def test_the_first_two_are_the_references_with_the_same_initial_weights():
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_smallest_grid(name):
     side = SMALLEST[name]
-    assert build_network(name, 2, (side, side), 3).eval()(torch.zeros(1, 2, side, side)).shape == (1, 3)
+    assert build_network(name, 2, (side, side), 3).eval()(torch.zeros(1, 2, side, side)).shape == (
+        (1, 4, 2, 2) if name == "map" else (1, 3)
+    )
     message = rf"^network '{name}' needs a grid of at least {side}x{side}, got \(40, {side - 1}\)$"
     with pytest.raises(ValueError, match=message):
         build_network(name, 2, (40, side - 1), 3)

@@ -16,6 +16,7 @@ from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.loop import batches_of  # noqa: E402
+from async_tnt.training.objectives import ClassOfWindows  # noqa: E402
 from async_tnt.training.pipeline import Pipeline  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
@@ -204,9 +205,10 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
     """Where nothing is shown, the target stays; a run with a teacher is another run than without."""
     draws = Augmentation(nothing=0.5).draw(windows[:4], CONFIG, np.random.default_rng(1))
     draws.nothing[:] = 0, 1, 0, 2
-    teachers = [lambda some, same, row=row: torch.tensor([row] * 4) for row in ([0.0, 0.0], [np.log(3), 0.0])]
-    target = loop._targets(np.array([0, 0, 1, 1]), draws, 2)
-    found = loop._taught(target, windows[:4], draws, teachers)
+    some = windows[np.concatenate([np.flatnonzero(windows.labels == label)[:2] for label in (0, 1)])]
+    objective = ClassOfWindows(CONFIG, windows[:0], ONE_EPOCH, 2)
+    objective._masters = [lambda _, same, row=row: torch.tensor([row] * 4) for row in ([0.0, 0.0], [np.log(3), 0.0])]
+    found = objective._targets(some, draws)
     np.testing.assert_allclose(found, [[0.8125, 0.1875], [0.5, 0.5], [0.3125, 0.6875], [0.5, 0.5]], atol=1e-6)
     model = trained[0].model
     taught = train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, teachers=[model]).model
