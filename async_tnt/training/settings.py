@@ -50,8 +50,8 @@ LONGER_SIDE = 120
 BINS, OFTEN = 5, 2.25
 """Of a default volume: time bins where an active pixel fires `OFTEN` or more times in a window. Its counts blur what
 moves that far, and cost up to .1; where pixels fire less (N-CARS 1.7; N-MNIST 3.2), bins cost .03. In motions that are
-simulated again there are always bins: digits with a fifth of their events .947 in unseen motions, by counts .907; signs
-that a hand swings, and that fire 1.2 times, .958 and .961 (`experiments/unseen_motions.py`)."""
+simulated again there are always bins: of digits with a fifth of their events .922 are right that are held out in other
+motions, by counts .897 (`experiments/unseen_motions.py`)."""
 MIN_EPOCHS, MIN_STEPS, STEPS_AN_EPOCH = 20, 4_000, 50
 """Of a data set by default: epochs; steps of the optimizer, which decide where windows are few; steps between two
 checkpoints."""
