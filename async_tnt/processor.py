@@ -23,7 +23,7 @@ from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
 from async_tnt.triggers import LeakyIntegrator, TriggerAttributes, Triggers, TriggerSettings
 from async_tnt.volume_state import Regressor
-from async_tnt.window_classifier import NO_CONFIDENCE, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
+from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
 
 
@@ -49,7 +49,7 @@ class Processor(TriggerAttributes):
     every_events : decide also after every this many events of the window.
     confidence : close the window early, with a last decision, as soon as the likeliest class has this probability.
         It is checked at every decision of the other triggers, or after every event if there are none. Events that
-        still arrive for the window are counted as `dropped_decided`.
+        still arrive for the window are counted as `dropped_decided`. Not for map models.
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
     regressor, late, replay_events : see `TNTVolume`; a model has a compiled regressor of its own.
 
@@ -88,10 +88,10 @@ class Processor(TriggerAttributes):
         replay_events: int = 1 << 20,
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
-        self._classifier = WindowClassifier(self.config, classifier, classes)
+        self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
         start_us = None if start_us is None else checked_time("start_us", start_us)
-        self._triggers = Triggers(self._checked(TriggerSettings(every_us, every_events, confidence, activity)))
+        self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence, activity))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._compile(regressor)
         self._windows = WindowScheduler(self.config, hop_us, start_us, replay_events, regressor)
@@ -251,8 +251,6 @@ class Processor(TriggerAttributes):
         """Another window has become the oldest, or none is open."""
         self._triggers.begin_window(now_us, self._windows.oldest.start_us if len(self._windows) else None)
 
-    # -- results, and the state of the stream ----------------------------------------------------------
-
     def fire(self) -> Decision:
         """Classify the open window as it is now; before the first event, an empty volume. Changes nothing."""
         self._running.begin()
@@ -302,13 +300,7 @@ class Processor(TriggerAttributes):
     @classifier.setter
     @one_at_a_time
     def classifier(self, classifier: Classifier) -> None:
-        before = self._classifier.classifier
-        self._classifier.classifier = classifier
-        try:
-            self._checked(self._triggers.settings)
-        except ValueError:
-            self._classifier.classifier = before
-            raise
+        self._classifier.exchange(classifier, self._triggers.settings.confidence)
         self._compile(None)
 
     @property
@@ -329,18 +321,14 @@ class Processor(TriggerAttributes):
     @one_at_a_time
     def _set_triggers(self, settings: TriggerSettings) -> None:
         """Change the triggers; they apply to the open window, too."""
-        self._triggers.set(self._checked(settings))
+        self._classifier.check_confidence(settings.confidence)
+        self._triggers.set(settings)
         self._compile(None)
         self._choose_paths()
         if len(self._windows):
             oldest = self._windows.oldest
             self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
         self._windows.set_limit(self._triggers.next_due_us)
-
-    def _checked(self, settings: TriggerSettings) -> TriggerSettings:
-        if settings.confidence is not None and self._classifier.finds_objects:
-            raise ValueError(NO_CONFIDENCE)
-        return settings
 
     def _compile(self, regressor: Regressor | None) -> None:
         """Compile what these settings call, so that no event has to wait for it."""

@@ -26,7 +26,6 @@ TRIGGER_NAMES: dict[int, Any] = {
     T.BY_ACTIVITY: "activity",
     T.BY_CONFIDENCE: "confidence",
 }
-NO_CONFIDENCE = "`confidence` needs one answer for the window; a map model finds objects"
 ROWS = 256  # decisions made in one compiled call, at most
 
 
@@ -55,7 +54,7 @@ class WindowClassifier:
     Parameters
     ----------
     config : TNTConfig of the volumes.
-    classifier, classes : see `Processor`.
+    classifier, classes, confidence : see `Processor`.
 
     Attributes
     ----------
@@ -63,20 +62,28 @@ class WindowClassifier:
     decides_in_stretches : whether `decide_stretch` can be called.
     """
 
-    def __init__(self, config: TNTConfig, classifier: Classifier, classes: Sequence[str] | None) -> None:
+    def __init__(
+        self,
+        config: TNTConfig,
+        classifier: Classifier,
+        classes: Sequence[str] | None,
+        confidence: float | None = None,
+    ) -> None:
         if isinstance(classes, str):
             raise TypeError(f"`classes` must be a sequence of names, got the single string {short(classes)}")
         self._config = config
         self.classes = None if classes is None else tuple(classes)
-        self.classifier = classifier
+        self._reader: ObjectReader | None = None
+        self._tracks = np.empty((0, 4))
+        self.exchange(classifier, confidence)
 
     @property
     def classifier(self) -> Classifier:
-        """The callable from a volume to logits; a new one must take volumes of the configuration's shape."""
+        """The callable from a volume to logits."""
         return self._classifier
 
-    @classifier.setter
-    def classifier(self, classifier: Classifier) -> None:
+    def exchange(self, classifier: Classifier, confidence: float | None = None) -> None:
+        """Use another callable: one that takes volumes of the configuration's shape, and fits `confidence`, if set."""
         if not callable(classifier):
             raise TypeError(f"`classifier` must be callable, got {type(classifier).__name__}")
         compiled = classifier if type(classifier) is CompiledClassifier else None  # subclasses may behave differently
@@ -88,18 +95,16 @@ class WindowClassifier:
                 f"`classifier` must be for the sensor {self._config.sensor}, in whose pixels objects stand, got one "
                 f"for {compiled.sensor}"
             )
-        self._classifier, self._compiled = classifier, compiled
         of_map: Any = () if compiled is not None else getattr(classifier, "logits_shape", ())
-        self._reader: ObjectReader | None = compiled.reader if compiled is not None else None
-        if len(of_map) == 3:
-            self._reader = ObjectReader(of_map)
+        reader = compiled.reader if compiled is not None else ObjectReader(of_map) if len(of_map) == 3 else None
+        _check_confidence(reader, confidence)
+        self._classifier, self._compiled, self._reader = classifier, compiled, reader
         self._tracks = self._new_tracks()
-        self.decides_in_stretches = compiled is not None and self._reader is None and not self._config.needs_replay
+        self.decides_in_stretches = compiled is not None and reader is None and not self._config.needs_replay
 
-    @property
-    def finds_objects(self) -> bool:
-        """Whether the classifier is known to compute maps, on which objects are found."""
-        return self._reader is not None
+    def check_confidence(self, confidence: float | None) -> None:
+        """Refuse a level of confidence where objects are found, as far as that is known before the first answer."""
+        _check_confidence(self._reader, confidence)
 
     def forget(self) -> None:
         """Forget the objects of earlier decisions, and number them from 0 on."""
@@ -112,8 +117,8 @@ class WindowClassifier:
         shape = self._reader.shape
         places = getattr(self._classifier, "places", None) or even_places(shape, self._config.sensor)
         tracks = new_tracks(places, shape, self._config.window_us)
-        before = getattr(self, "_tracks", tracks)  # no number is given twice in a stream
-        tracks[0, NEXT_NUMBER] = before[0, NEXT_NUMBER] if len(before) else 0
+        if len(self._tracks):  # no number is given twice in a stream
+            tracks[0, NEXT_NUMBER] = self._tracks[0, NEXT_NUMBER]
         return tracks
 
     def decide(
@@ -141,10 +146,9 @@ class WindowClassifier:
             logits = self._call(volume)
             shape = logits_shape(logits.shape)
             if shape is not None and len(shape) == 3:
-                if confidence is not None:
-                    raise ValueError(NO_CONFIDENCE)
                 logits = logits.reshape(shape)
                 reader = self._reader_for(logits.shape)
+                _check_confidence(reader, confidence)
                 n = reader.read(logits, self._tracks, time_us, trigger != "fire")
                 return self._decision_of_map(n, logits, window, trigger, complete)
             logits = logits.reshape(-1)
@@ -257,6 +261,11 @@ class WindowClassifier:
             what = "channels, one more than classes" if is_map else "logits, one for each class"
             raise ValueError(f"`classifier` must return {len(self.classes) + is_map} {what}, got {n + is_map}")
         return self.classes
+
+
+def _check_confidence(reader: ObjectReader | None, confidence: float | None) -> None:
+    if reader is not None and confidence is not None:
+        raise ValueError("`confidence` needs one answer for the window; a map model finds objects")
 
 
 def _not_finite(logits: np.ndarray) -> ValueError:

@@ -15,7 +15,7 @@ from async_tnt.cli.options import command_words, of_windows, size_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import CONFUSION, draw_confusion, draw_motions, draw_pictures
-from async_tnt.cli.train_options import add_arguments
+from async_tnt.cli.train_options import add_arguments, check_everywhere
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
@@ -69,7 +69,7 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
     """Refuse options that do not go together, before anything is read."""
     from async_tnt.training.simulated_pictures import find_pictures
 
-    _check_everywhere(args)
+    check_everywhere(args)
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
     if find_pictures(args.dataset):
@@ -94,15 +94,6 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
     parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
     if any(run_folder.resolve().is_relative_to(part.resolve()) for part in parts):
         raise ValueError(f"--out must lie outside of {parts[0]}, in which a folder is a class; got {args.out}")
-
-
-def _check_everywhere(args: argparse.Namespace) -> None:
-    if args.everywhere:
-        given = {"--start-from": args.start_from, "--teacher": args.teacher, "--motions": args.motions != "recorded"}
-        if some := [name for name, value in given.items() if value]:
-            raise ValueError(
-                f"{', '.join(some)} must come without --everywhere, which learns scenes from the beginning"
-            )
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:

@@ -13,7 +13,8 @@ from safetensors import SafetensorError
 from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
 from async_tnt.networks.from_onnx import load_onnx
-from async_tnt.networks.model import FORMAT, Model, checksum_of, read_description, read_tensors
+from async_tnt.networks.model import FORMAT, Model
+from async_tnt.networks.model_file import checksum_of, read_description, read_tensors
 
 
 def bundled_models() -> tuple[str, ...]:
