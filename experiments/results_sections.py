@@ -214,7 +214,8 @@ SECTIONS = (
             accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events",
             accuracy.unseen_hands: "Hand motion: `--set hands --json .../unseen_hands.json`",
             accuracy.unseen_volumes: "The saccades by what is learned from, one seed: `--set volumes`. The default "
-            "was set after this was seen; held-out windows in other motions are ordered alike: .897, .922, .826, .915, .879",
+            "was set after this was seen; held-out windows in other motions are ordered alike: .897, .922, .826, .915, "
+            ".879",
         },
     ),
     Section(
