@@ -40,6 +40,26 @@ def note_rows(program, record, first, last):
 
 
 @inlined
+def mark_all(program, record, rows, columns, bits):
+    """Mark every place of a map."""
+    words = program[record + WORDS]
+    for row in range(rows):
+        for word in range(words):
+            n = min(columns - 64 * word, 64)
+            bits[np.uint64(program[record] + row * words + word)] = EVERY_BIT >> np.uint64(64 - n)
+    note_rows(program, record, 0, rows - 1)
+
+
+@inlined
+def add_changes(program, record, more, bits):
+    """Mark in one record what is marked in another one of the same map."""
+    first, last, words = program[more + FIRST_ROW], program[more + LAST_ROW], program[more + WORDS]
+    for word in range(first * words, (last + 1) * words):
+        bits[np.uint64(program[record] + word)] |= bits[np.uint64(program[more] + word)]
+    note_rows(program, record, first, last)
+
+
+@inlined
 def note_changes(bits, row, column, changed):
     """Mark places of a row, from `column` on: one for each bit of `changed` (uint64).
 

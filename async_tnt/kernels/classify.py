@@ -6,6 +6,7 @@ from . import program as P
 from . import state as S
 from . import trigger as T
 from .absorb import absorb
+from .empty_window import begin_window
 from .forward import forward
 from .jit import compiled, compiled_without_gil
 from .sync_input import sync_input
@@ -22,6 +23,7 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
     -------
     int : the class, as `softmax` returns it.
     """
+    begin_window(buffer.view(np.int64)[S.EPOCH], program, weights, maps, places)
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
     at = np.uint64(program[P.OUTPUT])

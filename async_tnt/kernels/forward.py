@@ -14,6 +14,7 @@ from .changes import (
     LAST_ROW,
     MAX_ROW,
     WORDS,
+    add_changes,
     forget_changes,
     list_places,
     note_changes,
@@ -48,6 +49,7 @@ def forward(program, weights, maps, places):
             _mix(program, at, n, weights, maps, places, bits)
         else:
             _by_channel(program, at, n, weights, maps, places, bits)
+        add_changes(program, at + P.TOUCHED, at + P.CHANGED, bits)
     program[P.STALE] = 0
 
 

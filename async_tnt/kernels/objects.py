@@ -14,7 +14,10 @@ takes the nearest one, then the next object.
 
 import numpy as np
 
+from . import program as P
+from . import state as S
 from .changes import FIRST_ROW, LAST_ROW, MAX_ROW, WORDS
+from .empty_window import begin_window
 from .forward import forward
 from .jit import compiled
 from .simd import trailing_zeros
@@ -63,6 +66,10 @@ def locate_cells(
     -------
     int : objects; -1 if a logit is not finite.
     """
+    epoch = buffer.view(np.int64)[S.EPOCH]
+    if program[P.EPOCH] != epoch:
+        begin_window(epoch, program, weights, maps, places)
+        _follow_changes(program, places.view(np.uint64), maps, about, scores, peaks)
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
     _follow_changes(program, places.view(np.uint64), maps, about, scores, peaks)

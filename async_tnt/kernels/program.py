@@ -2,7 +2,7 @@
 
     program  int64    the header below, one record for each step, then tables of distances
     weights  float32  never changed
-    maps     float32  what the network has computed of its current input
+    maps     float32  what the network has computed of its current input, and behind it of an empty one
     places   uint32   as uint64: which places of each map have changed, see `changes`; a list of places
 
 A map is stored as (row, column, channel), within a frame that stands for the padding of the convolutions that read it.
@@ -41,9 +41,12 @@ SCRATCH_WORDS = 11  # how long it may be
 EPOCH = 12  # the window that the input shows, see `state`; 0: none
 N_SEEN = 13  # how many corners of the window's log are in the input
 STALE = 14  # 1: nothing has been computed yet
-INPUT_CHANGED = 15  # the record of its changes, see `changes`
+EMPTY = 15  # numbers from a step's map to what it is for an empty window, see `empty_window`
+EMPTY_IS_KNOWN = 16  # 1: it has been computed
+INPUT_CHANGED = 17  # the record of its changes, see `changes`
+INPUT_TOUCHED = 21  # likewise, of those since the window was empty
 
-FIRST_STEP = 19
+FIRST_STEP = 25
 # a step's record
 KIND = 0  # MIX, SUM or MAXIMUM
 N_SOURCES = 1  # whose changes it depends on
@@ -60,21 +63,22 @@ ROWS = 11  # of the map that it computes
 COLUMNS = 12
 N_COMPUTED = 13  # places in the last call
 CHANGED = 14  # the record of its changes
-IN = 18  # where in `maps` the first run or tap of place (0, 0) is counted from
-IN_DY = 19
-IN_DX = 20
-OUT = 21
-OUT_DY = 22
-OUT_DX = 23
-OUT_CHANNELS = 24  # of each group
-RUNS = 25  # where in the program the distances of its runs or taps lie
-N_RUNS = 26
-RUN_LENGTH = 27  # of a MIX
-GROUPS = 28  # of a MIX
-GROUP_CHANNELS = 29  # input channels from one group to the next
-WEIGHTS = 30
-PLACE_WEIGHTS = 31  # numbers from one place's weights to the next one's; 0: they share them
-APPLIED = 32  # of a FUNCTION: which one
-STEP_SIZE = 33
+TOUCHED = 18  # likewise, of those since the window was empty
+IN = 22  # where in `maps` the first run or tap of place (0, 0) is counted from
+IN_DY = 23
+IN_DX = 24
+OUT = 25
+OUT_DY = 26
+OUT_DX = 27
+OUT_CHANNELS = 28  # of each group
+RUNS = 29  # where in the program the distances of its runs or taps lie
+N_RUNS = 30
+RUN_LENGTH = 31  # of a MIX
+GROUPS = 32  # of a MIX
+GROUP_CHANNELS = 33  # input channels from one group to the next
+WEIGHTS = 34
+PLACE_WEIGHTS = 35  # numbers from one place's weights to the next one's; 0: they share them
+APPLIED = 36  # of a FUNCTION: which one
+STEP_SIZE = 37
 
 MIX, SUM, MAXIMUM, FUNCTION = range(4)

@@ -9,7 +9,7 @@ from numba import types
 
 from . import program as P
 from . import state as S
-from .changes import WORDS, forget_changes, note_changes, note_rows
+from .changes import WORDS, add_changes, forget_changes, note_changes, note_rows
 from .jit import compiled, inlined
 from .readout import cell_at, cell_value, parts_of, strides_of
 from .simd import count_bits, trailing_zeros, vectorized
@@ -24,26 +24,22 @@ def sync_input(buffer, program, maps, places):
         input[y, x, c] = cells[c, y, x, 0] + cells[c - 1, y, x, 1], rounded to float32 as in `readout`, and never -0
 
     without the second part for the first bin of each polarity. The planes (C, H, W) hold the same numbers: cells can be
-    compared with these in vector registers. Where the input does not show a window, everything is copied and marked as
-    changed.
+    compared with these in vector registers.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Only read.
-    program, maps, places : the network's, see `program`. Updated in place.
+    program, maps, places : the network's, see `program`, after `begin_window`. Updated in place.
     """
     ints, bits = buffer.view(np.int64), places.view(np.uint64)
     forget_changes(program, P.INPUT_CHANGED, bits)
     n_new = ints[S.N_LOG] - program[P.N_SEEN]
     n_numbers = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
-    same_window = program[P.EPOCH] == ints[S.EPOCH]
-    if same_window and n_new <= ints[S.LOG_SIZE] and n_new * NUMBERS_PER_LOGGED <= n_numbers:
+    if n_new <= ints[S.LOG_SIZE] and n_new * NUMBERS_PER_LOGGED <= n_numbers:
         _sync_corners(buffer, ints, program, maps, bits)
     else:
         _sync_all(buffer, ints, program, maps, bits)
-    if program[P.EPOCH] == 0:
-        program[P.STALE] = 1
-    program[P.EPOCH] = ints[S.EPOCH]
+    add_changes(program, P.INPUT_TOUCHED, P.INPUT_CHANGED, bits)
     program[P.N_SEEN] = ints[S.N_LOG]
 
 
@@ -129,7 +125,7 @@ def _sync_all(buffer, ints, program, maps, bits):
         n_changed = 0
         for word in range(words):
             n_changed += count_bits(bits[np.uint64(row + word)])
-        if 2 * n_changed > width or program[P.EPOCH] == 0:
+        if 2 * n_changed > width:
             _copy_row(program, maps, y)
         else:
             for word in range(words):

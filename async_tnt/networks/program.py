@@ -84,12 +84,17 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
     before = max(_words(step.padding[1]) for step in steps)
     seen = max(_words(s.columns) * s.stride[1] + _words((s.kernel[1] - 1) * s.dilation[1]) + 2 for s in steps)
     program[P.SCRATCH] = places.take(2 * (before + max(n_words, seen))) // 2 + before
-    program[P.INPUT_CHANGED : P.INPUT_CHANGED + 4] = _changes(height, width, places)
+    for record_at in (P.INPUT_CHANGED, P.INPUT_TOUCHED):
+        program[record_at : record_at + 4] = _changes(height, width, places)
     numbers = _Arena()
     program[P.PLANES] = numbers.take(channels * height * width)
-    firsts = {part: numbers.take(_size(part)) + _first(part) for part in maps}
+    firsts = {volume: numbers.take(_size(volume)) + _first(volume)}
+    first_number = numbers.size
+    firsts |= {part: numbers.take(_size(part)) + _first(part) for part in maps[1:]}
     if numbers.size > 2 * graph.MAX_NUMBERS:  # maps that are added have one frame, that of the widest padding
         raise ValueError(f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}")
+    behind = _up(numbers.size + LANES, LANES)  # a register may reach behind the last channel
+    program[P.EMPTY] = behind - first_number
     program[[P.INPUT, P.INPUT_DY]] = firsts[volume], _pitch(volume)
     program[[P.OUTPUT, P.OUTPUT_DY]] = firsts[output], _pitch(output)
 
@@ -111,7 +116,8 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
         record[[P.PAD_Y, P.PAD_X]] = step.padding
         record[[P.DILATION_Y, P.DILATION_X]] = step.dilation
         record[[P.ROWS, P.COLUMNS]] = step.rows, step.columns
-        record[P.CHANGED : P.CHANGED + 4] = _changes(step.rows, step.columns, places)
+        for k in (P.CHANGED, P.TOUCHED):
+            record[k : k + 4] = _changes(step.rows, step.columns, places)
         record[P.IN] = 0  # the distances below are from the beginning
         record[[P.IN_DY, P.IN_DX]] = step.stride[0] * _pitch(source), step.stride[1] * source.channels
         record[P.OUT] = firsts[step.output] + step.channel
@@ -124,7 +130,7 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
         record[[P.WEIGHTS, P.PLACE_WEIGHTS]] = n_weights, place_weights
         weights.append(packed)
         n_weights += packed.size
-    values = aligned(numbers.size + LANES, np.float32)  # a register may reach behind the last channel
+    values = aligned(behind + numbers.size - first_number, np.float32)
     for part in maps:
         if part.fill:
             values[firsts[part] - _first(part) :][: _size(part)] = part.fill

@@ -31,11 +31,26 @@ def test_nothing_new_is_nothing_computed_and_an_array_everything(network):
     classifier, volume = network.classifier(), network.volume()
     volume.update(random_events(50, seed=2, duration_us=3000, sensor=network.config.sensor))
     first = classifier.refresh(volume).tobytes()
-    assert all(n == step.places for step, n in classifier.work)
     assert classifier.refresh(volume).tobytes() == first
     assert not any(n for _, n in classifier.work)
     assert classifier(volume.array).tobytes() == first
     assert all(n == step.places for step, n in classifier.work)
+
+
+@pytest.mark.parametrize("network", NETWORKS[:8], ids=str)
+def test_a_new_window_computes_what_its_own_events_reach(network):
+    """Whatever the windows before it have changed, and whatever else the network has computed."""
+    used, new, volume = network.classifier(), network.classifier(), network.volume()
+    for n in (200, 1, 50):
+        volume.update(random_events(n, seed=n, duration_us=900, sensor=network.config.sensor))
+        used.refresh(volume)
+        volume.reset()
+        event = random_events(1, seed=n + 1, sensor=network.config.sensor)
+        volume.update(event)
+        assert used.refresh(volume).tobytes() == new.refresh(volume).tobytes()
+        assert used.work == new.work
+        used(volume.array)
+        new, volume = network.classifier(), network.volume()
 
 
 def test_a_change_that_no_filter_sees_ends_there():
