@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.archives import how_to_run, stream_archive
-from async_tnt.cli.options import add_archive, model_of, of_windows
+from async_tnt.cli.evaluate_objects import evaluate_objects
+from async_tnt.cli.options import add_archive, model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
@@ -35,6 +36,10 @@ holds sessions, each with a table NAME_labels.csv of class, start and end, which
 recordings that the model was not trained on, if possible of other days and people. Windows follow each other from each
 recording's first event, as on a live stream. A recording's class is the one with the highest mean probability over its
 windows. Recordings that cannot be read, and empty ones, are skipped and named at the end.
+
+Of a model that finds objects, DATASET holds recordings with tables of objects, NAME_objects.csv (t, class, x, y, or
+boxes x, y, w, h) or Prophesee's NAME_bbox.npy. It is asked at the end of a window before each time in the table, and
+earlier; an object is found by its class within its box, or within 5 pixels of a point.
 
   async-tnt evaluate gestures.safetensors held_out
   async-tnt evaluate gestures.safetensors held_out --picture confusion.png
@@ -71,7 +76,9 @@ def main(args: argparse.Namespace) -> int:
     if args.picture is not None:
         check_picture(args.picture)
     run = how_to_run(args)
-    model = of_windows(model_of(args), args.model)
+    model = model_of(args)
+    if model.places is not None:
+        return evaluate_objects(args, model)
     pixels = selector_of(args, model)
     recordings, labels = labelled_recordings(args.dataset, model)
     fill_cache()

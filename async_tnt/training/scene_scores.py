@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
 from async_tnt.config import TNTConfig
+from async_tnt.evaluation.object_scores import ObjectScores, score_objects
 from async_tnt.networks.model import Model
 from async_tnt.networks.objects import ObjectReader, new_tracks
 from async_tnt.training.augment import unchanged
@@ -24,20 +24,6 @@ SHARES = 0.3, 0.5
 """Of a window, after which scenes are also scored."""
 
 
-@dataclass(frozen=True)
-class Found:
-    """How many objects are in some scenes, how many were found, and how many of these rightly."""
-
-    there: int
-    found: int
-    right: int
-
-    @property
-    def f1(self) -> float:
-        """2 right / (there + found)"""
-        return 2 * self.right / max(1, self.there + self.found)
-
-
 class SceneScores:
     """Scenes that are the same at each call.
 
@@ -50,6 +36,7 @@ class SceneScores:
 
     def __init__(self, crops: TNTConfig, model: Model, windows: Windows) -> None:
         assert model.places is not None
+        self._classes = model.classes
         self._maker, self._reader = SceneMaker(crops), ObjectReader(model.logits_shape)
         self._tracks = new_tracks(model.places, model.logits_shape, 0)
         some = np.random.default_rng(0).permutation(len(windows))[: round(N_SCENES * OBJECTS)]
@@ -59,12 +46,13 @@ class SceneScores:
         """At the windows' ends."""
         return self.after(pipeline, 1.0).f1
 
-    def after(self, pipeline: Pipeline, share: float) -> Found:
+    def after(self, pipeline: Pipeline, share: float) -> ObjectScores:
         """After this share of each window."""
         rng = np.random.default_rng(1)
         was_training = pipeline.training
         pipeline.eval()
-        there = found = right = 0
+        n_classes = self._reader.shape[0] - 1
+        scores = ObjectScores(*np.zeros((3, n_classes), np.int64))
         for first in range(0, len(self._windows), BATCH):
             windows = self._windows[first : first + BATCH]
             draws = unchanged(len(windows), self._maker.crops)
@@ -76,10 +64,9 @@ class SceneScores:
                 n = self._reader.read(logits, self._tracks, 0, False)
                 objects = self._reader.found[: max(0, n)]  # none where a logit is not finite
                 inside = scenes.scene == k
-                right += n_matched(objects, scenes.label[inside], scenes.position[inside], self._within)
-                there, found = there + int(inside.sum()), found + len(objects)
+                scores += score_objects(objects, scenes.label[inside], scenes.position[inside], self._within, n_classes)
         pipeline.train(was_training)
-        return Found(there, found, right)
+        return scores
 
     def to_dict(self, pipeline: Pipeline) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -87,20 +74,6 @@ class SceneScores:
         early = {share: self.after(pipeline, share).f1 for share in SHARES}
         window_ms = self._maker.config.window_us / 1e3
         return {
-            "f1": round(whole.f1, 5),
+            **whole.to_dict(self._classes),
             "f1_against_time_ms": {f"{share * window_ms:g}": round(f1, 5) for share, f1 in early.items()},
-            "objects": whole.there,
-            "precision": round(whole.right / max(1, whole.found), 5),
-            "recall": round(whole.right / max(1, whole.there), 5),
         }
-
-
-def n_matched(objects: np.ndarray, labels: np.ndarray, positions: np.ndarray, within: float) -> int:
-    """How many objects that were found, the likeliest first (`ObjectReader.found`), are of the class of one that is
-    there, within so many pixels, with which no other is matched."""
-    free = np.ones(len(labels), bool)
-    for x, y, _, label, _ in objects:
-        away = np.where(free & (labels == label), np.hypot(positions[:, 0] - x, positions[:, 1] - y), np.inf)
-        if len(away) and away.min() <= within:
-            free[away.argmin()] = False
-    return int((~free).sum())

@@ -13,12 +13,11 @@ import torch
 from tnt_reference import event_volume
 
 from async_tnt import Model, Processor, TNTConfig, load_model
-from async_tnt.kernels.objects import FOUND_SIZE
 from async_tnt.training import scenes as module
 from async_tnt.training.augment import Augmentation, unchanged
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.scene_scores import SceneScores, n_matched
+from async_tnt.training.scene_scores import SceneScores
 from async_tnt.training.scenes import SceneMaker
 from async_tnt.training.windows import Windows
 
@@ -105,27 +104,16 @@ def test_volumes_that_are_no_sums_are_refused():
             SceneMaker(config)
 
 
-def test_matches_by_hand():
-    """An object is matched once, with the nearest of its class; a second one found there is too many."""
-    found = np.zeros((4, FOUND_SIZE))
-    found[:, :4] = [(10, 10, 0.9, 0), (11, 10, 0.8, 0), (30, 10, 0.7, 1), (50, 10, 0.6, 1)]
-    labels, positions = np.array([0, 0, 1]), np.array([[10.0, 10], [40, 40], [50, 13]])
-    assert n_matched(found, labels, positions, 3.0) == 2
-    assert n_matched(found, labels, positions, 2.0) == 1
-    assert n_matched(found, np.zeros(0, int), np.zeros((0, 2)), 3.0) == 0
-    assert n_matched(found[:0], labels, positions, 3.0) == 0
-
-
 def test_a_network_that_computes_no_numbers_finds_nothing():
     """Not what an earlier map has left."""
     net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
     _, windows = recordings(30)
     scores = SceneScores(CONFIG, Model.from_torch(net, SceneMaker(CONFIG).config, "abc"), windows)
     pipeline = Pipeline(CONFIG, net)
-    assert scores.after(pipeline, 1.0).there > 20
+    assert scores.after(pipeline, 1.0).there.sum() > 20
     with torch.no_grad():
         net[0].bias.fill_(np.nan)
-    assert (scores.after(pipeline, 1.0).found, scores.f1(pipeline)) == (0, 0.0)
+    assert (scores.after(pipeline, 1.0).found.sum(), scores.f1(pipeline)) == (0, 0.0)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,80 @@
+"""How many of the objects that are there are found, and how many of those that are found are there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from async_tnt.kernels.objects import CLASS, X, Y
+
+
+@dataclass(frozen=True)
+class ObjectScores:
+    """Counts by class, int64, (K,): objects that are there, that were found, and that were found rightly."""
+
+    there: np.ndarray
+    found: np.ndarray
+    right: np.ndarray
+
+    def __add__(self, other: ObjectScores) -> ObjectScores:
+        return ObjectScores(self.there + other.there, self.found + other.found, self.right + other.right)
+
+    @property
+    def f1(self) -> float:
+        """2 right / (there + found)"""
+        return self._f1(self.there.sum(), self.found.sum(), self.right.sum())
+
+    def to_dict(self, classes: Sequence[str]) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        there, found, right = (int(of.sum()) for of in (self.there, self.found, self.right))
+        rows = zip(classes, self.there.tolist(), self.found.tolist(), self.right.tolist(), strict=True)
+        return {
+            "f1": round(self.f1, 5),
+            "precision": round(right / max(1, found), 5),
+            "recall": round(right / max(1, there), 5),
+            "objects": there,
+            "found": found,
+            "per_class": {
+                name: {"f1": round(self._f1(*row), 5), "objects": row[0], "found": row[1], "right": row[2]}
+                for name, *row in rows
+            },
+        }
+
+    @staticmethod
+    def _f1(there: int, found: int, right: int) -> float:
+        return float(2 * right / max(1, there + found))
+
+
+def score_objects(
+    found: np.ndarray, labels: np.ndarray, middles: np.ndarray, reach: np.ndarray | float, n_classes: int
+) -> ObjectScores:
+    """Match what was found with what is there.
+
+    An object is right if its class is that of one that is there, near enough, and matched with no other: the likeliest
+    takes the nearest one, then the next object. (x, y) is near the middle (u, v) if ((x - u) / a)^2 + ((y - v) / b)^2
+    <= 1, with its reach (a, b).
+
+    Parameters
+    ----------
+    found : float64, (M, FOUND_SIZE), the likeliest first, see `kernels.objects`.
+    labels : int64, (N,): the classes of what is there. middles : float64, (N, 2): (x, y), in sensor pixels.
+    reach : float64, (N, 2), in pixels; or one number for all.
+
+    Examples
+    --------
+    >>> found = np.array([[10.0, 10, 0.9, 1, 0], [30.0, 10, 0.8, 1, 1], [10.0, 12, 0.7, 1, 2]])
+    >>> scores = score_objects(found, np.array([1, 0]), np.array([[11.0, 10.0], [30.0, 10.0]]), 5.0, 2)
+    >>> scores.there.tolist(), scores.found.tolist(), scores.right.tolist()
+    ([1, 1], [0, 3], [0, 1])
+    """
+    free = np.ones(len(labels), bool)
+    for row in found:
+        away = np.hypot(*((middles - row[[X, Y]]) / reach).T)
+        away[~free | (labels != row[CLASS])] = np.inf
+        if len(away) and away.min() <= 1:
+            free[away.argmin()] = False
+    count = [np.bincount(of.astype(np.int64), minlength=n_classes) for of in (labels, found[:, CLASS], labels[~free])]
+    return ObjectScores(*count)

@@ -1,0 +1,123 @@
+"""Recordings with a table of the objects that they show.
+
+NAME_objects.csv  a row for each object at a moment: t, in microseconds, class, and x, y, its middle; or x, y, w, h, a
+                  box whose upper left corner is (x, y)
+NAME_bbox.npy     Prophesee's boxes: t (or ts), x, y, w, h, class_id; of NAME.* or NAME_td.*. Names of the classes
+                  are those of `label_map_dictionary.json` beside it or, without that, those of the model, in order
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.sources.labelled_recordings import is_recording
+
+CSV, BOXES, OF_BOXES = "_objects.csv", "_bbox.npy", "_td"
+NAMES_FILE = "label_map_dictionary.json"
+WITHIN_PX = 5.0
+"""An object is found within so many pixels of a point, or within a box: in the ellipse that touches its sides."""
+
+
+@dataclass(frozen=True)
+class ObjectTable:
+    """What a recording shows, and when.
+
+    Parameters
+    ----------
+    t : int64, (N,), in order, in microseconds. label : int64, (N,): a class of the model.
+    middle, reach : float64, (N, 2): (x, y) of its middle, in sensor pixels, and how near it counts as found.
+    unknown : class -> rows that are left out, as the model does not know it.
+    """
+
+    t: np.ndarray
+    label: np.ndarray
+    middle: np.ndarray
+    reach: np.ndarray
+    unknown: Mapping[str, int]
+
+    def moments(self) -> Iterator[tuple[int, slice]]:
+        """Each time that has objects, and their rows."""
+        times, first = np.unique(self.t, return_index=True)
+        for t, begin, end in zip(times.tolist(), first, [*first[1:], len(self.t)], strict=True):
+            yield t, slice(begin, end)
+
+
+def find_tables(folder: Path) -> list[tuple[Path, Path]]:
+    """The recordings of a folder, or of its folder `Test`, and the table beside each.
+
+    Raises
+    ------
+    ValueError : no recording with a table. OSError : no such folder.
+    """
+    folder = folder / "Test" if (folder / "Test").is_dir() else folder
+    found = []
+    for path in sorted(folder.iterdir()):
+        tables = path.with_name(path.stem + CSV), path.with_name(path.stem.removesuffix(OF_BOXES) + BOXES)
+        if is_recording(path) and not path.name.endswith((CSV, BOXES)):
+            found += [(path, table) for table in tables if table.is_file()][:1]
+    if not found:
+        raise ValueError(f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}")
+    return found
+
+
+def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
+    """A table, whose classes are those of a model.
+
+    Raises
+    ------
+    ValueError : it is damaged, lacks a column, or has no row of these classes.
+    """
+    names, t, corner, size = _read_boxes(path, classes) if path.suffix == ".npy" else _read_csv(path)
+    known = {name: k for k, name in enumerate(classes)}
+    label = np.array([known.get(name, -1) for name in names], np.int64)
+    unknown = {str(name): int(n) for name, n in zip(*np.unique(names[label < 0], return_counts=True), strict=True)}
+    kept = np.flatnonzero(label >= 0)
+    if not len(kept):
+        raise ValueError(f"{path}: no object of the model's classes, {', '.join(classes)}")
+    if not (np.isfinite(corner[kept]).all() and np.isfinite(size[kept]).all() and (size[kept] >= 0).all()):
+        raise ValueError(f"{path}: x, y, w and h must be finite, w and h at least 0")
+    kept = kept[np.argsort(t[kept], kind="stable")]
+    is_point = size[kept] == 0
+    reach = np.where(is_point.all(1, keepdims=True), WITHIN_PX, np.maximum(size[kept] / 2, 0.5))
+    return ObjectTable(t[kept], label[kept], corner[kept] + size[kept] / 2, reach, unknown)
+
+
+def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            columns, rows = reader.fieldnames or (), list(reader)
+    except (ValueError, csv.Error) as error:
+        raise ValueError(f"{path}: not a table of comma-separated values: {error}") from None
+    if missing := [name for name in ("t", "class", "x", "y") if name not in columns]:
+        raise ValueError(f"{path}: needs the columns t, class, x, y (and w, h of boxes), lacks {', '.join(missing)}")
+    try:
+        t = np.array([int(row["t"]) for row in rows], np.int64)
+        corner = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)
+        size = np.array([(float(row.get("w") or 0), float(row.get("h") or 0)) for row in rows]).reshape(-1, 2)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{path}: t must be whole microseconds, x, y, w and h numbers: {error}") from None
+    return np.array([str(row["class"]) for row in rows], object), t, corner, size
+
+
+def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
+    try:
+        boxes: np.ndarray = np.load(path, "r", allow_pickle=False)  # a header may promise more than there is
+        columns = boxes["t" if "t" in (boxes.dtype.names or ()) else "ts"].astype(np.int64), boxes["class_id"]
+        corner, size = (np.stack([boxes[a], boxes[b]], axis=-1).astype(np.float64) for a, b in ("xy", "wh"))
+        numbers = columns[1].astype(np.int64).tolist()
+    except (ValueError, IndexError, TypeError, AttributeError, EOFError, OverflowError) as error:
+        raise ValueError(f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {error}") from None
+    named: Mapping[str, str] = dict(zip(map(str, range(len(classes))), classes, strict=True))
+    if (names := path.parent / NAMES_FILE).is_file():
+        try:
+            named = {str(k): str(name) for k, name in json.loads(names.read_bytes()).items()}
+        except (ValueError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{names}: must be an object of class numbers and names, in JSON: {error}") from None
+    return np.array([named.get(str(k), str(k)) for k in numbers], object), columns[0], corner, size
