@@ -104,7 +104,9 @@ def of_windows(model: Model, name: str | Path) -> Model:
 def check_of_windows(finds_objects: bool, name: str | Path) -> None:
     """Refuse what finds objects, where a class for each window is needed."""
     if finds_objects:
-        raise ValueError(f"{name} finds objects, and has no class for a window; run, view, evaluate, check and bench take it")
+        raise ValueError(
+            f"{name} finds objects, and has no class for a window; run, view, evaluate, check and bench take it"
+        )
 
 
 def model_of(args: argparse.Namespace) -> Model:

@@ -4,7 +4,7 @@ Without the transform a volume is a sum over events, so that a scene's volume is
 each at its place, and of noise. Of each scene:
 
     objects   `OBJECTS` in the mean, the middle of each anywhere on the sensor, so that some are cut off at its border,
-              and at least `APART` from the others
+              half of them beside another one, at least `APART` from it
     starts    half of them begin later, by up to half a window
     end       as augmentation draws it, the same for all
     nothing   as augmentation draws it: what shows nothing is no object
@@ -33,6 +33,8 @@ SIDES = 3
 OBJECTS, FEWEST = 2.5, 10
 APART = 0.4
 """Of a recording's shorter side: between two objects, at least. One for which `TRIES` places are nearer is dropped."""
+BESIDE = 0.5
+"""So many objects are placed beside another one, at most a recording's shorter side away: some cover each other."""
 TRIES = 20
 NOISE_HZ, HOT_EVENTS = (0.1, 0.9), (20, 300)
 MOST_NOISE = 100_000
@@ -103,12 +105,16 @@ class SceneMaker:
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
         middles = (np.einsum("nij,nj->ni", draws.matrix[:, :, :2], _middles(windows)) + draws.matrix[:, :, 2]) / fine
         volumes = self._noise(n_scenes, until_us, rng)
-        position = np.full((n, 2), np.inf)
+        position, end = np.full((n, 2), np.inf), np.array(self.config.sensor) - 1.0
         for i in range(n):
-            there = position[scene == scene[i]]
+            there = position[(scene == scene[i]) & np.isfinite(position[:, 0])]
+            is_beside = len(there) > 0 and rng.random() < BESIDE
             for _ in range(TRIES):
-                place = rng.uniform(0, np.array(self.config.sensor) - 1.0)
-                if (np.hypot(*(there - place).T) >= APART * self._shorter).all():
+                place = rng.uniform(0, end)
+                if is_beside:
+                    place = there[rng.integers(len(there))] + rng.uniform(-1, 1, 2) * self._shorter
+                on_sensor = (place >= 0).all() and (place <= end).all()
+                if on_sensor and (np.hypot(*(there - place).T) >= APART * self._shorter).all():
                     position[i] = self._add(volumes[scene[i]], own[i], middles[i], place)
                     break
         is_object &= np.isfinite(position[:, 0])
