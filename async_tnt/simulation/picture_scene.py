@@ -16,7 +16,7 @@ pixels      see `random_pixels`
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -82,8 +82,18 @@ def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Gen
     half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
     free = np.maximum(0, np.array(settings.sensor) / 2 - half)
     displacement = (np.array(scene.sensor) - 1) / 2 + rng.uniform(-free, free) - scene.centre + motion
-    events = scene.events(times_us, displacement, turn, random_pixels(rng, settings.camera), rng)
-    return _crop(events, times_us, motion, reach, settings.sensor) if settings.follow else events
+    pixels = random_pixels(rng, settings.camera)
+    if not settings.follow:
+        return scene.events(times_us, displacement, turn, pixels, rng)
+    parts = []  # of the sensor, what is near the crop for a while: all of its way takes three times as long
+    n_parts = math.ceil(np.hypot(*np.diff(motion, axis=0).T).sum() / smaller)
+    for frames in np.array_split(np.arange(len(times_us) - 1), max(1, n_parts)):
+        some = slice(frames[0], frames[-1] + 2)
+        first, last = np.floor(motion[some].min(0)).astype(int), np.ceil(motion[some].max(0)).astype(int)
+        part = replace(scene, sensor=tuple((np.array(settings.sensor) + last - first).tolist()))
+        events = part.events(times_us[some], displacement[some] - first, turn[some], pixels, rng)
+        parts.append(_crop(events, times_us, motion, first, settings.sensor))
+    return np.concatenate(parts)
 
 
 def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -101,14 +111,14 @@ def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _crop(
-    events: np.ndarray, times_us: np.ndarray, motion: np.ndarray, reach: np.ndarray, sensor: tuple[int, int]
+    events: np.ndarray, times_us: np.ndarray, motion: np.ndarray, first: np.ndarray, sensor: tuple[int, int]
 ) -> np.ndarray:
-    """What a crop of the size of `sensor` sees that moves along; at half time it is `reach` pixels (x, y) from the
-    borders of a larger one."""
+    """What a crop of the size of `sensor` sees that moves along. Pixel (0, 0) is the crop's first one after a motion by
+    `first`, (x, y)."""
     inside = np.ones(len(events), bool)
     for axis, name in enumerate("xy"):
         moved = np.rint(np.interp(events["t"], times_us, motion[:, axis]))
-        at = events[name].astype(np.int64) - reach[axis] - moved.astype(np.int64)
+        at = events[name].astype(np.int64) + first[axis] - moved.astype(np.int64)
         inside &= (at >= 0) & (at < sensor[axis])
         events[name] = np.where(inside, at, 0)
     return events[inside]
@@ -118,7 +128,7 @@ def _scene(
     picture: Picture, side_px: float, reach: np.ndarray, settings: SceneSettings, rng: np.random.Generator
 ) -> PeriodicImage:
     """The object in its surroundings, as log luminance, seen through a lens. It moves `reach` pixels (x, y) either way:
-    so far apart are copies on the torus, or the borders of a sensor whose crop follows the object."""
+    so far apart are copies on the torus, unless a crop follows the object."""
     sensor = np.array(settings.sensor)
     apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
     apart *= np.exp(MOTIONS.growth) / np.cos(MOTIONS.turn)
@@ -142,9 +152,8 @@ def _scene(
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
     darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
     centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
-    width, height = (sensor + 2 * reach if settings.follow else sensor).tolist()
     image = np.log(darkest + (1.0 - darkest) * np.clip(seen, 0, 1))
-    return PeriodicImage(image, FINENESS, 0.0, centre, (width, height))
+    return PeriodicImage(image, FINENESS, 0.0, centre, settings.sensor)
 
 
 def _posed(picture: Picture, side: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

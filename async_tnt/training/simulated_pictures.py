@@ -35,7 +35,7 @@ from async_tnt.training.moved_windows import read_arrays
 from async_tnt.training.recordings import COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
 
-MANIFEST, FORMAT = "pictures.json", 2  # of the recordings: a change of what is simulated counts it up
+MANIFEST, FORMAT = "pictures.json", 3  # of the recordings: a change of what is simulated counts it up
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
 """Of all pictures together, about; of each at least one, and at most `MOST_TAKES`."""
 MOST_TAKES = 200

@@ -113,11 +113,11 @@ def test_a_crop_follows_the_object(tmp_path):
     reach, times = np.array([4, 3]), np.arange(9.0)
     moving = [(t, 4 + 10 + round(t / 2), 3 + 6 - round(t / 4), 1) for t in range(9)]
     still = [(t, 4, 3 + 9, 0) for t in range(9)]  # at the crop's left border
-    events = _crop(np.array(sorted(moving + still), EVENT_DTYPE), times, motion, reach, (20, 12))
+    events = _crop(np.array(sorted(moving + still), EVENT_DTYPE), times, motion, -reach, (20, 12))
     assert {(x, y) for _, x, y, p in events.tolist() if p} == {(10, 6)} and (events["p"] == 1).sum() == 9
     assert [(t, x) for t, x, _, p in events.tolist() if not p] == [(0, 0), (1, 0)]  # half a pixel is rounded to even
     at_the_end = np.array([(8, 1, 6, 1), (8, 1, 4, 1)], EVENT_DTYPE)  # the other way: left of where the crop began
-    assert _crop(at_the_end, times, -motion, reach, (20, 12)).tolist() == [(8, 1, 1, 1)]
+    assert _crop(at_the_end, times, -motion, -reach, (20, 12)).tolist() == [(8, 1, 1, 1)]
     picture = read_picture(saved(tmp_path / "a.png", bar(rows=slice(2, 18), columns=slice(4, 20))))
     found = recordings(picture, 60, SceneSettings((40, 30), 25_000, size=(0.4, 0.4), follow=True))
     assert all(one["x"].max(initial=0) < 40 and one["y"].max(initial=0) < 30 for one in found)
