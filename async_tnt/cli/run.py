@@ -118,30 +118,6 @@ def main(args: argparse.Namespace) -> int:
     return 130 if stopped else 2 if failed else 0
 
 
-class Seen:
-    """Counts the packets that a model sees while they are read.
-
-    Attributes
-    ----------
-    n_events : of the packets so far.
-    n_unsorted : those of them that are older than an earlier one. Events that were left out do not count.
-    """
-
-    def __init__(self, packets: Iterable[np.ndarray]) -> None:
-        self._packets = packets
-        self._newest_us = -1
-        self.n_events = 0
-        self.n_unsorted = 0
-
-    def __iter__(self) -> Iterator[np.ndarray]:
-        for packet in self._packets:
-            newest = np.maximum.accumulate(np.concatenate(([self._newest_us], packet["t"])))
-            self.n_unsorted += int(np.count_nonzero(packet["t"] < newest[:-1]))
-            self._newest_us = int(newest[-1])
-            self.n_events += len(packet)
-            yield packet
-
-
 def print_decisions(
     recording: Recording,
     packets: Iterable[np.ndarray],
@@ -160,8 +136,8 @@ def print_decisions(
     """
     processor.reset()
     closed = []
-    seen, before = Seen(packets), pixels.counts
-    for decision, latency_us in timed_decisions(seen, processor):
+    before = pixels.counts
+    for decision, latency_us in timed_decisions(packets, processor):
         say(line(str(recording.path), decision, latency_us))
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
@@ -170,12 +146,8 @@ def print_decisions(
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
         say(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
-    late = processor.counts.dropped_late
-    complain_late(str(recording.path), late, seen.n_events, "--late, --start-us")
-    if seen.n_unsorted and not late:
-        complain(
-            f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than an earlier one (see --late)"
-        )
+    counts = processor.counts
+    complain_late(str(recording.path), counts.dropped_late, counts.received, "--late, --start-us")
     if not closed:
         why = pixels.nothing_left(before) or "no event in any window"
         raise ValueError(f"{recording.path}: {why}")

@@ -78,11 +78,7 @@ def test_a_model_for_another_sensor_is_refused(tmp_path, program):
     assert code == 2 and "must be in [0, 20), got 29 at event 0; the model is for 20x20 pixels" in message
 
 
-def test_late_and_unordered_events_are_reported(tmp_path, program):
+def test_late_events_are_reported(program):
     n = len(open_recording(SAMPLES[5]).read())
     message = program("run", "--start-us", "200000", SAMPLES[5])[2]
     assert f" of {n} events were too late and dropped (see --late, --start-us)\n" in message
-    path = tmp_path / "a.csv"
-    path.write_text("t,x,y,p\n0,1,1,1\n10,2,2,0\n5,3,3,1\n")
-    message = f"async-tnt: {path}: 1 of 3 events are older than an earlier one (see --late)\n"
-    assert program("run", path)[::2] == (0, message)
