@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.options import number, size_of
+from async_tnt.cli.options import size_of
 from async_tnt.cli.output import say
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import READERS, open_recording
-from async_tnt.sources.pixel_masks import FACTOR, count_pixels, hot_pixels, save_mask
+from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, save_mask
 from async_tnt.sources.sensor import format_size
 
 DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
@@ -29,7 +28,7 @@ of shape (height, width), True where a pixel is hot:
   pixel_filter = async_tnt.sources.PixelFilter((346, 260), mask="mask.npy")
   async_tnt.stream(map(pixel_filter, camera), model)
 
-A pixel is hot when it has --factor times more events than the 4th busiest of the 24 pixels around it and than the mean
+A pixel is hot when it has 5 times more events than the 4th busiest of the 24 pixels around it and than the mean
 pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also if none is found: the mask
 then leaves nothing out.
 """
@@ -52,13 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WxH",
         help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless given here",
     )
-    parser.add_argument(
-        "--factor",
-        type=_factor,
-        default=FACTOR,
-        metavar="F",
-        help="how many times more events than expected (default: %(default)s)",
-    )
     parser.add_argument("--json", action="store_true", help="one JSON object: the pixels and their events")
 
 
@@ -68,7 +60,7 @@ def main(args: argparse.Namespace) -> int:
     n_events = int(counts.sum())
     if n_events == 0:
         raise ValueError(f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found")
-    hot = hot_pixels(counts, factor=args.factor)
+    hot = hot_pixels(counts)
     save_mask(args.out, hot)
     _report(counts, hot, args)
     return 0
@@ -119,7 +111,3 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         say(f"... and {len(busiest) - 10} more")
     pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
     say(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")
-
-
-def _factor(text: str) -> float:
-    return number(text, lambda factor: 1 < factor < math.inf, "a number above 1")

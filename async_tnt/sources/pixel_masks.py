@@ -13,13 +13,13 @@ recording. A plausible count for it is
 
 and the pixel is hot if both hold:
 
-    n > factor * plausible                                           far above
-    n log(n / plausible) - (n - plausible) > log(N / false_alarms)   and not by chance
+    n > 5 plausible                                          far above
+    n log(n / plausible) - (n - plausible) > log(100 N)      and not by chance
 
 The second is Chernoff's bound on a Poisson count, P(count >= n) <= exp(n - plausible) (plausible / n)^n, so that among
-the N pixels of the sensor fewer than `false_alarms` pass it by chance. Hot pixels raise the mean and hide weaker ones
-nearby: the search is repeated, with the count `neighbours` for those found, until it finds no more. (A count of zero
-would break a line in two, and the rest would be found next, pixel by pixel.)
+the N pixels of the sensor one passes it by chance in one of a hundred recordings. Hot pixels raise the mean and hide
+weaker ones nearby: the search is repeated, with the count `neighbours` for those found, until it finds no more. (A
+count of zero would break a line in two, and the rest would be found next, pixel by pixel.)
 
 Five or more equally hot pixels in one 5x5 block explain one another and are not found: a flickering lamp looks the
 same. Conversely, something small and bright that visits one pixel all the time looks like a hot pixel: learn from
@@ -53,7 +53,7 @@ from async_tnt.sources.sensor import Sensor, checked_sensor, format_size
 BLOCK = 5
 RANK = 4
 FACTOR = 5.0
-FALSE_ALARMS = 0.01
+FALSE_ALARMS = 0.01  # over the whole sensor
 
 
 def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
@@ -164,9 +164,7 @@ class PackedMask:
             raise ValueError(f"{self.name}: {error}") from None
 
 
-def learn_mask(
-    source: Iterable[Any], sensor: tuple[int, int], *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS
-) -> np.ndarray:
+def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
     """Find the hot pixels of a recording.
 
     The head of this module has the rule.
@@ -175,8 +173,6 @@ def learn_mask(
     ----------
     source : packets, in any form that `async_tnt.event_forms` lists.
     sensor : (width, height) in pixels.
-    factor : how many times more events than plausible a hot pixel has, above 1.
-    false_alarms : pixels expected to be found by chance, over the whole sensor.
 
     Returns
     -------
@@ -184,7 +180,7 @@ def learn_mask(
 
     Raises
     ------
-    ValueError, TypeError : wrong settings, or invalid events.
+    ValueError, TypeError : an invalid sensor, or invalid events.
 
     Example
     -------
@@ -196,7 +192,7 @@ def learn_mask(
     >>> np.argwhere(learn_mask([*recording, stuck], (34, 34))).tolist()  # (y, x)
     [[5, 30]]
     """
-    return hot_pixels(count_pixels(source, sensor), factor=factor, false_alarms=false_alarms)
+    return hot_pixels(count_pixels(source, sensor))
 
 
 def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
@@ -211,24 +207,20 @@ def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
     return counts
 
 
-def hot_pixels(counts: np.ndarray, *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS) -> np.ndarray:
-    """`learn_mask`, with its `factor` and `false_alarms`, from the `counts` of events: int64, shape (H, W)."""
-    if not 1 < factor < math.inf:
-        raise ValueError(f"`factor` must be above 1, got {factor}")
-    if not 0 < false_alarms < math.inf:
-        raise ValueError(f"`false_alarms` must be above 0, got {false_alarms}")
+def hot_pixels(counts: np.ndarray) -> np.ndarray:
+    """`learn_mask` from the `counts` of events: int64, shape (H, W)."""
     hot = np.zeros(counts.shape, bool)
     if counts.size == 0:
         return hot
-    chance = math.log(counts.size / false_alarms)
+    chance = math.log(counts.size / FALSE_ALARMS)
     rest = counts.copy()
     while True:
         mean = max(1.0, rest.mean())
-        y, x = np.nonzero(rest > factor * mean)
+        y, x = np.nonzero(rest > FACTOR * mean)
         n = rest[y, x].astype(np.float64)
         neighbours = _neighbours(rest, y, x)
         plausible = np.maximum(mean, neighbours)
-        found = (n > factor * plausible) & (n * np.log(n / plausible) - (n - plausible) > chance)
+        found = (n > FACTOR * plausible) & (n * np.log(n / plausible) - (n - plausible) > chance)
         if not found.any():
             return hot
         y, x = y[found], x[found]
