@@ -25,7 +25,7 @@ from async_tnt.networks.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.sources.labelled_recordings import LabelledRecording, file_of, find_recordings
-from async_tnt.views.figure_style import check_picture
+from async_tnt.views.figure_style import check_picture, save, styled
 
 SHOWN = 10  # classes that an error names
 
@@ -110,10 +110,11 @@ def main(args: argparse.Namespace) -> int:
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
     if args.picture is not None:
-        from async_tnt.views.figure_confusion import write_confusion
+        from async_tnt.views.figure_confusion import draw_confusion
 
         title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
-        write_confusion(np.array(report["confusion"]), model.classes, args.picture, title)
+        with styled():
+            save(draw_confusion(np.array(report["confusion"]), model.classes, title), args.picture)
     if args.json:
         say(json.dumps(report))
     else:

@@ -14,7 +14,7 @@ from async_tnt.checks import needs_extra
 from async_tnt.cli.options import command_words, of_windows, size_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
-from async_tnt.cli.train_figures import CONFUSION, draw_confusion, draw_motions, draw_pictures
+from async_tnt.cli.train_figures import CONFUSION, draw_motions, draw_pictures, draw_scores
 from async_tnt.cli.train_options import add_arguments, check_everywhere
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
@@ -132,7 +132,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     if plot_curves(fitted.history, args.out.with_suffix(CURVES)):
         written.append(args.out.with_suffix(CURVES))
         if fitted.scores is not None:
-            written.append(draw_confusion(args.out, fitted.scores))
+            written.append(draw_scores(args.out, fitted.scores))
     else:
         note("no pictures: matplotlib is not installed (pip install 'async_tnt[plot]')")
     if data.tests:

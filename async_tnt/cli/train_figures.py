@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from async_tnt.cli.output import note
+from async_tnt.views.figure_style import save, styled
 
 if TYPE_CHECKING:
     from async_tnt.evaluation.scores import Scores
@@ -23,11 +24,11 @@ def draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
     if find_spec("matplotlib") is None:
         return
     from async_tnt.training.resynthesis import examples
-    from async_tnt.views.figure_resynthesis import write_resynthesis
+    from async_tnt.views.figure_resynthesis import draw_resynthesis
 
     if motions.spans.any():
-        moved, refused = examples(motions, data.classes)
-        write_resynthesis(moved, path, refused)
+        with styled():
+            save(draw_resynthesis(*examples(motions, data.classes)), path)
 
 
 def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> None:
@@ -35,7 +36,7 @@ def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> N
     from async_tnt.simulation.measured_pixels import MeasuredPixels
     from async_tnt.simulation.picture_scene import SceneSettings
     from async_tnt.training.simulated_pictures import example_recordings, find_pictures
-    from async_tnt.views.figure_resynthesis import write_recorded_pictures
+    from async_tnt.views.figure_resynthesis import draw_recorded_pictures
 
     found = find_pictures(args.dataset)
     if "pictures" not in data.record or path.exists() or find_spec("matplotlib") is None:
@@ -43,12 +44,17 @@ def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> N
     about = data.record["pictures"]["settings"]
     camera = about["camera"] and MeasuredPixels(**about["camera"])
     settings = SceneSettings(**{**about, "sensor": data.config.sensor, "size": args.size, "camera": camera})
-    write_recorded_pictures(example_recordings(found, settings, args.seed), data.config.sensor, path)
+    with styled():
+        save(draw_recorded_pictures(example_recordings(found, settings, args.seed), data.config.sensor), path)
     note(f"some recordings of pictures: {path}")
 
 
-def draw_confusion(out: Path, scores: Scores) -> Path:
-    from async_tnt.views.figure_confusion import write_confusion
+def draw_scores(out: Path, scores: Scores) -> Path:
+    """Draw the confusion of the held-out recordings; returns the picture's path."""
+    from async_tnt.views.figure_confusion import draw_confusion
 
     title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
-    return write_confusion(scores.confusion, scores.classes, out.with_suffix(CONFUSION), title)
+    path = out.with_suffix(CONFUSION)
+    with styled():
+        save(draw_confusion(scores.confusion, scores.classes, title), path)
+    return path

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,9 +14,7 @@ from async_tnt.views.figure_style import (
     axes_at,
     new_figure,
     one_colour_map,
-    save,
     shortened,
-    styled,
     write_at,
 )
 
@@ -73,12 +70,3 @@ def draw_confusion(confusion: np.ndarray, classes: Sequence[str], title: str = "
     figure.colorbar(image, cax=bar, ticks=[0, 0.5, 1], format=lambda share, _: f"{share:.0%}")
     bar.tick_params(labelsize=SMALL)
     return figure
-
-
-def write_confusion(
-    confusion: np.ndarray, classes: Sequence[str], path: Path, title: str = "", *, dpi: int = 150
-) -> Path:
-    """`draw_confusion` into a file, .png, .svg or .pdf; replaced atomically if it exists. Returns its path."""
-    with styled():
-        save(draw_confusion(confusion, classes, title), path, dpi)
-    return path

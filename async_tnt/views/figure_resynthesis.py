@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,9 +15,7 @@ from async_tnt.views.figure_style import (
     new_figure,
     polarity_legend,
     polarity_map,
-    save,
     shortened,
-    styled,
     write_at,
 )
 
@@ -107,15 +104,6 @@ def draw_resynthesis(windows: Sequence[ResynthesizedWindow], refused: Sequence[R
     return figure
 
 
-def write_resynthesis(
-    windows: Sequence[ResynthesizedWindow], path: Path, refused: Sequence[RefusedWindow] = (), *, dpi: int = 150
-) -> Path:
-    """`draw_resynthesis` into a file, .png, .svg or .pdf; replaced atomically if it exists. Returns its path."""
-    with styled():
-        save(draw_resynthesis(windows, refused), path, dpi)
-    return path
-
-
 def draw_recorded_pictures(
     pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int]
 ) -> Figure:
@@ -141,15 +129,6 @@ def draw_recorded_pictures(
             _draw_picture(figure, column, top, _counts(events, sensor[::-1]), is_image=False)
     polarity_legend(figure)
     return figure
-
-
-def write_recorded_pictures(
-    pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int], path: Path
-) -> Path:
-    """`draw_recorded_pictures` into a file; replaced atomically if it exists. Returns its path."""
-    with styled():
-        save(draw_recorded_pictures(pictures, sensor), path, 150)
-    return path
 
 
 def _draw_picture(figure: Figure, column: int, top: float, picture: np.ndarray, *, is_image: bool) -> Any:

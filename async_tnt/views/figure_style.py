@@ -91,8 +91,9 @@ def check_picture(path: Path) -> None:
     check_writable(path, FORMATS)
 
 
-def save(figure: Figure, path: Path, dpi: int) -> None:
-    """Write a figure in the format of the suffix. An existing file is replaced when the new one is complete.
+def save(figure: Figure, path: Path, dpi: int = 150) -> None:
+    """Write a figure, drawn `styled`, in the format of the suffix. An existing file is replaced when the new one is
+    complete.
 
     dpi : pixels per inch of a PNG, and of the clouds of dots in SVG and PDF.
     """
