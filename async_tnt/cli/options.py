@@ -31,16 +31,18 @@ FIELDS: dict[str, Callable[[str], Any]] = {
 SAMPLES = Path("samples")
 
 
-def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: bool = False) -> None:
-    """FILE and --model; with `onnx` also a model in an .onnx file, with `streams` also udp://... or a camera."""
+def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: bool = False, one: bool = False) -> None:
+    """FILEs, or `one`, and --model; with `onnx` also a model in an .onnx file, with `streams` also udp://... or a
+    camera."""
+    bundled = "`samples` is a bundled one" if one else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if streams else ""
     kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if onnx else " or a .safetensors file"
     parser.add_argument(
         "files",
-        nargs="*",
+        nargs=1 if one else "*",
         metavar="FILE",
         type=_file_or_stream if streams else Path,
-        help=f"{sources}recordings ({', '.join(sorted(READERS))}); the ten bundled `samples` by default",
+        help=f"{sources}recordings ({', '.join(sorted(READERS))}); {bundled}",
     )
     parser.add_argument(
         "--model",

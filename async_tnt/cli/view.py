@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -30,21 +30,19 @@ that of the recording, in microseconds, and can be played, stopped and scrubbed.
   async-tnt view a.bin --speed 0.1                 at a tenth of it
   async-tnt view a.bin --out a.rrd                 write a file as fast as possible; needs no display
   rerun a.rrd                                      open that file, here or elsewhere
-  async-tnt view --out samples.rrd                 the ten bundled samples, one after the other in time
   async-tnt view a.bin --every-us 5000 --every-ms 5    decisions and pictures every 5 ms
   async-tnt view udp://127.0.0.1:3333 --latest 64  events from the network, until Ctrl-C
   async-tnt view camera --roi 400,200,34,34 --crop a part of a camera's image (extra `cameras`)
   async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy    a viewer that is running elsewhere
 
 A picture is taken every 20 ms of recorded time and at each window's end; the number of events does not change
-that. Several recordings follow each other on one timeline; the first keeps its times, the log of decisions shows
-by how much the others were shifted. Rerun's viewer collects usage data; `rerun analytics disable` stops that.
+that. Rerun's viewer collects usage data; `rerun analytics disable` stops that.
 """
 LIVE_PICTURES_PER_S = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_files(parser, onnx=True, streams=True)
+    add_files(parser, onnx=True, streams=True, one=True)
     add_start(parser)
     add_triggers(parser)
     add_pixels(parser)
@@ -70,16 +68,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     check_latest(args)
-    if args.speed is not None and all(isinstance(path, str) for path in paths_of(args)):
+    path = paths_of(args)[0]
+    live = isinstance(path, str)
+    if args.speed is not None and live:
         raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
     engine = choose_engine(args.model, map_sensor=sensor_to_read(args))
     pixels = selector_of(args, engine.model)
-    sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
+    opened = None if live else open_selected(path, pixels)
     speed = args.speed or (1.0 if args.out is None else math.inf)
-    live = any(isinstance(source, str) for source in sources)
     fill_cache()
     view = RerunView(
         engine.model,
@@ -87,7 +86,7 @@ def main(args: argparse.Namespace) -> int:
         connect=args.connect,
         picture_us=args.picture_us,
         most_pictures_per_s=LIVE_PICTURES_PER_S if live else None,
-        name=_recording_name(paths_of(args)),
+        name=path if live else path.name,
         classes=engine.classes,
         start_us=args.start_us,
         **engine.networks,
@@ -95,20 +94,12 @@ def main(args: argparse.Namespace) -> int:
     )
     stopped = False
     with view:
-        for source in sources:
-            if isinstance(source, str):
-                view.start(source)
-                stopped = _show_live(source, view, pixels, args.latest)
-                if stopped:
-                    break
-            else:
-                recording, packets = source
-                view.start(recording.path.name)
-                _show(recording, packets, view, speed)
+        if opened is None:
+            stopped = _show_live(path, view, pixels, args.latest)
+        else:
+            _show(*opened, view, speed)
     if not view.n_events and not stopped:
-        names = ", ".join(map(str, paths_of(args)))
-        left_out = pixels.nothing_left()
-        raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
+        raise ValueError(f"{path}: {pixels.nothing_left() or 'no event: nothing to show'}")
     if args.out is not None:
         n_pictures = f"{view.log.n_pictures:,} pictures"
         say(f"{args.out}: {view.n_events:,} events, {n_pictures}; open it with: rerun {args.out}")
@@ -117,13 +108,7 @@ def main(args: argparse.Namespace) -> int:
     return 130 if stopped else 0
 
 
-def _recording_name(sources: Sequence[Path | str]) -> str:
-    first = sources[0] if isinstance(sources[0], str) else sources[0].name
-    return first if len(sources) == 1 else f"{first} and {len(sources) - 1} more"
-
-
 def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
-    n_before = view.n_events
     if speed == math.inf:
         with progress(recording.n_events, printable(recording.path.name)) as bar:
             for packet in packets:
@@ -132,8 +117,7 @@ def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: 
     else:
         for packet in replay(packets, speed):
             view.push(packet)
-    late = view.processor.counts.dropped_late
-    complain_late(str(recording.path), late, view.n_events - n_before, "--start-us")
+    complain_late(str(recording.path), view.processor.counts.dropped_late, view.n_events, "--start-us")
 
 
 def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:

@@ -44,12 +44,6 @@ class StreamLog:
     """
 
     def __init__(self, rr: Any, stream: Any, config: TNTConfig, live: bool = False) -> None:
-        self.name = ""
-        """Of the source."""
-        self.offset_us = 0
-        """From the source's times to those of the timeline."""
-        self.has_begun = False
-        """Whether there was any event."""
         self.n_pictures = 0
         self._rr, self._stream, self._config = rr, stream, config
         self._classes: tuple[str, ...] = ()
@@ -58,14 +52,6 @@ class StreamLog:
         stream.send_blueprint(_blueprint(rr, config.transform == "tnt", live))
         colours = [(NOTHING, "no event", NOTHING_COLOUR), (OFF, "OFF (darker)", OFF_COLOUR), (ON, "ON", ON_COLOUR)]
         self._write(EVENTS, rr.AnnotationContext(colours), static=True)
-
-    def begin(self, first_us: int) -> None:
-        """A source's first event."""
-        self.has_begun = True
-        if self.name:
-            shift = f", its times moved by {self.offset_us:+,} us" if self.offset_us else ""
-            self._set_time(first_us)
-            self._write(DECISIONS, self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG"))
 
     def add(self, decisions: Sequence[Decision]) -> None:
         """Add the decisions of a packet."""
@@ -137,7 +123,7 @@ class StreamLog:
         self._write(PROBABILITIES, self._rr.Scalars(shown))
 
     def _set_time(self, t_us: int) -> None:
-        self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us + self.offset_us, "us"))
+        self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us, "us"))
 
     def _write(self, entity: str, what: Any, static: bool = False) -> None:
         self._stream.log(entity, what, static=static)

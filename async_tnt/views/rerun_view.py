@@ -111,27 +111,10 @@ class RerunView:
         """What was written so far, and how many pictures."""
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
-        self._end_us: int | None = None  # on the timeline: of the sources before
-        self._forget()
-
-    def _forget(self) -> None:
-        """Reset what is known of the source."""
         self._origin_us: int | None = None
         self._due_us = self._newest_us = 0
         self._recent = [np.empty(0, EVENT_DTYPE)]  # packets, of the open window and of the event image
         self._next_picture_s = 0.0
-
-    def start(self, name: str) -> None:
-        """Start another source: windows and counts are reset, and its times follow those of the previous source.
-
-        Parameters
-        ----------
-        name : of the source, for the log of decisions.
-        """
-        self.finish()
-        self.processor.reset()
-        self._forget()
-        self.log.name = name
 
     def push(self, events: Any) -> list[Decision]:
         """Classify a packet of `events` as `Processor.push` does, and log the pictures that are due.
@@ -147,7 +130,7 @@ class RerunView:
         np.maximum(newest, self._newest_us, out=newest)
         if self._origin_us is None:
             self._begin(int(newest[0]))
-        if int(newest[-1]) + self.log.offset_us > LAST_US:
+        if int(newest[-1]) > LAST_US:
             raise ValueError(f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}")
         decisions: list[Decision] = []
         first = 0
@@ -167,25 +150,22 @@ class RerunView:
         return decisions
 
     def finish(self) -> list[Decision]:
-        """End the source: a last picture, and the decision of `Processor.finish` on the open window."""
+        """End the stream: a last picture, and the decision of `Processor.finish` on the open window."""
         if self._origin_us is None:
             return []
         self._picture(self._newest_us + 1, last=True)
         decisions = self.processor.finish()
         self.log.add(decisions)
         self.log.write_decisions()
-        self._end_us = self._newest_us + self.log.offset_us
         self._origin_us = None
         return decisions
 
     def _begin(self, first_us: int) -> None:
-        """The first event of a source determines the start of its windows, and thus its pictures."""
+        """The first event determines the start of the windows, and thus the pictures."""
         origin_us = self.processor.start_us
         if origin_us is None:  # a window may be open already; if none is, it starts at 0
             origin_us = self.processor.fire().window_start_us or first_us
         self._origin_us = origin_us
-        self.log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
-        self.log.begin(first_us)
         self._due_us = self._after(first_us)
 
     def _after(self, t_us: int) -> int:
@@ -240,7 +220,7 @@ class RerunView:
                 raise
             raise OSError(f"{error}; what was written before is in {self._file.part}") from None
         if self._file is not None:
-            if self.log.has_begun:
+            if self.n_events:
                 self._file.complete()
             self._file.discard()
 

@@ -109,29 +109,6 @@ def test_probabilities_and_decisions_are_the_processors(tmp_path):
         assert text == f"{d.label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {times}"
 
 
-def test_sources_follow_each_other_in_time(tmp_path):
-    model = load_model("digits")
-    seven, three = (open_recording(sample_recordings()[digit]).read() for digit in (7, 3))
-    with RerunView(model, out=tmp_path / "a.rrd", name="seven and three") as view:
-        for name, events in (("7.bin", seven), ("3.bin", three), ("again.bin", seven)):
-            view.start(name)
-            view.push(events)
-    rrd = Rrd(tmp_path / "a.rrd")
-    assert rrd.name == "seven and three"
-    lines = [(t, text) for t, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
-    begins = [line for line in lines if "begins" in line[1]]
-    assert begins[0] == (int(seven["t"][0]), "7.bin begins")
-    gap_us = 20_000 - int(three["t"][0]) + int(seven["t"][-1])
-    assert begins[1] == (int(seven["t"][-1]) + 20_000, f"3.bin begins, its times moved by {gap_us:+,} us")
-    sheets = rrd.images(log.TNT)
-    offset_us = begins[2][0] - begins[0][0]
-    first, again = (
-        [(t, a.tobytes()) for t, a in sheets if after <= t < before]
-        for after, before in ((0, begins[1][0]), (begins[2][0], 1 << 40))
-    )
-    assert again == [(t + offset_us, bits) for t, bits in first] != []
-
-
 def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     rrd, decisions = view_of(tmp_path, [EVENTS], every_events=1, picture_us=20_000)
     lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
