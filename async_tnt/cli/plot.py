@@ -11,7 +11,7 @@ from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.events import as_events
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
-from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
+from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import FORMATS, check_picture, save, styled
@@ -60,18 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--window", type=positive_int, default=1, metavar="K", help="the window, counted from 1 (default: 1)"
     )
     what.add_argument("--start-us", type=int, metavar="US", help="start of the first window (default: the first event)")
-    what.add_argument("--slices", type=int, nargs="+", metavar="B", help="bins to draw, counted from 0 (default: all)")
-    what.add_argument(
-        "--every-us",
-        type=positive_int,
-        metavar="US",
-        help="time between decisions (default: 2500; more for recordings longer than 5 s)",
-    )
     volume = parser.add_argument_group("the volume, if other than the model's")
     add_volume(volume, "the model's")
     volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
     volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file")
-    volume.add_argument("--grid", type=size_of, metavar="WxH", help="the volume's pixels")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -80,7 +72,7 @@ def main(args: argparse.Namespace) -> int:
     check_picture(out)
     subject = subject_of(path, args)
     with styled():
-        save(draw_overview(subject, args.window, args.slices, args.every_us), out, DPI)
+        save(draw_overview(subject, args.window), out, DPI)
     if subject.model is None:
         sensor = format_size(subject.config.sensor)
         complain(f"{path}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
@@ -96,12 +88,14 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     ValueError : empty or damaged, events off the sensor, or options that do not fit each other or the model.
     OSError : a file is missing or not readable.
     """
-    recording = open_recording(path)
+    recording = open_recording(path, sensor=args.sensor)
+    if args.sensor is not None:
+        check_sensor(path, recording.sensor, args.sensor, "--sensor says", advice="")
     name = args.model or DEFAULT_MODEL
     trained = of_windows(load_model(name), name)
     model: Model | None = trained
-    sensor = _sensor(recording, args, trained)
     config = trained.config
+    sensor = recording.sensor or config.sensor
     if sensor != config.sensor:
         if args.model is not None:
             check_sensor(path, sensor, config.sensor, advice="")
@@ -110,10 +104,9 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     try:
         events = as_events(recording.read(), sensor)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from None
-    if events.size == 0:
-        raise ValueError(f"{path}: no events to draw")
-    return Subject(path.name, events, config, model, args.model or DEFAULT_MODEL, args.start_us)
+        advice = "; give the camera's pixels with --sensor WxH" if recording.sensor is None else ""
+        raise ValueError(f"{path}: {error}{advice}") from None
+    return Subject(path.name, events, config, model, name, args.start_us)
 
 
 def _path(name: str) -> Path:
@@ -122,26 +115,11 @@ def _path(name: str) -> Path:
     return samples[int(name)] if is_digit else Path(name)
 
 
-def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tuple[int, int]:
-    """The sensor of the file, else of --sensor, else of the model if all events lie on it."""
-    if recording.sensor is not None:
-        if args.sensor not in (None, recording.sensor):
-            stated, given = format_size(recording.sensor), format_size(args.sensor)
-            raise ValueError(f"{recording.path}: a sensor of {stated} pixels, got --sensor {given}")
-        return recording.sensor
-    if args.sensor is not None:
-        return args.sensor
-    events = recording.read()
-    x, y = (int(events[name].max(initial=0)) for name in ("x", "y"))
-    if args.model is None and (x >= model.config.sensor[0] or y >= model.config.sensor[1]):
-        raise ValueError(f"{recording.path}: events reach pixel ({x}, {y}); give its size with --sensor WxH")
-    return model.config.sensor
-
-
 def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     """A configuration with the options' changes."""
     changes = volume_of(args.volume)
-    changes |= {name: getattr(args, name) for name in ("window_us", "grid") if getattr(args, name) is not None}
+    if args.window_us is not None:
+        changes["window_us"] = args.window_us
     if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
         changes.setdefault("remove_flow", False)
     if config.window_events is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,27 +22,26 @@ from async_tnt.views.figure_style import (
     shortened,
     write_at,
 )
-from async_tnt.views.figure_subject import Subject
-from async_tnt.views.figure_window import draw_both, draw_layers, layers_height, shown_bins
+from async_tnt.views.figure_subject import Subject, shown_evenly
+from async_tnt.views.figure_window import draw_both, draw_layers, layers_height
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EVENTS_HEIGHT, CLASSES_HEIGHT = 4.0, 1.9  # inches
 EVERY_US = 2_500
-MOST_DECISIONS = 2_000  # unless the user sets the interval
+MOST_DECISIONS = 2_000
+MOST_SLICES = 12  # in a row, evenly spread
 MOST_NAMED = 20  # windows whose decision is written
 
 
-def draw_overview(
-    subject: Subject, number: int = 1, bins: Sequence[int] | None = None, every_us: int | None = None
-) -> Figure:
+def draw_overview(subject: Subject, number: int = 1) -> Figure:
     """One window's events and volumes, and the whole recording's class probabilities.
 
     Without a model the probabilities are left out.
     """
     window, config = subject.window(number), subject.config
-    shown = shown_bins(config, bins)
+    shown = shown_evenly(config.bins, MOST_SLICES).tolist()
     classes_top = EVENTS_HEIGHT + 0.55 + layers_height(config, len(shown))
     figure = new_figure(classes_top + (0.0 if subject.model is None else CLASSES_HEIGHT + 0.5))
     draw_both(figure, window, height=EVENTS_HEIGHT - 0.7)
@@ -53,7 +51,7 @@ def draw_overview(
     if subject.model is None:
         headline(figure, subject.name)
         return figure
-    every_us = default_every_us(subject) if every_us is None else every_us
+    every_us = between_decisions_us(subject)
     decisions = decisions_of(subject, subject.model, every_us)
     headline(figure, f"{subject.name}: {verdict(subject.model, decisions)}")
     axes = axes_at(figure, 0.75, classes_top, 8.6, CLASSES_HEIGHT)
@@ -63,7 +61,7 @@ def draw_overview(
     return figure
 
 
-def default_every_us(subject: Subject) -> int:
+def between_decisions_us(subject: Subject) -> int:
     """2.5 ms; more in a long recording, so that decisions stay drawable."""
     t = subject.events["t"]
     return max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)

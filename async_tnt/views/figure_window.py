@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 MOST_DOTS = 12_000  # in a window; more would hide one another
-MOST_SLICES = 12  # in a row by default
 INK = {"unsigned": "#222222", "ON": ON, "OFF": OFF}
 LEFT, RIGHT, GAP, ROW_GAP, HEAD, TALLEST = 0.75, 0.85, 0.06, 0.12, 0.36, 1.9  # inches
 
@@ -95,21 +94,6 @@ class Layer(NamedTuple):
     name: str
     colours: str
     """signed, unsigned, ON or OFF."""
-
-
-def shown_bins(config: TNTConfig, bins: Sequence[int] | None = None) -> list[int]:
-    """The requested bins; else all, or as many as fit, evenly spread.
-
-    Raises
-    ------
-    ValueError : there is no such bin.
-    """
-    if bins is None:
-        return shown_evenly(config.bins, MOST_SLICES).tolist()
-    for k in bins:
-        if not 0 <= k < config.bins:
-            raise ValueError(f"no bin {k}; the volume has bins 0 to {config.bins - 1}")
-    return list(bins)
 
 
 def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:

@@ -66,7 +66,7 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
         ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
         ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
         ("run --every-us " + "9" * 5000, "argument --every-us: must be a whole number, got '999"),
-        ("plot events --grid " + "9" * 5000 + "x2", "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999"),
+        ("plot events --sensor " + "9" * 5000 + "x2", "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999"),
     ],
     ids=lambda text: text[:40],
 )
