@@ -14,7 +14,7 @@ from async_tnt.files import check_writable
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import READERS, open_recording
 from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, save_mask
-from async_tnt.sources.sensor import format_size
+from async_tnt.sources.sensor import check_sensor, format_size
 
 DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
 sensor would explain. Several recordings of one camera count as one.
@@ -76,11 +76,7 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
             found = recording.sensor or sensor  # or an earlier recording's
             if found is None:
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
-            if sensor is not None and found != sensor:
-                raise ValueError(
-                    f"{path}: a sensor of {format_size(found)} pixels, but --sensor or an earlier recording has "
-                    f"{format_size(sensor)}"
-                )
+            check_sensor(path, found, sensor or found, "--sensor or an earlier recording has", advice="")
             sensor = found
             try:
                 counts = counts + count_pixels(recording, sensor)
