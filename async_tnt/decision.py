@@ -115,10 +115,5 @@ class Counts:
         """Events that the transform moves off the grid, as it is meant to: they are not lost."""
         return self.dropped_outside + self.dropped_tau_zero
 
-    @property
-    def lost(self) -> int:
-        """Events dropped for any other reason."""
-        return self.dropped_late + self.dropped_unstored + self.dropped_decided
-
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))

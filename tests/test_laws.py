@@ -237,6 +237,6 @@ def test_every_event_is_counted_once(make):
     stream, events = make(), events_of(make)
     fed(stream, events, (50,))
     counts = stream.look()[2]
-    assert counts.received == len(events) and counts.lost >= 0
+    assert counts.received == len(events)
     if isinstance(stream, Volume) or "hop_us" not in make.args[2]:  # else once in every window
         assert sum(dataclasses.astuple(counts)) == 2 * len(events)  # received, and kept or dropped
