@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,15 +54,10 @@ def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator
 class LivePackets:
     """An open source, and its packets without the pixels to leave out."""
 
-    name: str
     source: Camera | UdpSource
     packets: Iterable[Any]
     reader: BackgroundReader | None
     """The queue in which they wait; None: nothing is skipped here, but the source's own buffer may overflow."""
-
-    def announce(self) -> None:
-        """Print that the source is open; from now on Ctrl-C stops it."""
-        complain(f"listening at {self.name}; Ctrl-C stops")
 
     def summary(self) -> str:
         """Received and skipped events in one line of text."""
@@ -93,4 +88,26 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
             # copy=False: cameras and the network put each packet in new memory
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
-        yield LivePackets(name, source, packets, reader)
+        yield LivePackets(source, packets, reader)
+
+
+def follow(
+    name: str,
+    pixels: PixelSelector,
+    latest: int | None,
+    take: Callable[[LivePackets], object],
+    end: Callable[[], str] = lambda: "",
+) -> bool:
+    """Let `take` read a source until that ends or Ctrl-C; then print its counts, and what `end` adds to them.
+
+    Returns whether Ctrl-C ended it.
+    """
+    with live_packets(name, pixels, latest) as stream:
+        try:
+            complain(f"listening at {name}; Ctrl-C stops")
+            take(stream)
+        except KeyboardInterrupt:
+            return True
+        finally:  # also if a camera was unplugged
+            complain(f"{name}: {stream.summary()}{end()}")
+    return False

@@ -21,7 +21,7 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import add_latest, check_latest, live_packets, open_selected
+from async_tnt.cli.packets import LivePackets, add_latest, check_latest, follow, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
@@ -98,7 +98,7 @@ def main(args: argparse.Namespace) -> int:
     for path in paths_of(args):
         try:
             if isinstance(path, str):
-                stopped = run_source(path, processor, engine, pixels, line, latest=args.latest)
+                stopped = run_source(path, processor, pixels, line, latest=args.latest)
                 if stopped:
                     break
                 continue
@@ -171,15 +171,7 @@ def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tu
         yield decision, latency_us
 
 
-def run_source(
-    name: str,
-    processor: Processor,
-    engine: Engine,
-    pixels: PixelSelector,
-    line: Line,
-    *,
-    latest: int | None,
-) -> bool:
+def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Line, *, latest: int | None) -> bool:
     """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
 
     Parameters
@@ -188,24 +180,21 @@ def run_source(
     latest : see `live_packets`.
     """
     processor.reset()
-    stopped = False
-    with live_packets(name, pixels, latest) as stream:
-        try:
-            stream.announce()
-            for decision, latency_us in _timed_packets(stream.packets, processor):
-                say(line(name, decision, latency_us, stream.reader))
-        except KeyboardInterrupt:
-            stopped = True
-        finally:  # also if a camera was unplugged
-            for decision in processor.finish():
-                say(line(name, decision, 0.0))
-            counts = processor.counts
-            took = (
-                f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
-                f"{counts.dropped_late:,} too late for their window"
-            )
-            complain(f"{name}: {stream.summary()}; {took}")
-    return stopped
+
+    def print_all(stream: LivePackets) -> None:
+        for decision, latency_us in _timed_packets(stream.packets, processor):
+            say(line(name, decision, latency_us, stream.reader))
+
+    def end() -> str:
+        for decision in processor.finish():
+            say(line(name, decision, 0.0))
+        counts = processor.counts
+        return (
+            f"; {counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
+            f"{counts.dropped_late:,} too late for their window"
+        )
+
+    return follow(name, pixels, latest, print_all, end)
 
 
 def _timed_packets(packets: Iterable[np.ndarray], processor: Processor) -> Iterator[tuple[Decision, float]]:

@@ -11,14 +11,13 @@ from typing import Any
 from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.packets import add_latest, check_latest, live_packets, open_selected
+from async_tnt.cli.packets import add_latest, check_latest, follow, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
 from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import Recording
-from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.sources.playback import replay
 from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 
@@ -38,7 +37,6 @@ that of the recording, in microseconds, and can be played, stopped and scrubbed.
 A picture is taken every 20 ms of recorded time and at each window's end; the number of events does not change
 that. Rerun's viewer collects usage data; `rerun analytics disable` stops that.
 """
-LIVE_PICTURES_PER_S = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,7 +83,7 @@ def main(args: argparse.Namespace) -> int:
         out=args.out,
         connect=args.connect,
         picture_us=args.picture_us,
-        most_pictures_per_s=LIVE_PICTURES_PER_S if live else None,
+        live=live,
         name=path if live else path.name,
         classes=engine.classes,
         start_us=args.start_us,
@@ -95,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
     stopped = False
     with view:
         if opened is None:
-            stopped = _show_live(path, view, pixels, args.latest)
+            stopped = follow(path, pixels, args.latest, lambda stream: _push_all(stream.packets, view))
         else:
             _show(*opened, view, speed)
     if not view.n_events and not stopped:
@@ -115,24 +113,13 @@ def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: 
                 view.push(packet)
                 bar.update(len(packet))
     else:
-        for packet in replay(packets, speed):
-            view.push(packet)
+        _push_all(replay(packets, speed), view)
     complain_late(str(recording.path), view.processor.counts.dropped_late, view.n_events, "--start-us")
 
 
-def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:
-    """Show a source until it ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it."""
-    stopped = False
-    with live_packets(name, pixels, latest) as stream:
-        try:
-            stream.announce()
-            for packet in stream.packets:
-                view.push(packet)
-        except KeyboardInterrupt:
-            stopped = True
-        finally:  # also if a camera was unplugged
-            complain(f"{name}: {stream.summary()}")
-    return stopped
+def _push_all(packets: Iterable[Any], view: RerunView) -> None:
+    for packet in packets:
+        view.push(packet)
 
 
 def _milliseconds(text: str) -> int:

@@ -29,6 +29,7 @@ from async_tnt.volume import TNTVolume
 SUFFIXES = (".rrd",)
 DEFAULT_PORT = 9876  # where a Rerun viewer listens
 PATIENCE_S = 5.0  # for a viewer that does not respond
+LIVE_S = 1 / 60  # between pictures of a live stream
 CHECK_S = 1.0  # between flushes, which report a full disk and bound what waits for a slow viewer
 LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
 
@@ -51,8 +52,8 @@ class RerunView:
     connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
         started.
     picture_us : recorded microseconds between pictures. Another one is taken at the end of each window.
-    most_pictures_per_s : in real time; further ones are skipped, and drawing takes half of the time at most. For
-        live streams, whose plots then show the last seconds.
+    live : for streams without an end: at most 60 pictures a second of real time, and drawing takes half of the time
+        at most; the plots show the last seconds.
     name : of this recording in the viewer's list; by default a number.
     settings : keyword arguments of `Processor`. Of overlapping windows the one that `Processor.fire` names is shown.
 
@@ -74,15 +75,13 @@ class RerunView:
         out: str | Path | None = None,
         connect: str | None = None,
         picture_us: int = 20_000,
-        most_pictures_per_s: float | None = None,
+        live: bool = False,
         name: str | None = None,
         **settings: Unpack[Settings],
     ) -> None:
         rr = import_rerun()
         if picture_us < 1:
             raise ValueError(f"`picture_us` must be at least 1, got {picture_us}")
-        if most_pictures_per_s is not None and not most_pictures_per_s > 0:
-            raise ValueError(f"`most_pictures_per_s` must be above 0, got {most_pictures_per_s}")
         if out is not None and connect is not None:
             raise ValueError("`out` writes a file and `connect` goes to a viewer: give one of them")
         self.processor = as_processor(model, **settings)
@@ -92,7 +91,7 @@ class RerunView:
         self.n_events = 0
         """Events shown so far."""
         self._picture_us = int(picture_us)
-        self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
+        self._live = live
         raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
         self._raw = TNTVolume(raw_config, late=self.processor.late)
         self._stream = rr.RecordingStream("async_tnt")
@@ -107,7 +106,7 @@ class RerunView:
         self._trouble = str(out or (f"{connect}: {viewer}" if connect else viewer))
         if name is not None:
             self._stream.send_recording_name(name)
-        self.log = StreamLog(rr, self._stream, config, live=most_pictures_per_s is not None)
+        self.log = StreamLog(rr, self._stream, config, live=live)
         """What was written so far, and how many pictures."""
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
@@ -182,9 +181,9 @@ class RerunView:
         if clock_s >= self._next_picture_s or last:
             raw = self._raw_volume(events, now)
             self.log.write(at_us, now, events[events["t"] >= image_us], raw, self.processor)
-            if self._pause_s:
+            if self._live:
                 took_s = time.perf_counter() - clock_s
-                self._next_picture_s = clock_s + max(self._pause_s, 2 * took_s)
+                self._next_picture_s = clock_s + max(LIVE_S, 2 * took_s)
         if clock_s >= self._next_check_s:
             self._flush()
             self._next_check_s = clock_s + CHECK_S
