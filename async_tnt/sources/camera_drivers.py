@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
@@ -122,17 +123,13 @@ def failure(error: BaseException) -> str:
     return lines[0] if lines else type(error).__name__
 
 
-def neuromorphic_cameras(library: Any = None) -> list[FoundCamera]:
+def neuromorphic_cameras(library: Any) -> list[FoundCamera]:
     """By neuromorphic-drivers: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer and others.
 
     Parameters
     ----------
-    library : an object with `list_devices` and `open`; by default the module itself.
+    library : the module `neuromorphic_drivers`, of which `list_devices` and `open` are called.
     """
-    if library is None:
-        import neuromorphic_drivers
-
-        library = neuromorphic_drivers
     found = []
     for listed in library.list_devices():
         model = listed.name.value
@@ -171,17 +168,13 @@ class NeuromorphicDevice:
         self.handle.close()
 
 
-def dv_cameras(library: Any = None) -> list[FoundCamera]:
+def dv_cameras(library: Any) -> list[FoundCamera]:
     """By dv-processing, iniVation's own library: the DAVIS, DVXplorer and DVS128 families.
 
     Parameters
     ----------
-    library : an object with `discover` and `open`; by default `dv_processing.io.camera`.
+    library : the module `dv_processing.io.camera`, of which `discover` and `open` are called.
     """
-    if library is None:
-        import dv_processing
-
-        library = dv_processing.io.camera
     found = []
     for descriptor in library.discover():
         model = descriptor.cameraModel.name
@@ -218,5 +211,8 @@ class DvDevice:
         self.handle = None  # the library has no other way
 
 
-DRIVERS: Mapping[str, Driver] = {"neuromorphic-drivers": neuromorphic_cameras, "dv-processing": dv_cameras}
+DRIVERS: Mapping[str, Driver] = {
+    "neuromorphic-drivers": lambda: neuromorphic_cameras(import_module("neuromorphic_drivers")),
+    "dv-processing": lambda: dv_cameras(import_module("dv_processing").io.camera),
+}
 """Library -> its `Driver`, in the order in which they are tried: the first waits without polling, and counts losses."""
