@@ -127,8 +127,10 @@ class RerunView:
             return []
         newest = np.maximum.accumulate(packet["t"])  # an event out of order comes with the newest before it
         np.maximum(newest, self._newest_us, out=newest)
-        if self._origin_us is None:
-            self._begin(int(newest[0]))
+        if self._origin_us is None:  # windows, and thus pictures, begin with the first event
+            start_us = self.processor.start_us
+            self._origin_us = int(newest[0]) if start_us is None else start_us
+            self._due_us = self._after(int(newest[0]))
         if int(newest[-1]) > LAST_US:
             raise ValueError(f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}")
         decisions: list[Decision] = []
@@ -158,14 +160,6 @@ class RerunView:
         self.log.write_decisions()
         self._origin_us = None
         return decisions
-
-    def _begin(self, first_us: int) -> None:
-        """The first event determines the start of the windows, and thus the pictures."""
-        origin_us = self.processor.start_us
-        if origin_us is None:  # a window may be open already; if none is, it starts at 0
-            origin_us = self.processor.fire().window_start_us or first_us
-        self._origin_us = origin_us
-        self._due_us = self._after(first_us)
 
     def _after(self, t_us: int) -> int:
         assert self._origin_us is not None
