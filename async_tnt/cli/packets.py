@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +16,6 @@ from async_tnt.sources.pixel_selection import PixelSelector
 
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
-    from async_tnt.sources.cameras import Camera
-    from async_tnt.sources.udp import UdpSource
 
 
 def add_latest(parser: argparse.ArgumentParser) -> None:
@@ -50,31 +47,22 @@ def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator
     return recording, map(pixels.filter_of(path, sensor), recording)
 
 
-@dataclass(frozen=True)
-class LivePackets:
-    """An open source, and its packets without the pixels to leave out."""
-
-    source: Camera | UdpSource
-    packets: Iterable[Any]
-    reader: BackgroundReader | None
-    """The queue in which they wait; None: nothing is skipped here, but the source's own buffer may overflow."""
-
-    def summary(self) -> str:
-        """Received and skipped events in one line of text."""
-        if self.reader is None:
-            return self.source.summary()
-        queue = self.reader.counters
-        fresh = f"{queue.skipped:,} skipped to stay fresh, at most {queue.longest_wait_us / 1e3:,.1f} ms waited"
-        return f"{self.source.summary()}; {fresh}"
-
-
-@contextlib.contextmanager
-def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterator[LivePackets]:
-    """Open what `open_source` knows by this name, and close it at the end.
+def follow(
+    name: str,
+    pixels: PixelSelector,
+    latest: int | None,
+    take: Callable[[Iterable[Any], BackgroundReader | None], object],
+    end: Callable[[], str] = lambda: "",
+) -> bool:
+    """Let `take` read a source until that ends or Ctrl-C; then print its counts. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
-    latest : largest number of waiting packets; None for no queue.
+    name : of the source, as `open_source` knows it.
+    latest : largest number of waiting packets; None for no queue: nothing is skipped here, but the source's own buffer
+        may overflow.
+    take : gets the packets without the pixels to leave out, and the queue in which they wait.
+    end : what it returns is printed behind the counts.
     """
     with contextlib.ExitStack() as stack:
         source = open_source(name, pixels.expected)
@@ -88,26 +76,16 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
             # copy=False: cameras and the network put each packet in new memory
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
-        yield LivePackets(source, packets, reader)
-
-
-def follow(
-    name: str,
-    pixels: PixelSelector,
-    latest: int | None,
-    take: Callable[[LivePackets], object],
-    end: Callable[[], str] = lambda: "",
-) -> bool:
-    """Let `take` read a source until that ends or Ctrl-C; then print its counts, and what `end` adds to them.
-
-    Returns whether Ctrl-C ended it.
-    """
-    with live_packets(name, pixels, latest) as stream:
         try:
             complain(f"listening at {name}; Ctrl-C stops")
-            take(stream)
+            take(packets, reader)
         except KeyboardInterrupt:
             return True
         finally:  # also if a camera was unplugged
-            complain(f"{name}: {stream.summary()}{end()}")
+            counts = source.summary()
+            if reader is not None:
+                queue = reader.counters
+                waited_ms = queue.longest_wait_us / 1e3
+                counts += f"; {queue.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
+            complain(f"{name}: {counts}{end()}")
     return False

@@ -6,7 +6,7 @@ import argparse
 import errno
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import LivePackets, add_latest, check_latest, follow, open_selected
+from async_tnt.cli.packets import add_latest, check_latest, follow, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
@@ -30,6 +30,9 @@ from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.windows import TimeUnitCheck
+
+if TYPE_CHECKING:
+    from async_tnt.sources.background_reader import BackgroundReader
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
 label and its probability, and the microseconds from the last event to the decision. After each recording a line names
@@ -177,13 +180,13 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
     Parameters
     ----------
     name : of the source, as `open_source` takes it.
-    latest : see `live_packets`.
+    latest : see `follow`.
     """
     processor.reset()
 
-    def print_all(stream: LivePackets) -> None:
-        for decision, latency_us in _timed_packets(stream.packets, processor):
-            say(line(name, decision, latency_us, stream.reader))
+    def print_all(packets: Iterable[Any], queue: BackgroundReader | None) -> None:
+        for decision, latency_us in _timed_packets(packets, processor):
+            say(line(name, decision, latency_us, queue))
 
     def end() -> str:
         for decision in processor.finish():

@@ -93,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
     stopped = False
     with view:
         if opened is None:
-            stopped = follow(path, pixels, args.latest, lambda stream: _push_all(stream.packets, view))
+            stopped = follow(path, pixels, args.latest, lambda packets, _: _push_all(packets, view))
         else:
             _show(*opened, view, speed)
     if not view.n_events and not stopped:
