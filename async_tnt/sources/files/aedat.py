@@ -119,7 +119,10 @@ class Aedat3Source(Source):
                 if is_pixels:
                     yield from _polarity_events(file, n_events, n_overflows)
                 else:
-                    _skip(file, n_events * size)
+                    start, n_bytes, end = file.tell(), n_events * size, file.seek(0, 2)
+                    if start + n_bytes > end:
+                        raise CorruptData(f"the file ends {end - start} bytes into a packet, which has {n_bytes}")
+                    file.seek(start + n_bytes)
 
 
 def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterator[np.ndarray]:
@@ -138,14 +141,6 @@ def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterato
             n_left = n_events - len(data) // EVENT_BYTES
             raise CorruptData(f"the file ends within a packet, which has {n_left} more events")
         n_events -= n
-
-
-def _skip(file: BinaryIO, n_bytes: int) -> None:
-    start = file.tell()
-    end = file.seek(0, 2)
-    if start + n_bytes > end:
-        raise CorruptData(f"the file ends {end - start} bytes into a packet, which has {n_bytes}")
-    file.seek(start + n_bytes)
 
 
 def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str, int]:

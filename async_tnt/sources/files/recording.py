@@ -36,10 +36,6 @@ BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
 }
 
 
-def _open_bin(path: Path) -> Source:
-    return ArraySource(read_nmnist(path), NMNIST_SENSOR)
-
-
 def _open_by_content(path: Path) -> Source:
     """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it is."""
     with path.open("rb") as file:
@@ -61,7 +57,7 @@ def _open_by_content(path: Path) -> Source:
 
 
 READERS: dict[str, Callable[[Path], Source]] = {
-    ".bin": _open_bin,
+    ".bin": lambda path: ArraySource(read_nmnist(path), NMNIST_SENSOR),
     ".npy": open_npy,
     ".npz": open_npz,
     ".txt": open_txt,
