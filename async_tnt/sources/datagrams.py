@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from async_tnt.checks import refuse_where
 from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.kernels.clock import NO_LIMIT
 from async_tnt.kernels.datagrams import ARGUMENTS, SPIF, SPIF_T32, T32, T64, decode_events
@@ -59,18 +60,13 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
     ('02 01 00 00 00 00 00 00 03 00 04 00 01', '04 80 03 80')
     """
     checked_format(format)
-    bad = (events["p"] != 0) & (events["p"] != 1)
-    if bad.any():
-        i = int(np.argmax(bad))
-        raise ValueError(f"`p` must be 0 or 1, got {events['p'][i]} at event {i}")
+    refuse_where((events["p"] != 0) & (events["p"] != 1), "p", events["p"], "must be 0 or 1")
     if format == "t64_x16_y16_on8":  # our own records, bit for bit
         own = events if events.dtype == EVENT_DTYPE else structured([events[field] for field in "txyp"])
         return own.tobytes()
     t, x, y, p = (events[field].astype("<u4") for field in "txyp")  # of t the low half
     for field, column in (("x", x), ("y", y)):
-        if column.max(initial=0) >= _MAX_SIDE:
-            i = int(np.argmax(column >= _MAX_SIDE))
-            raise ValueError(f"`{field}` must be in [0, {_MAX_SIDE}) for {format}, got {column[i]} at event {i}")
+        refuse_where(column >= _MAX_SIDE, field, column, f"must be in [0, {_MAX_SIDE}) for {format}")
     if format == "t32_x16_y15_on1":
         words = np.column_stack([t, y << 17 | p << 16 | x])
     elif format == "spif":

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import refuse_where
 from async_tnt.events import as_events, structured
 from async_tnt.files import replacing
 from async_tnt.sources.sensor import checked_sensor
@@ -101,9 +102,9 @@ def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int
     width, height = (256, 256) if sensor is None else checked_sensor(sensor)
     events = as_events(events, (min(width, 256), min(height, 256)))
     t_us = events["t"]
-    _refuse(t_us >= TIME_LIMIT_US, "t", t_us, f"must be in [0, {TIME_LIMIT_US})")
-    _refuse(events["y"] == OVERFLOW_Y, "y", events["y"], f"must not be {OVERFLOW_Y}, the mark of a timer overflow")
-    _refuse(np.diff(t_us, prepend=t_us[:1]) < 0, "t", t_us, "must never decrease")
+    refuse_where(t_us >= TIME_LIMIT_US, "t", t_us, f"must be in [0, {TIME_LIMIT_US})")
+    refuse_where(events["y"] == OVERFLOW_Y, "y", events["y"], f"must not be {OVERFLOW_Y}, the mark of a timer overflow")
+    refuse_where(np.diff(t_us, prepend=t_us[:1]) < 0, "t", t_us, "must never decrease")
 
     rows = np.empty((len(events), BYTES_PER_EVENT), np.uint8)
     rows[:, 0] = events["x"]
@@ -132,9 +133,3 @@ def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int]
     if off_sensor[i]:
         return f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
     return f"`t` must never decrease, got {t} us after {events['t'][i - 1]} us at {place}"
-
-
-def _refuse(bad: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
-    if bad.any():
-        i = int(np.argmax(bad))
-        raise ValueError(f"`{name}` {rule}, got {int(values[i])} at event {i}")
