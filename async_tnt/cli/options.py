@@ -34,12 +34,12 @@ SAMPLES = Path("samples")
 def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: bool = False, one: bool = False) -> None:
     """FILEs, or `one`, and --model; with `onnx` also a model in an .onnx file, with `streams` also udp://... or a
     camera."""
-    bundled = "`samples` is a bundled one" if one else "the ten bundled `samples` by default"
+    bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if streams else ""
     kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if onnx else " or a .safetensors file"
     parser.add_argument(
         "files",
-        nargs=1 if one else "*",
+        nargs="?" if one else "*",
         metavar="FILE",
         type=_file_or_stream if streams else Path,
         help=f"{sources}recordings ({', '.join(sorted(READERS))}); {bundled}",
@@ -94,7 +94,8 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
     bundled = list(sample_recordings().values())
     if not args.files:
         return bundled
-    return [f for file in args.files for f in (bundled if file == SAMPLES and not SAMPLES.exists() else [file])]
+    given = args.files if isinstance(args.files, list) else [args.files]
+    return [f for file in given for f in (bundled if file == SAMPLES and not SAMPLES.exists() else [file])]
 
 
 def of_windows(model: Model, name: str | Path) -> Model:
