@@ -108,7 +108,7 @@ def check_of_windows(finds_objects: bool, name: str | Path) -> None:
     """Refuse what finds objects, where a class for each window is needed."""
     if finds_objects:
         raise ValueError(
-            f"{name} finds objects, and has no class for a window; run, view, evaluate, check and bench take it"
+            f"{name} finds objects, and has no class for a window; run, view, plot, evaluate, check and bench take it"
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import add_volume, of_windows, positive_int, size_of, volume_of
+from async_tnt.cli.options import add_volume, positive_int, size_of, volume_of
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.events import as_events
@@ -13,6 +13,7 @@ from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
+from async_tnt.views.figure_objects import draw_window_objects
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import FORMATS, check_picture, save, styled
 from async_tnt.views.figure_subject import Subject
@@ -23,6 +24,7 @@ DEFAULT_SAMPLE = 3
 
 DESCRIPTION = """Draw what happens to the events of a recording, on one page, as PNG, SVG or PDF: a window's events in
 space-time, raw and transformed, the bins of both volumes, and the probability of each class during the recording.
+With a model that finds objects: where they are found, at three moments of the window.
 
 Events and volumes are drawn as the model makes them, or by the options. Decisions always use the model's own
 volume: a network only knows the kind of volume that it was trained on.
@@ -72,7 +74,10 @@ def main(args: argparse.Namespace) -> int:
     check_picture(out)
     subject = subject_of(path, args)
     with styled():
-        save(draw_overview(subject, args.window), out, DPI)
+        if subject.model is not None and subject.model.places is not None:
+            save(draw_window_objects(subject.window(args.window), subject.model), out, DPI)
+        else:
+            save(draw_overview(subject, args.window), out, DPI)
     if subject.model is None:
         sensor = format_size(subject.config.sensor)
         complain(f"{path}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
@@ -92,15 +97,23 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     if args.sensor is not None:
         check_sensor(path, recording.sensor, args.sensor, "--sensor says", advice="")
     name = args.model or DEFAULT_MODEL
-    trained = of_windows(load_model(name), name)
+    trained = load_model(name)
     model: Model | None = trained
     config = trained.config
     sensor = recording.sensor or config.sensor
-    if sensor != config.sensor:
+    if trained.places is not None:
+        if args.volume is not None or args.window_us is not None:
+            raise ValueError(
+                f"{name} finds objects, in its own volume: --volume and --window-us cannot be used with it"
+            )
+        model = trained.for_sensor(sensor)
+        config = model.config
+    elif sensor != config.sensor:
         if args.model is not None:
             check_sensor(path, sensor, config.sensor, advice="")
         model, config = None, config.replace(sensor=sensor, grid=sensor)
-    config = _configured(config, args)
+    if trained.places is None:
+        config = _configured(config, args)
     try:
         events = as_events(recording.read(), sensor)
     except (TypeError, ValueError) as error:

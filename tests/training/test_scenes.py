@@ -164,9 +164,12 @@ def test_run_prints_objects_and_other_commands_refuse_them(finder, program, tmp_
     (decision,) = map(json.loads, out.splitlines())
     assert code == 0 and decision["label"] == "flat" and decision["objects"][0]["label"] == "flat"
     assert set(decision["objects"][0]) == {"id", "label", "probability", "x", "y"}
+    pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
+    assert program("plot", path, "--model", finder, "--out", tmp_path / "a.svg")[0] == 0
+    assert "objects that" in (drawn := (tmp_path / "a.svg").read_text()) and "flat" in drawn
     for words in (
         ("evaluate", finder, tmp_path),
-        ("plot", path, "--model", finder),
+        ("plot", path, "--model", finder, "--volume", "bins=3"),
         ("run", path, "--confidence", "0.9"),
     ):
         more = ("--model", finder) if words[0] == "run" else ()

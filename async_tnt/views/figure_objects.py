@@ -1,0 +1,62 @@
+"""What a map model finds, at some moments: the events of the open window, and a circle and a name for each object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt.decision import Decision
+from async_tnt.networks.model import Model
+from async_tnt.processor import Processor
+from async_tnt.views.figure_style import OFF, ON, TEXT, WIDTH, axes_at, headline, new_figure
+from async_tnt.views.figure_subject import Window
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHARES = 1 / 3, 2 / 3, 1.0
+"""Of a window, at which it is drawn."""
+EDGE, GAP, TOP = 0.15, 0.28, 0.7  # inches
+
+
+def draw_window_objects(window: Window, model: Model) -> Figure:
+    """A panel for each third of a window."""
+    processor = Processor(model, start_us=window.start_us)
+    decisions, done = [], 0
+    in_order = window.events[np.argsort(window.events["t"], kind="stable")]
+    ends_us = [window.start_us + round(share * model.config.window_us) for share in SHARES]
+    for end in np.searchsorted(in_order["t"], ends_us):
+        processor.push(in_order[done:end])
+        decisions.append(processor.fire())
+        done = int(end)
+    titles = [f"{(end_us - window.start_us) / 1e3:g} ms" for end_us in ends_us]
+    words = f"{window.subject.name}, window {window.number}: objects that {window.subject.model_name} finds"
+    return draw_objects(decisions, titles, in_order, model.config.sensor, words)
+
+
+def draw_objects(
+    decisions: Sequence[Decision], titles: Sequence[str], events: np.ndarray, sensor: tuple[int, int], words: str
+) -> Figure:
+    """A panel for each decision, with those of the events, in order, that its window had until then."""
+    width, height = sensor
+    side = (WIDTH - 2 * EDGE - (len(titles) - 1) * GAP) / len(titles)
+    figure = new_figure(TOP + side * height / width + EDGE)
+    for k, (decision, title) in enumerate(zip(decisions, titles, strict=True)):
+        axes = axes_at(figure, EDGE + k * (side + GAP), TOP, side, side * height / width)
+        since = (events["t"] >= decision.window_start_us) & (events["t"] <= decision.time_us)
+        for p, colour in ((1, ON), (0, OFF)):
+            some = events[since & (events["p"] == p)]
+            axes.plot(some["x"], some["y"], ",", color=colour, alpha=0.6)
+        for found in decision.objects or ():
+            axes.plot(found.x, found.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
+            is_right = found.x > 0.85 * width  # words are to stay inside
+            look: dict[str, Any] = {"color": TEXT, "ha": "right" if is_right else "left", "textcoords": "offset points"}
+            for text, down, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
+                axes.annotate(text, (found.x, found.y), (-14 if is_right else 14, down), fontsize=size, **look)
+        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
+        axes.spines[:].set_visible(True)
+        axes.set_title(title, loc="left", fontsize=9, color=TEXT)
+    headline(figure, words)
+    return figure
