@@ -1,6 +1,10 @@
 """Objects on a large sensor: how well a map model finds digits in scenes of several real recordings.
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N] [--json FILE]
+    python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
+
+The second makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER --everywhere`: N-MNIST's
+Train, and 10,000 of MNIST's training images.
 
 Three recordings of one saccade each (eight on 640x480) stand anywhere on a sensor of 128x96, in whole pixels, begin
 within 50 ms of each other, and are streamed with uniform noise of .3 Hz a pixel. An object is found where one of its
@@ -23,11 +27,13 @@ from async_tnt import EVENT_DTYPE, Model, Processor, load_model
 from async_tnt.progress import progress
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_timing import machine
+from experiments.drawn_pictures import write_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
 
 SENSOR, LARGE = (128, 96), (640, 480)
 WINDOW_US, EARLY_US, STARTS_US = 105_000, 30_000, 50_000
 NOISE_HZ, WITHIN_PX, SIDE = 0.3, 5.0, 34
+N_PICTURES = 10_000
 APART, OVERLAPPING = (30.0, np.inf), (16.0, 24.0)
 Truth = list[tuple[str, float, float]]
 
@@ -117,15 +123,33 @@ def objects_in_noise(model: Model, n: int) -> float:
     return found / n
 
 
+def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
+    """`folder/<digit>`: links to recordings, and pictures."""
+    for path in (nmnist / "Train").glob("*/*.bin"):
+        link = folder / path.parent.name / path.name
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(path.resolve())
+    write_mnist(folder, mnist, N_PICTURES)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("everywhere", __doc__, "ten scenes")
-    parser.add_argument("models", nargs="+", metavar="MODEL", help="map models of ten digits")
-    add_folder(parser, "--nmnist", "with Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
+    parser.add_argument("models", nargs="*", metavar="MODEL", help="map models of ten digits")
+    parser.add_argument("--write", type=Path, metavar="FOLDER", help="make the data of the bundled model there")
+    add_folder(parser, "--nmnist", "with Train and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
+    add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     parser.add_argument("--part", default="Test", metavar="NAME", help="Test or Train (default: Test)")
     parser.add_argument("--scenes", type=int, default=330, metavar="N", help="of each kind (default: 330)")
     args: argparse.Namespace = parser.parse_args(argv)
-    files = sorted((data_folder(args.nmnist, "nmnist", "--nmnist") / args.part).glob("*/*.bin"))
+    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+    if bool(args.models) == bool(args.write):
+        parser.error("give models to test, or --write FOLDER")
+    if args.write:
+        write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
+        return 0
+    files = sorted((nmnist / args.part).glob("*/*.bin"))
     n = 10 if args.quick else args.scenes
     kinds = {"three": (SENSOR, 3, APART), "overlapping": (SENSOR, 3, OVERLAPPING), "eight": (LARGE, 8, APART)}
     rows = []

@@ -13,6 +13,7 @@ from experiments import thesis_tables as thesis
 from experiments.results_texts import (
     CARS,
     DEFAULT,
+    EVERYWHERE,
     FEW,
     FROM_PICTURES,
     INPUTS,
@@ -234,6 +235,12 @@ SECTIONS = (
             datasets.from_pictures: "Tested on real recordings, or on those of another renderer",
             datasets.moved_digits: "N-MNIST's networks on simulated test images, in motions and speeds of their own",
         },
+    ),
+    Section(
+        "Several objects on a large sensor",
+        EVERYWHERE,
+        "experiments.everywhere digits-everywhere --json experiments/results/everywhere.json",
+        {datasets.everywhere: "Real digits in scenes"},
     ),
     Section(
         "Simulated and real recordings",

@@ -64,6 +64,17 @@ def test_own_torch_module(lines_of):
     assert flow_removed >= 15 and raw <= 7  # chance is 2
 
 
+def test_several_digits(lines_of):
+    """Each is found and named, at most one otherwise first."""
+    first, *lines = lines_of("several_digits.py")
+    there = re.findall(r"(\d) at \((\d+), (\d+)\)", first)
+    assert len(there) == 6 and len(lines) <= 8
+    named = [re.search(r"object (\d+) is a (\d), at \((\d+), (\d+)\)", line).groups() for line in lines]
+    found = {number: (digit, int(x), int(y)) for number, digit, x, y in named}
+    for digit, x, y in there:
+        assert any(d == digit and abs(u - int(x)) < 8 and abs(v - int(y)) < 8 for d, u, v in found.values()), digit
+
+
 def test_stream_equals_batch(lines_of):
     events, cells = lines_of("stream_equals_batch.py")
     t = open_recording(sample_recordings()[5]).read()["t"]

@@ -1,15 +1,21 @@
 """The bundled models of digits: right on every bundled sample, and as accurate as their records say."""
 
+import runpy
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+from async_tnt import stream  # noqa: E402
 from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.sources import open_recording, sample_recordings  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
+from experiments import everywhere  # noqa: E402
 from experiments.digits_data import DURATION_US, read_nmnist_folder  # noqa: E402
 
 from_either = pytest.mark.parametrize("first_event", [False, True], ids=["from 0", "from the first event"])
@@ -52,3 +58,26 @@ def test_accuracy_on_real_recordings(model, first_event, data):
     found = evaluate(pipeline_of(model), windows)
     assert (found.to_dict()["recordings"], len(windows) >= 1_195) == (400, True)
     assert found.per_window >= 0.98 and found.per_recording >= 0.985
+
+
+def test_every_digit_of_a_scene_is_found():
+    """That of `examples/several_digits.py`, of all ten samples, in the window in which all of them move."""
+    example = runpy.run_path(str(Path(__file__).parents[2] / "examples/several_digits.py"))
+    for seed in range(5):
+        events, places = example["scene"](np.random.default_rng(seed))
+        model = load_model("digits-everywhere").for_sensor(example["SENSOR"])
+        found = {}
+        for decision in stream([events], model):
+            found |= {one.label: (one.x, one.y) for one in decision.objects if decision.window_start_us > 300_000}
+        for digit, x, y in places[-3:]:
+            assert np.hypot(*np.subtract(found[str(digit)], (x, y))) < 6
+
+
+def test_digits_on_a_large_sensor(data):
+    """By the experiment's own scenes of real test recordings."""
+    files = sorted((data / "nmnist" / "Test").glob("*/*.bin"))
+    model = load_model("digits-everywhere")
+    assert model.record["data"]["pictures"]["pictures"] == everywhere.N_PICTURES
+    f1 = everywhere.measure(model.for_sensor(everywhere.SENSOR), files, 40, 3, everywhere.APART, 0)
+    assert f1["end"] > 0.95 and f1["early"] > 0.93
+    assert everywhere.objects_in_noise(model.for_sensor(everywhere.SENSOR), 20) == 0
