@@ -17,10 +17,13 @@ from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
+from async_tnt.triggers import TriggerSettings
 
 CHILD_S = 120.0  # a second process that takes longer is not waited for
 
-EVENTS = {"load_records", "check_columns", "empty_volume", "absorb", "absorb_one"}
+EVENTS = {"check_columns", "empty_volume", "absorb_one", "schedule"} | {
+    name + ending for name in ("load_records", "absorb") for ending in ("", "_without_gil")
+}
 LATE = {"find_late"}
 REPLAY = {"store_events", "cells_to_float32"}
 CLASSIFIER = {"classify_cells"}
@@ -59,15 +62,17 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     return time.perf_counter() - started
 
 
-def compile_for(config: TNTConfig, classifier: object, regressor: object, *, drops_late: bool, by_event: bool) -> None:
+def compile_for(
+    config: TNTConfig, classifier: object, regressor: object, triggers: TriggerSettings, drops_late: bool
+) -> None:
     """Compile, in this process and without a word, what a Processor with these settings calls.
 
     Parameters
     ----------
     config : TNTConfig.
     classifier, regressor : what decides, and what finds the landmark or None; other code than ours is not compiled.
+    triggers : when decisions are made.
     drops_late : whether late events are searched for.
-    by_event : whether a trigger looks at every event.
     """
     compiled = classifier if type(classifier) is CompiledClassifier else None
     finds_objects = compiled is not None and compiled.reader is not None
@@ -80,10 +85,10 @@ def compile_for(config: TNTConfig, classifier: object, regressor: object, *, dro
         names |= REPLAY
     if type(regressor) is CompiledRegressor:
         names |= REGRESSOR
-    if by_event:
+    if triggers.by_event:
         names |= EVENT_TRIGGERS
-        if compiled and not finds_objects and not config.needs_replay:
-            names |= {"absorb_and_decide"}
+    if (triggers.by_event or triggers.every_us) and compiled and not finds_objects and not config.needs_replay:
+        names |= {"absorb_and_decide"}
     compile_kernels(names)
 
 

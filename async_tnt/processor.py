@@ -2,7 +2,7 @@
 
 A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
 A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
-Both:        with triggers that look at each event, in one compiled call -> WindowClassifier.decide_stretch
+Both:        of our own network, in one compiled call (`_absorb_stretch`) -> WindowClassifier.decide_stretch
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import Running, checked_time, one_at_a_time
+from async_tnt.checks import Running, one_at_a_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
@@ -23,7 +23,7 @@ from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
 from async_tnt.triggers import LeakyIntegrator, TriggerAttributes, Triggers, TriggerSettings
 from async_tnt.volume_state import Regressor
-from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
+from async_tnt.window_classifier import STRETCH, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
 
 
@@ -67,8 +67,8 @@ class Processor(TriggerAttributes):
     """
 
     __slots__ = (  # so that a mistyped trigger is an error
-        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_running", "_triggers", "_windows",
-        "config",
+        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_in_stretches", "_running", "_triggers",
+        "_windows", "config",
     )  # fmt: skip
 
     def __init__(
@@ -90,11 +90,10 @@ class Processor(TriggerAttributes):
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
-        start_us = None if start_us is None else checked_time("start_us", start_us)
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence, activity))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
-        self._compile(regressor)
         self._windows = WindowScheduler(self.config, hop_us, start_us, replay_events, regressor)
+        self._prepare(regressor)
         self.reset()
 
     def __repr__(self) -> str:
@@ -107,11 +106,8 @@ class Processor(TriggerAttributes):
         self._windows.reset()
         self._triggers.forget()
         self._classifier.forget()
-        self._choose_paths()
         if self.start_us is not None:
             self._open_windows(self.start_us)
-
-    # -- events in ---------------------------------------------------------------------------------------
 
     def push(self, events: Any) -> list[Decision]:
         """Process a packet of `events`, in any form that `async_tnt.event_forms` lists.
@@ -173,28 +169,36 @@ class Processor(TriggerAttributes):
             if windows.is_full:
                 self._close_oldest(windows.oldest.newest_us, decisions)
             elif first < n and len(windows):
-                self._advance(int(columns.t[first]), decisions)
+                is_due = self._triggers.next_due_us < windows.oldest_end_us
+                if is_due and self._in_stretches and n - first >= STRETCH:
+                    first = self._absorb_stretch(columns, first, decisions)
+                else:
+                    self._advance(int(columns.t[first]), decisions)
         if self.config.needs_replay:
             windows.warn()
         return decisions
 
     def _absorb_until_decision(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
         """Add events until one makes a decision due (compiled code may add more); returns the first one not added."""
-        windows, oldest, state = self._windows, self._windows.oldest, self._triggers.state
-        if self._classifier.decides_in_stretches:
-            before = oldest.n_late, oldest.n_dropped_decided
-            absorbed, new, error = self._classifier.decide_stretch(oldest, state, columns, first, columns.n)
-            windows.absorb_into_younger(columns, first, absorbed, before)
-            if error is not None:
-                raise error
-        else:
-            n_before = oldest.n_events
-            last = min(columns.n, first + windows.room)
-            stop, fires = advance_triggers(state, oldest.buffer, columns.t, first, last)
-            absorbed = windows.absorb(columns, first, stop)
-            if windows.is_full:  # decided as a whole
-                return absorbed
-            new = self._decide_if_due(n_before, fires)
+        if self._in_stretches:
+            return self._absorb_stretch(columns, first, decisions)
+        windows, oldest = self._windows, self._windows.oldest
+        n_before = oldest.n_events
+        last = min(columns.n, first + windows.room)
+        stop, fires = advance_triggers(self._triggers.state, oldest.buffer, columns.t, first, last)
+        absorbed = windows.absorb(columns, first, stop)
+        if not windows.is_full:  # or else decided as a whole
+            self._accept(self._decide_if_due(n_before, fires), oldest.newest_us, decisions)
+        return absorbed
+
+    def _absorb_stretch(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
+        """Add events up to the window's end, or to a decision that closes it; returns the first one not added."""
+        oldest = self._windows.oldest
+        before = oldest.n_late, oldest.n_dropped_decided
+        absorbed, new, error = self._classifier.decide_stretch(oldest, self._triggers.state, columns, first, columns.n)
+        self._windows.absorb_into_younger(columns, first, absorbed, before)
+        if error is not None:
+            raise error
         self._accept(new, oldest.newest_us, decisions)
         return absorbed
 
@@ -239,8 +243,8 @@ class Processor(TriggerAttributes):
 
     def _accept(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
         """Append decisions about the oldest window; a complete one closes it early."""
+        decisions += new
         if new:
-            decisions += new
             self._triggers.n_at_decision = new[-1].events
         if new and new[-1].complete:
             self._windows.close_oldest(early=True)
@@ -290,8 +294,6 @@ class Processor(TriggerAttributes):
         event once, the others once per window that contains it."""
         return self._windows.counts(self._decoder.n_dropped)
 
-    # -- settings that may change ------------------------------------------------------------------------
-
     @property
     def classifier(self) -> Classifier:
         """The callable from a volume to logits, used from the next decision on; one that cannot fit is an error."""
@@ -301,7 +303,7 @@ class Processor(TriggerAttributes):
     @one_at_a_time
     def classifier(self, classifier: Classifier) -> None:
         self._classifier.exchange(classifier, self._triggers.settings.confidence)
-        self._compile(None)
+        self._prepare()
 
     @property
     def classes(self) -> tuple[str, ...] | None:
@@ -323,23 +325,21 @@ class Processor(TriggerAttributes):
         """Change the triggers; they apply to the open window, too."""
         self._classifier.check_confidence(settings.confidence)
         self._triggers.set(settings)
-        self._compile(None)
-        self._choose_paths()
+        self._prepare()
         if len(self._windows):
             oldest = self._windows.oldest
             self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
         self._windows.set_limit(self._triggers.next_due_us)
 
-    def _compile(self, regressor: Regressor | None) -> None:
-        """Compile what these settings call, so that no event has to wait for it."""
-        by_event = self._triggers.settings.by_event
-        compile_for(self.config, self.classifier, regressor, drops_late=self.late != "accept", by_event=by_event)
-
-    def _choose_paths(self) -> None:
-        """Whether triggers look at each event, and whether single events may go straight to the one volume."""
-        direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
+    def _prepare(self, regressor: Regressor | None = None) -> None:
+        """Compile what these settings call, so that no event has to wait for it, and choose the ways of events."""
+        settings, overlap = self._triggers.settings, self._windows.overlap
+        compile_for(self.config, self.classifier, regressor, settings, self.late != "accept")
+        direct = not overlap and self.late == "accept" and settings.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
-        self._by_event = self._triggers.settings.by_event
+        self._by_event = settings.by_event
+        alone = settings.every_us is None or not overlap  # else time passes for several windows at once
+        self._in_stretches = alone and self._classifier.decides_in_stretches
 
     def __copy__(self) -> Processor:
         """A copy continues by itself; so does what `pickle` returns, in any process."""

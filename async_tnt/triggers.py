@@ -82,9 +82,7 @@ class Triggers:
     Attributes
     ----------
     settings : TriggerSettings.
-    state : float64, the settings and the potential of `activity` as kernels read them, see `kernels.trigger`.
-    next_due_us : next moment of `every_us` in the oldest window.
-    n_at_decision : events of the oldest window at its last triggered decision.
+    state : float64, the settings and what changes as kernels read them, see `kernels.trigger`.
     """
 
     def __init__(self, settings: TriggerSettings) -> None:
@@ -109,6 +107,7 @@ class Triggers:
             self.state[T.LEAK_US], self.state[T.CHARGE] = activity.leak_us, activity.charge
         self._ints[T.EVERY_EVENTS] = settings.every_events or 0
         self._ints[T.EACH_EVENT] = settings.each_event
+        self._ints[T.EVERY_US] = settings.every_us or 0
         if restarts:
             self._discharge()
 
@@ -124,17 +123,27 @@ class Triggers:
     def begin_window(self, now_us: int, start_us: int | None) -> None:
         """The window that starts at `start_us` has become the oldest one; None: no window is open."""
         self.n_at_decision = 0
-        self.next_due_us = NEVER_US
+        self._ints[T.DUE_US] = NEVER_US
         if start_us is not None:
             self.schedule(now_us, start_us)
 
     def schedule(self, now_us: int, start_us: int) -> None:
-        """Set the next moment of `every_us`: the first after `now_us` in a window that starts at `start_us`."""
-        self.next_due_us = NEVER_US
-        every_us = self.settings.every_us
-        if every_us is not None:
-            due_us = start_us + ((now_us - start_us) // every_us + 1) * every_us
-            self.next_due_us = min(due_us, NEVER_US)
+        """See `kernels.trigger.schedule`."""
+        T.schedule(self.state, now_us, start_us)
+
+    @property
+    def next_due_us(self) -> int:
+        """Next moment of `every_us` in the oldest window."""
+        return int(self._ints[T.DUE_US])
+
+    @property
+    def n_at_decision(self) -> int:
+        """Events of the oldest window at its last triggered decision."""
+        return int(self._ints[T.N_DECIDED])
+
+    @n_at_decision.setter
+    def n_at_decision(self, n: int) -> None:
+        self._ints[T.N_DECIDED] = n
 
 
 class TriggerAttributes:

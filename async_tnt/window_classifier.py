@@ -25,8 +25,10 @@ TRIGGER_NAMES: dict[int, Any] = {
     T.BY_EVENTS: "every_events",
     T.BY_ACTIVITY: "activity",
     T.BY_CONFIDENCE: "confidence",
+    T.BY_TIME: "every_us",
 }
 ROWS = 256  # decisions made in one compiled call, at most
+STRETCH = 500  # events for which such a call is worth its time where decisions are due by time alone
 
 
 def networks_of(

@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import replace
 from itertools import islice
 
-from async_tnt.checks import positive_int, short
+from async_tnt.checks import checked_time, positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import Columns
@@ -57,7 +57,7 @@ class WindowScheduler:
             smallest = f"window_us / {MAX_OPEN_WINDOWS} = {math.ceil(window_us / MAX_OPEN_WINDOWS)}"
             got = f"{self.hop_us}: {n_volumes} windows would be open at once"
             raise ValueError(f"`hop_us` must be at least {smallest}, got {got}")
-        self.start_us = start_us
+        self.start_us = None if start_us is None else checked_time("start_us", start_us)
         self.volumes = [TNTVolume(config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)]
         self.reset()
 

@@ -14,7 +14,7 @@ Where the landmark or the duration is known only when the volume is read, events
 import numpy as np
 
 from . import state as S
-from .jit import compiled, inlined
+from .jit import compiled, compiled_without_gil, inlined
 from .landmark import block_of, displace, displace_fixed, displace_line, displace_raw, displace_running
 from .records import MAX_TIME_US
 from .splat import add_event, combine_time, grid_of, place_event
@@ -57,6 +57,12 @@ def absorb(buffer, t, x, y, p, first, last):
                 _absorb_event(buffer, ints, t[first], np.int64(x[first]), np.int64(y[first]), np.int64(p[first]))
                 first += 1
     return first
+
+
+@compiled_without_gil
+def absorb_without_gil(buffer, t, x, y, p, first, last):
+    """`absorb`, see `jit.LARGE`."""
+    return absorb(buffer, t, x, y, p, first, last)
 
 
 @compiled

@@ -36,7 +36,7 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
 def absorb_and_decide(
     buffer, t, x, y, p, first, last, trigger, program, weights, maps, places, logits, probabilities, notes
 ):
-    """Absorb events, and decide at each one where a trigger makes a decision due.
+    """Absorb events of the only open window, and decide where a trigger makes a decision due.
 
     Parameters
     ----------
@@ -51,20 +51,25 @@ def absorb_and_decide(
     -------
     first : int. The first event not absorbed.
     n : int. Decisions.
-    end : DONE, up to `last` or to the volume's limit; FULL: no room for more decisions; CLOSE: the last decision
+    end : DONE, up to `last` or to the window's end; FULL: no room for more decisions; CLOSE: the last decision
         reached the confidence level; NOT_FINITE: the logits in row n are not all finite.
     """
     n = 0
-    ints = buffer.view(np.int64)
+    ints, times = buffer.view(np.int64), trigger.view(np.int64)
+    end_us = ints[S.START_US] + np.int64(buffer[S.WINDOW_US])
     while first < last:
         if n == len(notes):
             return first, n, FULL
         n_before = ints[S.N]
-        stop, fires = T.advance_triggers(trigger, buffer, t, first, last)
-        absorbed = absorb(buffer, t, x, y, p, first, stop)
-        at_limit = absorbed < stop or absorbed == first
-        first = absorbed
-        why = T.why_due(trigger, n_before, ints[S.N], fires)
+        by_time = t[first] >= ints[S.LIMIT_US]
+        if by_time:
+            if times[T.DUE_US] >= end_us:
+                break
+            why = T.BY_TIME if n_before > times[T.N_DECIDED] else T.NOT_DUE
+        else:
+            stop, fires = T.advance_triggers(trigger, buffer, t, first, last)
+            first = absorb(buffer, t, x, y, p, first, stop)
+            why = T.why_due(trigger, n_before, ints[S.N], fires)
         if why != T.NOT_DUE:
             best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n])
             if best < 0:
@@ -72,15 +77,16 @@ def absorb_and_decide(
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:
                 why = T.BY_CONFIDENCE
             if why != T.LOOK:
-                notes[n, 0] = ints[S.N]
+                notes[n, 0] = times[T.N_DECIDED] = ints[S.N]
                 notes[n, 1] = ints[S.NEWEST_US]
                 notes[n, 2] = why
                 notes[n, 3] = best
                 n += 1
                 if why == T.BY_CONFIDENCE:
                     return first, n, CLOSE
-        if at_limit:
-            break
+        if by_time:
+            T.schedule(trigger, min(t[first], end_us), ints[S.START_US])
+            ints[S.LIMIT_US] = min(times[T.DUE_US], end_us)
     return first, n, DONE
 
 

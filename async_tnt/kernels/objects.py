@@ -19,7 +19,7 @@ from . import state as S
 from .changes import FIRST_ROW, LAST_ROW, MAX_ROW, WORDS
 from .empty_window import begin_window
 from .forward import forward
-from .jit import compiled
+from .jit import compiled, compiled_without_gil
 from .simd import trailing_zeros
 from .sync_input import sync_input
 
@@ -50,7 +50,7 @@ REACH_X, REACH_Y = range(2)  # in the third, in pixels
 KNOWN = 3  # the first of them: number, x, y, time
 
 
-@compiled
+@compiled_without_gil
 def locate_cells(
     buffer, program, weights, maps, places, about, scores, peaks, probabilities, found, tracks, time_us, keep
 ):
@@ -76,7 +76,7 @@ def locate_cells(
     return _list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep)
 
 
-@compiled
+@compiled_without_gil
 def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep):
     """The objects of a whole map.
 

@@ -1,4 +1,4 @@
-"""When to decide, event by event: the triggers that look at each event, and where their numbers lie.
+"""When to decide: the triggers, and where their numbers lie.
 
 Like a volume's `state`, one flat float64 buffer seen twice: as `trigger`, and as `ints`, the same memory as int64.
 """
@@ -18,9 +18,12 @@ POTENTIAL = 4
 EVERY_EVENTS = 5  # 0: not by number
 EACH_EVENT = 6  # 1: classify at every event, as no other trigger determines when to test the confidence
 CHARGED_US = 7  # newest time up to which the potential has leaked
-SIZE = 8
+EVERY_US = 8  # 0: not by time
+DUE_US = 9  # next moment of EVERY_US in the oldest window; NEVER_US: none
+N_DECIDED = 10  # events of the oldest window at its last triggered decision
+SIZE = 11
 
-NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = range(5)  # LOOK: decide only if confident enough
+NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE, BY_TIME = range(6)  # LOOK: decide only if confident enough
 
 
 @compiled
@@ -90,3 +93,13 @@ def why_due(trigger, n_before, n, fires):
     if fires:
         return BY_ACTIVITY
     return LOOK if ints[EACH_EVENT] != 0 else NOT_DUE
+
+
+@compiled
+def schedule(trigger, now_us, start_us):
+    """Set the next moment of `every_us`: the first after `now_us` in a window that starts at `start_us`."""
+    ints = trigger.view(np.int64)
+    every_us = ints[EVERY_US]
+    ints[DUE_US] = S.NEVER_US
+    if every_us > 0:
+        ints[DUE_US] = min(start_us + ((now_us - start_us) // every_us + 1) * every_us, S.NEVER_US)

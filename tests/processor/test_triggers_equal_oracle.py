@@ -2,6 +2,7 @@
 
 import copy
 from functools import cache
+from unittest import mock
 
 from deciding import uneven
 from hypothesis import given, reject, settings
@@ -88,9 +89,20 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
     windows=windows,
     triggers=triggers,
     steps=st.lists(st.tuples(st.integers(0, 30), st.none() | change), max_size=8),
+    large=st.sampled_from([3, 500]),
 )
-def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, triggers, steps):
-    """steps : size of a packet, 0: one event by `push_one`; a trigger that is changed after it, if any."""
+def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, triggers, steps, large):
+    """steps : size of a packet, 0: one event by `push_one`; a trigger that is changed after it, if any.
+    large : events of a packet that is decided in one compiled call, and without the GIL."""
+    with (
+        mock.patch("async_tnt.processor.STRETCH", large),
+        mock.patch("async_tnt.volume.LARGE", large),
+        mock.patch("async_tnt.events.LARGE", large),
+    ):
+        check(events, way, windows, triggers, steps)
+
+
+def check(events, way, windows, triggers, steps) -> None:
     oracle, processor = pair(*way, **windows, **triggers)
     expected, decisions, first = [], [], 0
     for size, changed in [*steps, (len(events), None)]:

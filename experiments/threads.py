@@ -1,0 +1,120 @@
+"""Two streams in two threads of one process: how much faster than one after the other.
+
+    python -m experiments.threads [MODEL] [--quick] [--json FILE]
+
+Each thread has its own volume or Processor and its own packets of random events on the model's sensor, a million a
+second. By the wall clock, both ways interleaved, so that only a quiet machine tells; what two threads reach there that
+never need Python's lock is the first line.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from async_tnt import EVENT_DTYPE, Processor, TNTVolume, load_model
+from async_tnt.kernels.jit import compiled_without_gil
+from experiments.bench_timing import interleave, machine, spread
+from experiments.script_options import exit_with, run_script, script_parser
+
+PACKETS = 100, 1_000, 10_000
+N_EVENTS, PASSES, ROUNDS = 400_000, 10, 15
+Work = Callable[[], object]
+
+
+def events_of(sensor: tuple[int, int], n: int, seed: int) -> np.ndarray:
+    """A million a second, anywhere."""
+    rng = np.random.default_rng(seed)
+    events = np.zeros(n, EVENT_DTYPE)
+    events["t"], events["p"] = np.arange(n), rng.integers(2, size=n)
+    events["x"], events["y"] = rng.integers(sensor[0], size=n), rng.integers(sensor[1], size=n)
+    return events
+
+
+@compiled_without_gil
+def spin(n: int) -> float:
+    """What needs a core and nothing else."""
+    total = 0.0
+    for i in range(n):
+        total += 1.0 / (i + 1.0)
+    return total
+
+
+def works(model: Any, events: np.ndarray, packet: int) -> dict[str, Work]:
+    """One stream through each."""
+    packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
+    takers: dict[str, Any] = {
+        "volume": TNTVolume(model.config),
+        "windows": Processor(model, start_us=0),
+        "every_us": Processor(model, start_us=0, every_us=1000),
+    }
+
+    def stream(taker: Any) -> Work:
+        take = taker.update if isinstance(taker, TNTVolume) else taker.push
+
+        def run() -> None:
+            for _ in range(PASSES):
+                taker.reset()
+                for some in packets:
+                    take(some)
+
+        return run
+
+    return {name: stream(taker) for name, taker in takers.items()}
+
+
+def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
+    """Of both works."""
+    started = time.perf_counter()
+    if in_threads:
+        threads = [threading.Thread(target=work) for work in pair]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    else:
+        for work in pair:
+            work()
+    return time.perf_counter() - started
+
+
+def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
+    """One after the other, by at once."""
+    both = {str(in_threads): (lambda in_threads=in_threads: seconds(pair, in_threads)) for in_threads in (False, True)}
+    measured = interleave(both, rounds)
+    return spread(measured["False"] / measured["True"])
+
+
+def measure(name: str, quick: bool) -> dict[str, Any]:
+    """The whole report."""
+    model = load_model(name)
+    n, rounds = (20_000, 2) if quick else (N_EVENTS, ROUNDS)
+    n_spins = PASSES * 10 * n
+    report: dict[str, Any] = {"model": name, "machine": machine()}
+    report["no lock needed"] = {"": speed_up((lambda: spin(n_spins), lambda: spin(n_spins)), rounds)}
+    for packet in PACKETS:
+        one, other = (works(model, events_of(model.config.sensor, n, seed), packet) for seed in (0, 1))
+        for case in one:
+            report.setdefault(case, {})[str(packet)] = speed_up((one[case], other[case]), rounds)
+    return report
+
+
+def lines(report: dict[str, Any]) -> Iterator[str]:
+    for case, figures in report.items():
+        if case not in ("model", "machine"):
+            for packet, figure in figures.items():
+                yield f"{case:16} {packet:>6}  {figure['median']:.2f} [{figure['q1']:.2f}, {figure['q3']:.2f}]"
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = script_parser("threads", __doc__, "few events")
+    parser.add_argument("model", nargs="?", default="digits", metavar="MODEL", help="(default: digits)")
+    return run_script(parser, argv, lambda quick: measure(parser.parse_args(argv).model, quick), lines)
+
+
+if __name__ == "__main__":
+    exit_with(main)
