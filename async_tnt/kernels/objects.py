@@ -23,7 +23,7 @@ from .jit import compiled, compiled_without_gil
 from .simd import trailing_zeros
 from .sync_input import sync_input
 
-NEAR = 2
+NEAR = 1
 MOST_TRACKED = 256
 """Objects, the likeliest, that may have the number of an earlier one."""
 

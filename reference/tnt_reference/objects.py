@@ -17,7 +17,7 @@ class FoundObject(NamedTuple):
     row: float
 
 
-def objects_on_map(logits: torch.Tensor, near: int = 2) -> list[FoundObject]:
+def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     """The objects on a map, the likeliest first.
 
         s(y, x) = max_k<K z_k(y, x) - z_K(y, x)                            a class against nothing, the last channel

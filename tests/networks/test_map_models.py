@@ -98,14 +98,14 @@ def test_objects_by_hand():
     logits = np.zeros((3, 3, 8), np.float32)
     logits[2] = 1.0  # nothing
     logits[0, 1, 1], logits[0, 1, 2] = 4.0, 2.0  # 3 and 1 above nothing: 1/4 of a place to the right
-    logits[1, 0, 6] = logits[1, 2, 6] = 2.0  # as likely as each other, two rows apart: the upper one
+    logits[1, 0, 6] = logits[1, 1, 6] = 2.0  # as likely as each other, side by side: one object, half a row below
     config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
     decision = Processor(config, classifier=lambda volume: logits, classes=["a", "b"]).fire()
     a, b = decision.objects
     e = np.exp
     assert (a.label, a.x, a.y, a.id) == ("a", 1.5 + 4 * 1.25, 1.5 + 4, 0)
     assert a.probability == pytest.approx(e(4) / (e(4) + e(0) + e(1)))
-    assert (b.label, b.x, b.y, b.id) == ("b", 1.5 + 4 * 6, 1.5, 1)
+    assert (b.label, b.x, b.y, b.id) == ("b", 1.5 + 4 * 6, 1.5 + 2, 1)
     assert decision.to_dict()["objects"][0] == {"id": 0, "label": "a", "probability": 0.93624, "x": 6.5, "y": 5.5}
 
 
