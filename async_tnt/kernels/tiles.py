@@ -19,6 +19,8 @@ SIZES = (1, 2, 4, 6, 8, 12) if LANES == 16 else (1, 2, 4, 6)
 """How many places a tile of a MIX may have: as fit in the registers, 32 of 16 lanes or 16 of 8. Each number has code of
 its own, which takes time to compile."""
 PLACES = SIZES[-1]
+AT_ONCE = 4
+"""Registers of channels of a SUM or MAXIMUM: one alone would wait four cycles for each tap."""
 WORDS = ir.VectorType(ir.IntType(32), LANES)
 
 
@@ -265,31 +267,57 @@ class _Tile:
             distance = builder.load(simd.at(self._program, simd.add(taps, tap)))
             return simd.load(start, simd.add(distance, c))
 
-        def one_vector(v, carried):
-            c = simd.mul(v, LANES)
+        def registers(n):
+            """n side by side, in turn; the last ones may have been computed before."""
+            last = builder.sub(n_vectors, whole(n))
 
-            def add_tap(tap, sums):
-                w = simd.load(weights, simd.add(first, simd.mul(tap, size), c))
-                return [simd.fma(w, input_of(tap, c), sums[0])]
+            def compute(k, carried):
+                v0 = simd.mul(k, n)
+                v0 = builder.select(builder.icmp_signed("<", v0, last), v0, last)
+                at = [simd.mul(simd.add(v0, v), LANES) for v in range(n)]
 
-            def compare_tap(tap, largest):
-                value = input_of(tap, c)
-                larger = builder.fcmp_ordered(">", value, largest[0])
-                larger = builder.or_(larger, builder.fcmp_unordered("uno", value, value))
-                return [builder.select(larger, value, largest[0])]
+                def add_tap(tap, sums):
+                    of_tap = simd.add(first, simd.mul(tap, size))
+                    return [
+                        simd.fma(simd.load(weights, simd.add(of_tap, c)), input_of(tap, c), total)
+                        for c, total in zip(at, sums, strict=True)
+                    ]
 
-            if kind == P.SUM:
-                (total,) = simd.loop(n_taps, [simd.load(weights, simd.add(bias, c))], add_tap)
-            elif kind == P.FUNCTION:
-                total = choose(builder, self._slot(P.APPLIED), input_of(whole(0), c))
-            else:
-                (total,) = simd.loop(n_taps, [input_of(whole(0), c)], compare_tap)
-            value = self._activated(total, simd.load(weights, simd.add(slopes, c)), limits)
-            differs = self._replace(value, simd.add(out, c), builder.sub(channels, c))
-            return [builder.bitcast(builder.or_(builder.bitcast(carried[0], WORDS), differs), VECTOR)]
+                def compare_tap(tap, largest):
+                    return [self._larger(input_of(tap, c), value) for c, value in zip(at, largest, strict=True)]
 
-        (differs,) = simd.loop(n_vectors, [ZERO], one_vector)
-        return self._any(builder.bitcast(differs, WORDS))
+                if kind == P.SUM:
+                    values = simd.loop(n_taps, [simd.load(weights, simd.add(bias, c)) for c in at], add_tap)
+                elif kind == P.FUNCTION:
+                    values = [choose(builder, self._slot(P.APPLIED), input_of(whole(0), c)) for c in at]
+                else:
+                    values = simd.loop(n_taps, [input_of(whole(0), c) for c in at], compare_tap)
+                differs = builder.bitcast(carried[0], WORDS)
+                for c, value in zip(at, values, strict=True):
+                    value = self._activated(value, simd.load(weights, simd.add(slopes, c)), limits)
+                    new = self._replace(value, simd.add(out, c), builder.sub(channels, c))
+                    differs = builder.or_(differs, new)
+                return [builder.bitcast(differs, VECTOR)]
+
+            differs = simd.loop(builder.udiv(simd.add(n_vectors, n - 1), whole(n)), [ZERO], compute)
+            return builder.bitcast(differs[0], WORDS)
+
+        if kind == P.FUNCTION:  # whose instructions are many
+            return self._any(registers(1))
+        found = []
+        with builder.if_else(builder.icmp_signed("<", n_vectors, whole(AT_ONCE))) as cases:
+            for case, n in zip(cases, (1, AT_ONCE), strict=True):
+                with case:
+                    found.append((registers(n), builder.block))
+        differs = builder.phi(WORDS)
+        for value, block in found:
+            differs.add_incoming(value, block)
+        return self._any(differs)
+
+    def _larger(self, value, largest):
+        builder = self._simd.builder
+        larger = builder.or_(builder.fcmp_ordered(">", value, largest), builder.fcmp_unordered("uno", value, value))
+        return builder.select(larger, value, largest)
 
     def _limits(self, weights, at):
         simd = self._simd
