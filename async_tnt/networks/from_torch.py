@@ -51,6 +51,8 @@ def layers_from_torch(
     if type(module) is LayerNetwork:
         return [dict(layer) for layer in module.layers], {name: float_array(w) for name, w in module.tensors.items()}
     module = own_copy(module)
+    if type(module) in MODULES:  # which a trace would look into
+        module = nn.Sequential(module)
     try:
         graph = _Tracer().trace(module)
     except Exception as error:  # whatever the module's own code raises

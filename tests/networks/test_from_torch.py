@@ -81,13 +81,16 @@ def scales_the_volume(m, x):
     return m.logits(m.conv((1.5 * x - 0.25) / m.scales))
 
 
-@pytest.mark.parametrize(
-    "body", [changes_through_a_view, changes_what_a_view_shows, depends_on_the_mode, scales_the_volume]
-)
-def test_modes_and_changes_in_place_are_read_as_they_are(body):
-    module = Written(body)
+WRITTEN = [changes_through_a_view, changes_what_a_view_shows, depends_on_the_mode, scales_the_volume]
+ALONE = nn.Conv2d(3, 4, (18, 20))
+
+
+@pytest.mark.parametrize("module", [*map(Written, WRITTEN), ALONE], ids=[*(f.__name__ for f in WRITTEN), "one layer"])
+def test_modes_and_changes_in_place_are_read_as_they_are(module):
     found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
-    expected = np.concatenate([logits_of(module, VOLUMES[k : k + 1].copy()) for k in range(len(VOLUMES))])
+    expected = np.concatenate(
+        [logits_of(module, VOLUMES[k : k + 1].copy()).reshape(1, -1) for k in range(len(VOLUMES))]
+    )
     assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
 
 
