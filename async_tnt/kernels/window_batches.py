@@ -131,16 +131,17 @@ def _select_events(ints, scratch, columns, windows, window):
     firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, nothings, places = windows
     last, limit_us = lasts[window], limits_us[window]
     matrix, keep, seed, nothing = matrices[window], keeps[window], seeds[window], nothings[window]
-    i = firsts[window] + np.searchsorted(t[firsts[window] : last], starts_us[window])
+    first = firsts[window] + np.searchsorted(t[firsts[window] : last], starts_us[window])
     n = 0
+    i = first
     while i < last and t[i] < limit_us:
-        if keep >= 1.0 or _uniform(seed, i) < keep:
+        if keep >= 1.0 or _uniform(seed, i - first) < keep:
             x_moved = np.floor(matrix[0, 0] * x[i] + matrix[0, 1] * y[i] + matrix[0, 2] + 0.5)
             y_moved = np.floor(matrix[1, 0] * x[i] + matrix[1, 1] * y[i] + matrix[1, 2] + 0.5)
             polarity = p[i]
             if nothing != SHOWN:
                 share = (t[i] - starts_us[window]) / (limit_us - starts_us[window])
-                x_moved, y_moved, is_on = _of_nothing(nothing, places[window], seed, i, share)
+                x_moved, y_moved, is_on = _of_nothing(nothing, places[window], seed, i - first, share)
                 polarity = np.uint8(is_on) if nothing != SCATTERED else polarity
             if 0 <= x_moved < ints[S.SENSOR_W] and 0 <= y_moved < ints[S.SENSOR_H]:
                 scratch_t[n] = t[i]

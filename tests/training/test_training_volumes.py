@@ -157,6 +157,21 @@ def test_thinning_keeps_the_drawn_share_and_scattered_events_are_anywhere_and_ot
         np.testing.assert_allclose(along[1:-1] / along[1:-1].mean(), 1, atol=0.2)  # as many everywhere
 
 
+@pytest.mark.parametrize("kind", [SHOWN, SCATTERED, HOT_PIXELS])
+def test_what_is_drawn_for_a_window_is_the_same_whatever_else_the_data_set_holds(kind):
+    config = TNTConfig(transform="none")
+    own, other = (random_events(n, seed=n, duration_us=330_000, sensor=config.sensor) for n in (600, 501))
+    sets = [own], [other, own[own["t"] > 99_000]]  # of the last recording, the second window
+    found = [make_windows(Recordings.from_events(some, [0] * len(some)), config.window_us) for some in sets]
+    alone, behind = (w[(w.recording == w.recording.max()) & (w.start_us == 105_000)] for w in found)
+    draws = unchanged(1, config)
+    draws.keep[:], draws.seed[:] = 0.5, 7
+    draws = of_nothing(draws, np.array([kind]), RNG(0))
+    volumes = [BatchVolumes(config)(windows, draws).copy() for windows in (alone, behind)]
+    assert len(alone) == 1 and volumes[0].any()
+    np.testing.assert_array_equal(*volumes)
+
+
 @pytest.mark.parametrize("kind", [ONE_POLARITY, HOT_PIXELS, PATCH, EDGE])
 def test_what_stands_in_the_place_of_a_recording(kind):
     """As many events as before, or fewer where an edge leaves the sensor, as its name says."""
