@@ -9,8 +9,9 @@ Train, and 10,000 of MNIST's training images.
 Three recordings of one saccade each (eight on 640x480) stand anywhere on a sensor of 128x96, in whole pixels, begin
 within 50 ms of each other, and are streamed with uniform noise of .3 Hz a pixel. An object is found where one of its
 class is named within 5 pixels of its middle, halfway between the 2nd and 98th percentile of its events (some noise is
-farther out), the likeliest one first. Objects are apart by at least 30 pixels, or in `overlapping` by 16 to 24, where
-they cover each other by up to a third. Shares no code with `train --everywhere`.
+farther out), the likeliest one first. Objects are apart by at least 30 pixels; in `close` by at least 16, where they
+may cover each other by up to a third; in `overlapping` each is 16 to 24 from another one. Shares no code with
+`train --everywhere`.
 
 F1 at 105 ms after the first object's start, and after 30 ms of the *last* one; objects in noise alone, a window.
 """
@@ -34,7 +35,7 @@ SENSOR, LARGE = (128, 96), (640, 480)
 WINDOW_US, EARLY_US, STARTS_US = 105_000, 30_000, 50_000
 NOISE_HZ, WITHIN_PX, SIDE = 0.3, 5.0, 34
 N_PICTURES = 10_000
-APART, OVERLAPPING = (30.0, np.inf), (16.0, 24.0)
+APART, CLOSE, OVERLAPPING = (30.0, np.inf), (16.0, np.inf), (16.0, 24.0)
 Truth = list[tuple[str, float, float]]
 
 
@@ -151,7 +152,8 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     files = sorted((nmnist / args.part).glob("*/*.bin"))
     n = 10 if args.quick else args.scenes
-    kinds = {"three": (SENSOR, 3, APART), "overlapping": (SENSOR, 3, OVERLAPPING), "eight": (LARGE, 8, APART)}
+    kinds = {"three": (SENSOR, 3, APART), "close": (SENSOR, 3, CLOSE), "overlapping": (SENSOR, 3, OVERLAPPING)}
+    kinds["eight"] = LARGE, 8, APART
     rows = []
     with progress(len(args.models) * (len(kinds) + 1), "scenes") as bar:
         for name in args.models:

@@ -1,0 +1,186 @@
+"""From events to objects: the time it takes a map model on large sensors, beside computing the whole map.
+
+    python -m experiments.map_times [--quick] [--json FILE]
+
+The bundled `digits-everywhere`, and four convolutions with random weights, after bundled recordings that stand anywhere
+on the sensor, 1,400 events a window. One process, one thread, warm; at each moment in turn: one more event, 1,000 more,
+the first event of another window, the whole map by ours and by ONNX Runtime. Each time is that of `push` and `fire`, or
+of the call with the volume as an array. Before that, ours must give the same objects either way to the bit, and ONNX
+Runtime the same map to 1e-4.
+
+Then a million events a second: recordings sped up, each moving across 320x240 pixels, with a decision every
+millisecond; processor time for each second of the stream.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+if __name__ == "__main__":  # before any library reads them
+    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+import numpy as np
+import torch
+from torch import nn
+
+from async_tnt import EVENT_DTYPE, Model, Processor, load_model
+from async_tnt.progress import progress
+from async_tnt.sources import open_recording, sample_recordings
+from experiments import bench_backends as backends
+from experiments.bench_interleaved import WorkDiffers
+from experiments.bench_timing import latency, machine, machine_text, no_collector, one_thread
+from experiments.script_options import exit_with, run_script, script_parser
+
+SENSORS = (128, 96), (304, 240), (640, 480)
+SIDE, OBJECTS, MOMENTS = 34, 3, 300
+SPEED_SENSOR, RATE, EVERY_US = (320, 240), 1_000_000, 1_000
+
+
+def four(channels: int) -> nn.Module:
+    """Four convolutions, a place for 8x8 pixels."""
+    widths, strides = (channels, 16, 32, 32, 48), (2, 2, 2, 1)
+    layers: list[nn.Module] = []
+    for k, stride in enumerate(strides):
+        layers += [nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1), nn.ReLU()]
+    return nn.Sequential(*layers, nn.Conv2d(widths[-1], 11, 1))
+
+
+def models() -> dict[str, Model]:
+    """Name -> for any sensor."""
+    bundled = load_model("digits-everywhere")
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        made = Model.from_torch(four(bundled.config.channels), bundled.config, bundled.classes)
+    return {"digits-everywhere": bundled, "four convolutions": made}
+
+
+def moving(sensor: tuple[int, int], n_objects: int, n: int, duration_us: int, speed: float) -> np.ndarray:
+    """n events of recordings, over and over, each at its place, which moves by `speed` pixels a second."""
+    rng = np.random.default_rng(n_objects)
+    room = np.array(sensor) - SIDE - 1
+    parts = []
+    for k in range(n_objects):
+        events = open_recording(sample_recordings()[k]).read()
+        events = np.tile(events, -(-n // (n_objects * len(events))))[: n // n_objects]
+        events["t"] = np.arange(len(events)) * duration_us // len(events)
+        path = rng.uniform(0, 2 * room, 2) + np.outer(events["t"], speed * 1e-6 * np.sqrt([0.5, 0.5]))
+        path = np.abs(path % (2 * room) - room).astype(int)  # back and forth
+        events["x"] += path[:, 0].astype(np.uint16)
+        events["y"] += path[:, 1].astype(np.uint16)
+        parts.append(events)
+    events = np.concatenate(parts).astype(EVENT_DTYPE)
+    return events[np.argsort(events["t"], kind="stable")]
+
+
+def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network]) -> None:
+    """The same objects and maps.
+
+    Raises
+    ------
+    WorkDiffers : they are not.
+    """
+    at_once, in_parts = (Processor(model, start_us=0) for _ in range(2))
+    at_once.push(events)
+    for part in np.array_split(events, 50):
+        in_parts.push(part)
+        in_parts.fire()
+    one, other, volume = at_once.fire(), in_parts.fire(), at_once.volume()
+    if [vars_of(found) for found in one.objects or ()] != [vars_of(found) for found in other.objects or ()]:
+        raise WorkDiffers("objects depend on how the events are cut")
+    for name, network in networks.items():
+        away = float(np.abs(network(volume) - one.logits).max())
+        if away > (0.0 if name == "dense" else 1e-4):
+            raise WorkDiffers(f"the map of {name} is {away:g} away from ours")
+
+
+def vars_of(found: Any) -> tuple[Any, ...]:
+    """All of an object but its number, which depends on earlier decisions."""
+    return found.label, found.probability, found.x, found.y
+
+
+def times(model: Model, n_moments: int) -> dict[str, Any]:
+    """Case -> microseconds."""
+    networks = backends.dense_networks(model)
+    networks = {name: networks[name] for name in ("dense", "onnxruntime_run") if name in networks}
+    events = moving(model.config.sensor, OBJECTS, 1_400 * n_moments, model.config.window_us * n_moments, 20.0)
+    check(model, events[:1_300], networks)
+    followed, fresh = Processor(model, start_us=0), Processor(model, start_us=0)
+    measured: dict[str, list[float]] = {}
+
+    def timed(name: str, work: Callable[[np.ndarray], object], on: np.ndarray) -> None:
+        started = time.perf_counter()
+        work(on)
+        measured.setdefault(name, []).append(1e6 * (time.perf_counter() - started))
+
+    def decide(processor: Processor) -> Callable[[np.ndarray], object]:
+        return lambda events: (processor.push(events), processor.fire())
+
+    with no_collector():
+        for k in range(n_moments):
+            of_moment = events[1_400 * k : 1_400 * (k + 1)]
+            decide(followed)(of_moment[:300])
+            timed("one event", decide(followed), of_moment[300:301])
+            timed("1,000 events", decide(followed), of_moment[301:1301])
+            volume = followed.volume()
+            fresh.reset()
+            timed("new window", decide(fresh), of_moment[:1])
+            decide(fresh)(of_moment)
+            for name, network in networks.items():
+                timed(name, network, volume)
+    warm = {name: np.array(values[len(values) // 10 :]) for name, values in measured.items()}
+    return {name: latency(values) for name, values in warm.items()}
+
+
+def load(model: Model, n_objects: int, seconds: float) -> float:
+    """Processor time by the time of the stream."""
+    events = moving(SPEED_SENSOR, n_objects, int(RATE * seconds), int(1e6 * seconds), 100.0)
+    packets = [events[first : first + 1_000].copy() for first in range(0, len(events), 1_000)]
+    processor = Processor(model.for_sensor(SPEED_SENSOR), start_us=0, every_us=EVERY_US)
+    for packet in packets[:20]:
+        processor.push(packet)
+    processor.reset()
+    started = time.process_time()
+    for packet in packets:
+        processor.push(packet)
+    return (time.process_time() - started) / seconds
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """The whole report."""
+    n_moments, seconds = (20, 0.05) if quick else (MOMENTS, 1.0)
+    rows: dict[str, Any] = {}
+    found = models()
+    with progress(len(found) * (len(SENSORS) + OBJECTS), "times") as bar, one_thread(True):
+        for name, model in found.items():
+            rows[name] = {"times_us": {}, "load": {}}
+            for sensor in SENSORS:
+                rows[name]["times_us"]["x".join(map(str, sensor))] = times(model.for_sensor(sensor), n_moments)
+                bar.update()
+            for n_objects in range(1, OBJECTS + 1):
+                rows[name]["load"][str(n_objects)] = load(model, n_objects, seconds)
+                bar.update()
+    return {"machine": machine("torch", "onnxruntime"), "models": rows, "left_out": backends.left_out()}
+
+
+def lines(report: dict[str, Any]) -> Iterator[str]:
+    """For people."""
+    yield machine_text(report["machine"])
+    for name, row in report["models"].items():
+        for sensor, figures in row["times_us"].items():
+            cases = ", ".join(f"{case} {of['median']:,.0f} (p99 {of['p99']:,.0f})" for case, of in figures.items())
+            yield f"{name}, {sensor}: {cases} us"
+        loads = ", ".join(f"{n} objects {of:.2f}" for n, of in row["load"].items())
+        yield f"{name}, a million events and 1,000 decisions a second, processor time by the stream's: {loads}"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run, print, and write JSON if asked. Returns 1 if ways do not agree."""
+    parser = script_parser("map_times", __doc__, "few moments")
+    return run_script(parser, argv, measure, lines)
+
+
+if __name__ == "__main__":
+    exit_with(main)
