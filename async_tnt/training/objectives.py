@@ -110,7 +110,7 @@ class ClassOfWindows:
         }
 
 
-LEFT_OUT, WEIGHT = 0.3, 4.0
+LEFT_OUT, WEIGHT = 0.2, 4.0
 """A share of a recording's shorter side: a place within `REACH` of an object, or the nearest one, is to name its class;
 one that is so near is left out; others are to say nothing. And what an object's places weigh, by those of nothing."""
 
