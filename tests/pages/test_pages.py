@@ -154,7 +154,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     monkeypatch.setattr(simulated_pictures, "N_TAKES", 1)
     write_pictures(Path("pictures"), n=2)
     rng = np.random.default_rng(0)
-    x, y, p = (rng.integers(0, n, 8_000) for n in (346, 260, 2))
+    x, y, p = (rng.integers(0, n, 8_000) for n in (96, 72, 2))  # a smaller camera than the guide's
     np.savez("anything.npz", t=np.arange(0, 400_000, 50), x=x, y=y, p=p)
     text = dict(sections(ROOT / "docs" / "guide.md"))["Your own classes"]
     shown = commands(text)
@@ -163,6 +163,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
         once = "pictures" in words or "--motions" in words
         quick = ["--grid", "24x18", "--network", "thesis", "--epochs", "1" if once else "5"]
         capsys.readouterr()
+        words = [word.replace("346x260", "96x72") for word in words]
         assert main([*words, *(quick if words[0] == "train" else [])]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation
             assert [name for name in json.loads(capsys.readouterr().out) if f"`{name}`" not in REFERENCE] == []
