@@ -165,7 +165,8 @@ def everywhere() -> str:
     found = results("everywhere")["models"][0]
     kinds = {
         "three": "three on 128x96, 30 pixels and more apart",
-        "overlapping": "three on 128x96, 16 to 24 pixels from the next one",
+        "close": "the same, 16 pixels and more apart",
+        "overlapping": "the same, each 16 to 24 pixels from another one",
         "eight": "eight on 640x480",
     }
     rows = [[words, f"{found[kind]['end']:.3f}", f"{found[kind]['early']:.3f}"] for kind, words in kinds.items()]

@@ -1,9 +1,10 @@
 """Objects on a large sensor: how well a map model finds digits in scenes of several real recordings.
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N] [--json FILE]
+    python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
     python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
 
-The second makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER --everywhere`: N-MNIST's
+The third makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER --everywhere`: N-MNIST's
 Train, and 10,000 of MNIST's training images.
 
 Three recordings of one saccade each (eight on 640x480) stand anywhere on a sensor of 128x96, in whole pixels, begin
@@ -14,114 +15,148 @@ may cover each other by up to a third; in `overlapping` each is 16 to 24 from an
 `train --everywhere`.
 
 F1 at 105 ms after the first object's start, and after 30 ms of the *last* one; objects in noise alone, a window.
+
+With --cars: two recordings of N-CARS' test part on 304x240 pixels, each as likely a car as background, which only a
+car is to be found in: within 15 pixels of its middle.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Model, Processor, load_model
 from async_tnt.progress import progress
+from async_tnt.sources import open_recording
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
 
-SENSOR, LARGE = (128, 96), (640, 480)
-WINDOW_US, EARLY_US, STARTS_US = 105_000, 30_000, 50_000
-NOISE_HZ, WITHIN_PX, SIDE = 0.3, 5.0, 34
+EARLY_US, STARTS_US, NOISE_HZ = 30_000, 50_000, 0.3
 N_PICTURES = 10_000
-APART, CLOSE, OVERLAPPING = (30.0, np.inf), (16.0, np.inf), (16.0, 24.0)
 Truth = list[tuple[str, float, float]]
 
 
-def scene(
-    files: list[Path], sensor: tuple[int, int], apart: tuple[float, float], rng: np.random.Generator
-) -> tuple[np.ndarray, Truth, int]:
+class Kind(NamedTuple):
+    """Of scenes."""
+
+    sensor: tuple[int, int] = (128, 96)
+    n_objects: int = 3
+    apart: tuple[float, float] = (30.0, np.inf)
+    """Pixels from an object's middle to that of the nearest one before it."""
+    side: int = 34
+    """Of a recording: so far its middle is from the border, at least half of it."""
+    within: float = 5.0
+    window_us: int = 105_000
+
+
+DIGITS = {
+    "three": Kind(),
+    "close": Kind(apart=(16.0, np.inf)),
+    "overlapping": Kind(apart=(16.0, 24.0)),
+    "eight": Kind((640, 480), 8),
+}
+CARS = {"cars": Kind((304, 240), 2, (90.0, np.inf), 100, 15.0, 100_000)}
+NO_OBJECT = "background"
+
+
+def one_window(path: Path, window_us: int, rng: np.random.Generator) -> np.ndarray:
+    """Events of a recording, of N-MNIST one saccade's, from 0 us on."""
+    if path.suffix != ".bin":
+        return open_recording(path).read()
+    events = read_nmnist(path)
+    first_us = int(rng.integers(3)) * window_us
+    events = events[(events["t"] >= first_us) & (events["t"] < first_us + window_us)]
+    events["t"] -= first_us
+    return events
+
+
+def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.ndarray, Truth, int]:
     """Events of these recordings in one scene, what stands where, and when the last one begins."""
-    width, height = sensor
+    sensor = np.array(kind.sensor)
     middles: list[np.ndarray] = []
     while len(middles) < len(files):
-        middle = rng.uniform(SIDE / 2, np.array(sensor) - SIDE / 2)
+        middle = rng.uniform(kind.side / 2, sensor - kind.side / 2)
         distances = [float(np.hypot(*(middle - other))) for other in middles]
-        nearest = min(distances, default=apart[0])
-        if apart[0] <= nearest <= apart[1]:
+        nearest = min(distances, default=kind.apart[0])
+        if kind.apart[0] <= nearest <= kind.apart[1]:
             middles.append(middle)
     parts: list[np.ndarray] = []
     truth: Truth = []
     last_us = 0
     for path, middle in zip(files, middles, strict=True):
-        events = read_nmnist(path)
-        saccade = int(rng.integers(3)) * WINDOW_US
-        events = events[(events["t"] >= saccade) & (events["t"] < saccade + WINDOW_US)]
+        events = one_window(path, kind.window_us, rng)
         start_us = int(rng.integers(STARTS_US)) if parts else 0
         centre = np.array([np.quantile(events[a], (0.02, 0.98)).mean() for a in "xy"])
         shift = np.rint(middle - centre).astype(int)
-        moved = np.zeros(len(events), events.dtype)
-        moved["t"] = events["t"] - saccade + start_us
-        moved["x"], moved["y"], moved["p"] = events["x"] + shift[0], events["y"] + shift[1], events["p"]
+        x, y = events["x"] + shift[0], events["y"] + shift[1]
+        inside = (x >= 0) & (y >= 0) & (x < sensor[0]) & (y < sensor[1])
+        moved = np.zeros(inside.sum(), EVENT_DTYPE)
+        moved["t"], moved["p"] = events["t"][inside] + start_us, events["p"][inside]
+        moved["x"], moved["y"] = x[inside], y[inside]
         parts.append(moved)
-        truth.append((path.parent.name, *(centre + shift)))
+        if path.parent.name != NO_OBJECT:
+            truth.append((path.parent.name, *(centre + shift)))
         last_us = max(last_us, start_us)
-    parts.append(noise(sensor, rng))
+    parts.append(noise(kind, rng))
     events = np.concatenate(parts)
-    events = events[(events["t"] < WINDOW_US) & (events["x"] < width) & (events["y"] < height)]
+    events = events[events["t"] < kind.window_us]
     return events[np.argsort(events["t"], kind="stable")], truth, last_us
 
 
-def noise(sensor: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
     """Uniform over pixels and a window."""
-    n = rng.poisson(NOISE_HZ * sensor[0] * sensor[1] * WINDOW_US / 1e6)
+    n = rng.poisson(NOISE_HZ * kind.sensor[0] * kind.sensor[1] * kind.window_us / 1e6)
     events = np.zeros(n, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(WINDOW_US, size=n))
-    events["x"], events["y"] = rng.integers(sensor[0], size=n), rng.integers(sensor[1], size=n)
+    events["t"] = np.sort(rng.integers(kind.window_us, size=n))
+    events["x"], events["y"] = rng.integers(kind.sensor[0], size=n), rng.integers(kind.sensor[1], size=n)
     events["p"] = rng.integers(2, size=n)
     return events
 
 
-def counts(objects: Any, truth: Truth) -> np.ndarray:
+def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
     """Right, found, there."""
-    left = list(truth)
+    left, objects = list(truth), [found for found in objects if found.label != NO_OBJECT]
     for found in objects:
         near = [one for one in left if one[0] == found.label]
         near.sort(key=lambda one: np.hypot(one[1] - found.x, one[2] - found.y))
-        if near and np.hypot(near[0][1] - found.x, near[0][2] - found.y) <= WITHIN_PX:
+        if near and np.hypot(near[0][1] - found.x, near[0][2] - found.y) <= within:
             left.remove(near[0])
     return np.array([len(truth) - len(left), len(objects), len(truth)])
 
 
-def measure(
-    model: Model, files: list[Path], n_scenes: int, n_objects: int, apart: tuple[float, float], seed: int
-) -> dict[str, float]:
-    """F1 at the end and early, of scenes that hold each recording at most once, where there are enough."""
+def measure(model: Model, files: list[Path], n_objects: int, kind: Kind, seed: int = 0) -> dict[str, float]:
+    """F1 at the end and early, of scenes of n objects together that hold each recording at most once, where there are
+    enough."""
     rng = np.random.default_rng(seed)
-    order = np.concatenate([rng.permutation(len(files)) for _ in range(-(-n_scenes * n_objects // len(files)))])
-    sensor = model.config.sensor
+    n_scenes = n_objects // kind.n_objects
+    order = np.concatenate([rng.permutation(len(files)) for _ in range(-(-n_objects // len(files)))])
+    processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     total, early = np.zeros(3), np.zeros(3)
-    for k in range(n_scenes):
-        some = [files[i] for i in order[k * n_objects : (k + 1) * n_objects]]
-        events, truth, last_us = scene(some, sensor, apart, rng)
-        processor = Processor(model, start_us=0)
+    for some in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
+        events, truth, last_us = scene([files[i] for i in some], kind, rng)
+        processor.reset()
         n_early = int(np.searchsorted(events["t"], last_us + EARLY_US))
         processor.push(events[:n_early])
-        early += counts(processor.fire().objects, truth)
+        early += counts(processor.fire().objects, truth, kind.within)
         processor.push(events[n_early:])
-        total += counts(processor.fire().objects, truth)
+        total += counts(processor.fire().objects, truth, kind.within)
     return {"end": float(2 * total[0] / total[1:].sum()), "early": float(2 * early[0] / early[1:].sum())}
 
 
-def objects_in_noise(model: Model, n: int) -> float:
+def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
     """A window, in the mean."""
     rng, found = np.random.default_rng(0), 0
+    processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     for _ in range(n):
-        processor = Processor(model, start_us=0)
-        processor.push(noise(model.config.sensor, rng))
-        found += len(processor.fire().objects or ())
-    return found / n
+        processor.reset()
+        processor.push(noise(kind, rng))
+        found += counts(processor.fire().objects, [], 0.0)[1]
+    return float(found / n)
 
 
 def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
@@ -141,32 +176,38 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="make the data of the bundled model there")
     add_folder(parser, "--nmnist", "with Train and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
+    parser.add_argument("--cars", type=Path, metavar="FOLDER", help="N-CARS: test on scenes of its test part")
     parser.add_argument("--part", default="Test", metavar="NAME", help="Test or Train (default: Test)")
-    parser.add_argument("--scenes", type=int, default=330, metavar="N", help="of each kind (default: 330)")
+    parser.add_argument(
+        "--scenes",
+        type=int,
+        default=330,
+        metavar="N",
+        help="of each kind (default: 330; of other numbers of objects as many objects)",
+    )
     args: argparse.Namespace = parser.parse_args(argv)
-    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     if bool(args.models) == bool(args.write):
         parser.error("give models to test, or --write FOLDER")
+    nmnist = args.cars or data_folder(args.nmnist, "nmnist", "--nmnist")
     if args.write:
         write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
         return 0
-    files = sorted((nmnist / args.part).glob("*/*.bin"))
+    part, kinds = (args.cars / "n-cars_test", CARS) if args.cars else (nmnist / args.part, DIGITS)
+    files = sorted(path for path in part.glob("*/*") if path.suffix in (".bin", ".dat"))
     n = 10 if args.quick else args.scenes
-    kinds = {"three": (SENSOR, 3, APART), "close": (SENSOR, 3, CLOSE), "overlapping": (SENSOR, 3, OVERLAPPING)}
-    kinds["eight"] = LARGE, 8, APART
     rows = []
     with progress(len(args.models) * (len(kinds) + 1), "scenes") as bar:
         for name in args.models:
             model = load_model(name)
             row: dict[str, Any] = {}
-            for kind, (sensor, n_objects, apart) in kinds.items():
-                row[kind] = measure(model.for_sensor(sensor), files, n * 3 // n_objects, n_objects, apart, 0)
+            for kind, about in kinds.items():
+                row[kind] = measure(model, files, 3 * n, about)
                 bar.update()
-            row["noise"] = objects_in_noise(model.for_sensor(SENSOR), n)
+            row["noise"] = objects_in_noise(model, next(iter(kinds.values())), n)
             bar.update()
             rows.append(row)
             print(name, row)
-    write_outputs(args, {"part": args.part, "scenes": n, "models": rows, "machine": machine()})
+    write_outputs(args, {"part": part.name, "scenes": n, "models": rows, "machine": machine()})
     return 0
 
 

@@ -78,6 +78,7 @@ def test_digits_on_a_large_sensor(data):
     files = sorted((data / "nmnist" / "Test").glob("*/*.bin"))
     model = load_model("digits-everywhere")
     assert model.record["data"]["pictures"]["pictures"] == everywhere.N_PICTURES
-    f1 = everywhere.measure(model.for_sensor(everywhere.SENSOR), files, 40, 3, everywhere.APART, 0)
+    kind = everywhere.DIGITS["three"]
+    f1 = everywhere.measure(model, files, 120, kind)
     assert f1["end"] > 0.95 and f1["early"] > 0.93
-    assert everywhere.objects_in_noise(model.for_sensor(everywhere.SENSOR), 20) == 0
+    assert everywhere.objects_in_noise(model, kind, 20) == 0
