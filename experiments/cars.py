@@ -40,7 +40,7 @@ from experiments.unseen_motions import command
 TUNED = "--mirror --epochs 40 --validation 0.05"
 EQUAL = "--mirror --epochs 6 --validation 0.05"
 VOLUMES = {"volume": "transform=none"} | {name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
-HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 3.35  # of the picture
+HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 5.0  # of the picture
 IMAGES = "count", "count_time", "mean_time", "time_surface"
 
 
@@ -134,7 +134,7 @@ def _about(path: Path) -> dict[str, Any]:
 def _tested(path: Path, test: Path) -> dict[str, Any]:
     report = command("evaluate", path, test, "--json")
     counts = ("accuracy", "recordings", "window_accuracy", "windows")
-    names = (*counts, "calibration_error", "accuracy_against_events", "confidence")
+    names = (*counts, "calibration_error", "confidence")
     against_time = {f"{row['time_us'] / 1e3:g}": row["accuracy"] for row in report["accuracy_against_time"]}
     return {"against_time_ms": against_time, **{name: report[name] for name in names}}
 
@@ -262,17 +262,15 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def draw(report: dict[str, Any]) -> Any:
-    """Accuracy against time, against the number of events, and against what a confidence costs."""
+    """Accuracy against time, and against what a confidence costs."""
     tests = next(iter(report["recipes"].values()))["tests"]
     end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
     figure = new_figure(HEIGHT)
     headline(figure, f"{report['title']}, test part, {len(tests)} networks")
-    time, events, levels = (axes_at(figure, LEFT + STEP * k, TOP, 2.75, SIDE) for k in range(3))
+    time, levels = (axes_at(figure, LEFT + STEP * k, TOP, 4.2, SIDE) for k in range(2))
     for k, test in enumerate(tests):
         look = {"color": OFF, "linewidth": 1, "alpha": 0.6, "label": "each network" if not k else None}
         time.plot([float(ms) for ms in test["against_time_ms"]], list(test["against_time_ms"].values()), **look)
-        rows = [row for row in test["accuracy_against_events"] if row["reached"]]
-        events.plot([row["events"] for row in rows], [row["accuracy"] for row in rows], **look)
     for name, share in report["others"].items():
         time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
         note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 9), ha="right", color=ON)
@@ -287,10 +285,8 @@ def draw(report: dict[str, Any]) -> Any:
             aside, align = (-3, "right") if x > ms[-1] / 2 else (4, "left")
             note(levels, f"{rows[0]['level']:g}", (x, right), (aside, -12), ha=align)
     time.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 1.02 * end_ms))
-    events.set(xlabel="first events of the window", xscale="log")
-    events.xaxis.set_major_formatter(lambda count, _: f"{count:,.0f}")
     levels.set(xlabel="median ms until a confidence is reached", xlim=(0, None))
-    for axes in (time, events, levels):
+    for axes in (time, levels):
         axes.set_ylim(0.5, 1.02)
         axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
         axes.grid(color=PALE, linewidth=0.5)

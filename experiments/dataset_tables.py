@@ -74,14 +74,11 @@ def cars_in_short() -> str:
     found = results("cars")["recipes"]["tuned"]
     tests = found["tests"]
     at = {ms: _mean([test["against_time_ms"][ms] for test in tests]) for ms in CARS_MS}
-    by_count = [{row["events"]: row["accuracy"] for row in test["accuracy_against_events"]} for test in tests]
-    first = {count: _mean([accuracy[count] for accuracy in by_count]) for count in (100, 500)}
     rate = found["every_event"]["a_second"]
     return (
         f"N-CARS' official test part, cars or background, from images of counts without the transform, mean of "
         f"{len(tests)} networks: {at['10']} after 10 ms, {at['30']} after 30 ms, {at['100']} after 100 ms; "
-        f"{first[100]} from a window's first 100 events, {first[500]} from 500; {rate:,.0f} decisions a second, one "
-        f"after every event."
+        f"{rate:,.0f} decisions a second, one after every event."
     )
 
 

@@ -184,10 +184,6 @@ def lines_of(report: dict[str, Any]) -> list[str]:
         lines += ["", f"{'ms into the window':<24} {'accuracy':>8} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:
         lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>8.3f} {moment['decided']:>11.3f}")
-    if report["accuracy_against_events"]:
-        lines += ["", f"{'first events':<24} {'accuracy':>8} {'reached by':>13}"]
-    for count in report["accuracy_against_events"]:
-        lines.append(f"{count['events']:<24,} {count['accuracy']:>8.3f} {count['reached']:>13.3f}")
     if report["confidence"]:
         head = f"{'first decision at':<24} {'accuracy':>8} {'decided':>11} {'all windows':>12}"
         lines += ["", f"{head}  ms: median, 90 %"]

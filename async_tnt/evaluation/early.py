@@ -1,6 +1,6 @@
-"""What is decided early in a window: against time, against the number of events, and at a level of confidence.
+"""What is decided early in a window: against time, and at a level of confidence.
 
-Decisions are made at every fiftieth of a window, at its end, and (trigger `fire`) after 10, 20, 50, ... of its events.
+Decisions are made at every fiftieth of a window, and at its end.
 """
 
 from __future__ import annotations
@@ -13,13 +13,11 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.evaluation.scores import calibration_of
-from async_tnt.processor import Processor
 
 N_MOMENTS = 10
 PER_MOMENT = 5
-EVENT_COUNTS = tuple(k * 10**power for power in range(1, 6) for k in (1, 2, 5))
 LEVELS = 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99
-FIELDS = ("decided_at", "probability_at", "decided_by", "window_events", "confident", "confident_us")
+FIELDS = ("decided_at", "probability_at", "confident", "confident_us")
 """Of `early_fields`; a record has a list of each."""
 
 
@@ -40,70 +38,20 @@ def moments(config: TNTConfig) -> list[int]:
     return [] if step_us is None else [*(PER_MOMENT * step_us * k for k in range(1, N_MOMENTS)), config.window_us]
 
 
-class FiringProcessor:
-    """A recording's processor that also decides after `EVENT_COUNTS` events of each window.
-
-    Parameters
-    ----------
-    processor : reset, with windows that lie end to end from the first event on. Where they have a number of events,
-        nothing is fired.
-    """
-
-    def __init__(self, processor: Processor) -> None:
-        self._processor = processor
-        self._start_us: int | None = None
-        self._window = 0
-        self._newest_us = 0
-        self._n_events = 0  # of the newest window
-
-    def push(self, packet: np.ndarray) -> list[Decision]:
-        """`Processor.push`, with these decisions among the others.
-
-        An event that is dropped as late is counted, too: a decision may then be from fewer events, but not from more.
-        """
-        config = self._processor.config
-        if not len(packet) or config.window_events is not None:
-            return self._processor.push(packet)
-        t = np.maximum.accumulate(packet["t"])
-        if self._start_us is None:
-            self._start_us = self._newest_us = int(t[0])
-        window = (np.maximum(t, self._newest_us) - self._start_us) // config.window_us
-        n_events = np.arange(1, len(packet) + 1) - np.searchsorted(window, window)
-        n_events[window == self._window] += self._n_events
-        self._newest_us, self._window = max(self._newest_us, int(t[-1])), int(window[-1])
-        self._n_events = int(n_events[-1])
-        decisions: list[Decision] = []
-        *pieces, rest = np.split(packet, np.flatnonzero(np.isin(n_events, EVENT_COUNTS)) + 1)
-        for piece in pieces:
-            decisions += self._processor.push(piece)
-            decisions.append(self._processor.fire())
-        return decisions + self._processor.push(rest)
-
-    def finish(self) -> list[Decision]:
-        """`Processor.finish`."""
-        return self._processor.finish()
-
-
 def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any]:
     """Of a window's decisions, what the tables below need; -1 stands for no decision.
 
     Returns
     -------
     decided_at, probability_at : class and its probability at each of `moments`.
-    decided_by : class after at most as many events as each of `EVENT_COUNTS`.
-    window_events : events in the window.
     confident, confident_us : for each of `LEVELS`, the class of the first decision that reaches it, and when that was
         due since the window's start.
     """
     at = [decision_at(window, moment) for moment in moments(config)]
-    by = [next((d for d in reversed(window) if d.events <= count), None) for count in EVENT_COUNTS]
-    due = [d for d in window if d.trigger != "fire"]
-    first = [next((d for d in due if d.probability >= level), None) for level in LEVELS]
+    first = [next((d for d in window if d.probability >= level), None) for level in LEVELS]
     return {
         "decided_at": [-1 if d is None else d.index for d in at],
         "probability_at": [-1.0 if d is None else float(d.probability) for d in at],
-        "decided_by": [-1 if d is None else d.index for d in by],
-        "window_events": window[-1].events,
         "confident": [-1 if d is None else d.index for d in first],
         "confident_us": [-1 if d is None else due_us(d, config) for d in first],
     }
@@ -137,8 +85,6 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     Returns
     -------
     accuracy_against_time : share of windows right, and decided at all, at each of `moments`.
-    accuracy_against_events : share of windows right by their first so many events, all of them where they have fewer,
-        and the share that has as many; up to the first count that no window reaches.
     confidence : for each of `LEVELS`, how many windows reach it, how many of these are right, and when: median and
         90th percentile, in milliseconds since the window's start; and how many of all windows are right, where those
         that do not reach it are decided at their ends.
@@ -153,18 +99,11 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
 
     after_us = moments(config)
     if not after_us:
-        tables = "accuracy_against_time", "accuracy_against_events", "confidence", "calibration"
-        return {**{name: [] for name in tables}, "calibration_error": None}
+        return {"accuracy_against_time": [], "confidence": [], "calibration": [], "calibration_error": None}
     against_time = [
         {"time_us": us, "accuracy": accuracy(decided), "decided": float((decided >= 0).mean())}
         for us, decided in zip(after_us, columns["decided_at"].T, strict=True)
     ]
-    against_events = []
-    for count, decided in zip(EVENT_COUNTS, columns["decided_by"].T, strict=True):
-        reached = float((columns["window_events"] >= count).mean())
-        against_events.append({"events": count, "accuracy": accuracy(decided), "reached": reached})
-        if not reached:
-            break
     confidence = []
     for level, classes, us in zip(LEVELS, columns["confident"].T, columns["confident_us"].T, strict=True):
         sure = classes >= 0
@@ -179,7 +118,6 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     bins, error = calibration_of(probability, right)
     return {
         "accuracy_against_time": against_time,
-        "accuracy_against_events": against_events,
         "confidence": confidence,
         "calibration": bins,
         "calibration_error": error,

@@ -10,7 +10,7 @@ import numpy as np
 
 from async_tnt.decision import Decision
 from async_tnt.evaluation.early import FIELDS as EARLY
-from async_tnt.evaluation.early import FiringProcessor, early_fields
+from async_tnt.evaluation.early import early_fields
 from async_tnt.evaluation.job import Job, Task, sha256_of
 from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.package import __version__
@@ -63,8 +63,7 @@ def run_recording(task: Task) -> Record:
 def evaluate_recording(task: Task) -> Record:
     """What is decided in each window of one labelled recording, early and at its end.
 
-    The job's Processor must decide as often as `early.every_us` says. It is also fired after the numbers of events that
-    `early` lists. Errors are those of `run_recording`.
+    The job's Processor must decide as often as `early.every_us` says. Errors are those of `run_recording`.
     """
 
     def fields_of(decisions: Iterator[Decision], engine: Engine) -> Record:
@@ -102,9 +101,8 @@ def lost(task: Task) -> Record:
 
 def _stream(task: Task, fields_of: Callable[[Iterator[Decision], Engine], Record]) -> Record:
     processor, engine, pixels = processor_of(task.job)
-    stream = FiringProcessor(processor) if task.job.kind == "evaluate" else processor
     try:
-        fields = fields_of(_decisions(task, stream, pixels), engine)
+        fields = fields_of(_decisions(task, processor, pixels), engine)
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed(task, _error_line(error, task))
     counts = {"events": processor.counts.received, "late": processor.counts.dropped_late}
@@ -150,7 +148,7 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
     return processor, engine, pixels
 
 
-def _decisions(task: Task, processor: Processor | FiringProcessor, pixels: PixelSelector) -> Iterator[Decision]:
+def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Iterator[Decision]:
     """All decisions of one recording, as they are made.
 
     Raises
