@@ -25,7 +25,6 @@ from async_tnt.networks.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.sources.labelled_recordings import LabelledRecording, file_of, find_recordings
-from async_tnt.views.figure_style import check_picture, save, styled
 
 SHOWN = 10  # classes that an error names
 
@@ -42,7 +41,6 @@ boxes x, y, w, h) or Prophesee's NAME_bbox.npy. It is asked at the end of a wind
 earlier; an object is found by its class within its box, or within 5 pixels of a point.
 
   async-tnt evaluate gestures.safetensors held_out
-  async-tnt evaluate gestures.safetensors held_out --picture confusion.png
   async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
   async-tnt evaluate digits N-MNIST --workers 4 --out results.jsonl    keep each recording's result; resumable
   async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.jsonl    on many machines
@@ -61,20 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
-    parser.add_argument(
-        "--picture",
-        type=Path,
-        metavar="FILE",
-        help="draw the confusion matrix (.png, .svg, .pdf)",
-    )
     add_pixels(parser)
     add_archive(parser, needs_out=False)
     parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
 
 
 def main(args: argparse.Namespace) -> int:
-    if args.picture is not None:
-        check_picture(args.picture)
     run = how_to_run(args)
     model = model_of(args)
     if model.places is not None:
@@ -109,18 +99,7 @@ def main(args: argparse.Namespace) -> int:
     report = report_of(model, good, [label_of[record["recording"]] for record in good], skipped)
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
-    if args.picture is not None:
-        from async_tnt.views.figure_confusion import draw_confusion
-
-        title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
-        with styled():
-            save(draw_confusion(np.array(report["confusion"]), model.classes, title), args.picture)
-    if args.json:
-        say(json.dumps(report))
-    else:
-        say(*lines_of(report))
-        if args.picture is not None:
-            say(f"wrote {args.picture}")
+    say(*([json.dumps(report)] if args.json else lines_of(report)))
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
     for line in skipped:

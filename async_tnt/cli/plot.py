@@ -33,7 +33,7 @@ volume: a network only knows the kind of volume that it was trained on.
   async-tnt plot 8 --window 2 --out eight.svg            the second window of the bundled 8
   async-tnt plot my.npz --volume landmark=line,remove_flow=yes,t_max=2
 
-async-tnt train and async-tnt evaluate draw confusion matrices, and train what motion re-synthesis makes of a window.
+async-tnt train draws what motion re-synthesis makes of a window.
 """
 
 

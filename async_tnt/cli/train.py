@@ -14,7 +14,7 @@ from async_tnt.checks import needs_extra
 from async_tnt.cli.options import command_words, of_windows, size_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
-from async_tnt.cli.train_figures import CONFUSION, draw_motions, draw_pictures, draw_scores
+from async_tnt.cli.train_figures import draw_motions, draw_pictures
 from async_tnt.cli.train_options import add_arguments, check_everywhere
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
@@ -51,7 +51,7 @@ def main(args: argparse.Namespace) -> int:
 
     run_folder = args.out.parent / "runs" / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
-    beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, CURVES, CONFUSION)]
+    beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, CURVES)]
     check_ours(beside, ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
     if run_folder.is_dir() and not has_checkpoint(run_folder):
@@ -131,10 +131,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     written = save()  # before Test, which may take long; once more with its accuracy
     if plot_curves(fitted.history, args.out.with_suffix(CURVES)):
         written.append(args.out.with_suffix(CURVES))
-        if fitted.scores is not None:
-            written.append(draw_scores(args.out, fitted.scores))
     else:
-        note("no pictures: matplotlib is not installed (pip install 'async_tnt[plot]')")
+        note("no picture of curves: matplotlib is not installed (pip install 'async_tnt[plot]')")
     if data.tests:
         note("evaluating on Test")
         fitted = fitted.tested(data)

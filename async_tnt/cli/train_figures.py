@@ -11,12 +11,8 @@ from async_tnt.cli.output import note
 from async_tnt.views.figure_style import save, styled
 
 if TYPE_CHECKING:
-    from async_tnt.evaluation.scores import Scores
     from async_tnt.training.data import TrainingData
     from async_tnt.training.moved_windows import Motions
-
-CONFUSION = ".confusion.png"
-"""What is written beside the model."""
 
 
 def draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
@@ -47,14 +43,3 @@ def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> N
     with styled():
         save(draw_recorded_pictures(example_recordings(found, settings, args.seed), data.config.sensor), path)
     note(f"some recordings of pictures: {path}")
-
-
-def draw_scores(out: Path, scores: Scores) -> Path:
-    """Draw the confusion of the held-out recordings; returns the picture's path."""
-    from async_tnt.views.figure_confusion import draw_confusion
-
-    title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
-    path = out.with_suffix(CONFUSION)
-    with styled():
-        save(draw_confusion(scores.confusion, scores.classes, title), path)
-    return path

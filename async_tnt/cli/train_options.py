@@ -21,8 +21,8 @@ pictures, which are recorded by simulated cameras in many motions, or of both:
   async-tnt evaluate gestures.safetensors other         # on other recordings
   async-tnt run --model gestures.safetensors camera     # use it
 
-Beside the model it writes gestures.json and, with the extra `plot`, pictures of
-curves and confusions. Stop with Ctrl-C and give the same command again: it
+Beside the model it writes gestures.json and, with the extra `plot`, a picture of
+its curves. Stop with Ctrl-C and give the same command again: it
 resumes from runs/gestures, and on the same machine ends with the same weights.
 """
 

@@ -97,7 +97,7 @@ def test_what_is_wrong_is_said(folder, saved, program):
     write_points(folder / "a_td_objects.csv", [(5, "on", 5, 5)])
     assert "no event in the 1000 us before any time in its table, 5 to 5" in error()
     write_points(folder / "a_td_objects.csv")
-    assert "--picture, --workers cannot be used with it" in error("--workers", "2", "--picture", "a.png")
+    assert "--out, --workers cannot be used with it" in error("--workers", "2", "--out", "a.jsonl")
     np.save(folder / "b.npy", events_of(*np.array(EVENTS).T))
     write_points(folder / "b_objects.csv")
     assert "the file does not state its sensor; give it with --sensor WxH" in error("--strict")

@@ -167,7 +167,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
         assert main([*words, *(quick if words[0] == "train" else [])]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation
             assert [name for name in json.loads(capsys.readouterr().out) if f"`{name}`" not in REFERENCE] == []
-    for name in ("gestures.json", "gestures.confusion.png", "gestures.curves.png", "confusion.png"):
+    for name in ("gestures.json", "gestures.curves.png"):
         assert name in text and Path(name).is_file(), name
     (program,) = blocks(text, "py")
     capsys.readouterr()

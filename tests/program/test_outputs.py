@@ -55,7 +55,7 @@ WRITERS = {
 SAMPLE = str(sample_recordings()[3])
 COMMANDS = {  # nothing that they would read is there: to name it in an error, work must have begun
     "run.jsonl": ["run", SAMPLE, "--model", "nowhere", "--out", "OUT"],
-    "evaluate.png": ["evaluate", "nowhere", "nowhere", "--picture", "OUT"],
+    "evaluate.jsonl": ["evaluate", "nowhere", "nowhere", "--out", "OUT"],
     "export.onnx": ["export", "nowhere", "--out", "OUT"],
     "mask.npy": ["mask", "nowhere.npy", "--out", "OUT"],
     "plot.svg": ["plot", "nowhere.npy", "--out", "OUT"],

@@ -34,7 +34,7 @@ COMMANDS = {
     "run": "run RECORDING --model MODEL",
     "json": "run RECORDING --model MODEL --json",
     "archive": "run set --model MODEL --out NAME.jsonl",
-    "evaluate": "evaluate MODEL set --picture NAME.png",
+    "evaluate": "evaluate MODEL set --out NAME.jsonl",
     "mask": "mask RECORDING --out NAME.npy",
 }
 

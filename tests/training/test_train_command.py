@@ -32,8 +32,7 @@ def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(
     assert report["summary"]["test"] == test and test["recordings"] == 16
     assert test["per_recording"] >= 0.85  # chance: 0.5; 14 of 16 by luck: 1 in 480
     pytest.importorskip("matplotlib", reason="pictures need matplotlib (extra `plot`)")
-    for suffix in (".confusion.png", ".curves.png"):
-        assert trained.with_suffix(suffix).read_bytes().startswith(b"\x89PNG")
+    assert trained.with_suffix(".curves.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, train, monkeypatch):
@@ -149,7 +148,7 @@ def test_errors_are_one_line(words, message, is_early, trained, program, tmp_pat
 
 def test_files_of_others_beside_the_model_stay(tmp_path, train):
     for name, content, lacking in (
-        ("m.confusion.png", "a picture", "m.json with "),
+        ("m.curves.png", "a picture", "m.json with "),
         ("m.json", '{"history": [], "summary": {}}', 'm.json with "held_out", "summary", "history"'),
         ("runs/m/history.json", "[]", 'history.json with "settings", "history"'),
     ):
