@@ -94,7 +94,7 @@ def run_archive(args: argparse.Namespace) -> int:
     """`async-tnt run --out`: the decisions of all recordings, into a file, and a summary."""
     run = how_to_run(args)
     _check_run(args)
-    engine = choose_engine(args.model, args.engine)
+    engine = choose_engine(args.model)
     check_of_windows(engine.finds_objects, args.model)
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}

@@ -25,7 +25,7 @@ from async_tnt.cli.packets import add_latest, check_latest, follow, open_selecte
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
-from async_tnt.networks.engines import ENGINES, Engine, choose_engine
+from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selection import PixelSelector
@@ -48,10 +48,9 @@ the class of the highest mean probability over its closed windows.
   async-tnt run --json | jq .label           one JSON object a line for each decision
   async-tnt run archive --out r.jsonl --workers 4    all recordings under a folder, resumable (docs/guide.md)
   async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
-  async-tnt run --engine onnx                the same network run by onnxruntime (extra `onnx`), or torch
-  async-tnt run --model digits.onnx          a file written by `async-tnt export`, run by onnxruntime
+  async-tnt run --model digits.onnx          a file of `async-tnt export`, run by onnxruntime (extra `onnx`)
 
-Engines differ in the last digits of the probabilities and in latency, not in windows or counted events.
+An .onnx file differs in the last digits of the probabilities and in latency, not in windows or counted events.
 """
 
 
@@ -71,11 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="accept",
         help="what to do with an event older than the newest one (default: %(default)s)",
     )
-    parser.add_argument(
-        "--engine",
-        choices=ENGINES,
-        help="what runs the model's networks (default: compiled; always onnx for an .onnx file)",
-    )
     add_pixels(parser)
     add_latest(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
@@ -89,7 +83,7 @@ def main(args: argparse.Namespace) -> int:
         return run_archive(args)
     check_no_archive(args)
     check_latest(args)
-    engine = choose_engine(args.model, args.engine, sensor_to_read(args))
+    engine = choose_engine(args.model, sensor_to_read(args))
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     processor = Processor(engine.model, classes=engine.classes, **engine.networks, **settings)

@@ -73,7 +73,7 @@ def main(args: argparse.Namespace) -> int:
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
-    engine = choose_engine(args.model, map_sensor=sensor_to_read(args))
+    engine = choose_engine(args.model, sensor_to_read(args))
     pixels = selector_of(args, engine.model)
     opened = None if live else open_selected(path, pixels)
     speed = args.speed or (1.0 if args.out is None else math.inf)

@@ -27,7 +27,7 @@ class Job:
     ----------
     kind : "evaluate" or "run".
     model : a bundled name, or an absolute path.
-    engine : as for `choose_engine`.
+    engine : its name, see `choose_engine`.
     settings : arguments of `Processor`.
     model_sha256 : of the model's content, without its training record.
     version : of this package.

@@ -135,7 +135,7 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
             raise ValueError(
                 f"a worker has async_tnt {__version__}, but this program is {job.version}: install the same"
             )
-        engine = choose_engine(job.model, job.engine)
+        engine = choose_engine(job.model)
         if sha256_of(engine, job.model) != job.model_sha256:
             raise ValueError(
                 f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"

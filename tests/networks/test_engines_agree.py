@@ -10,11 +10,10 @@ from made import random_events, random_regressor_model
 from networks.cases import NETWORKS
 from networks.foreign import network
 
-from async_tnt import CompiledClassifier, load_model
+from async_tnt import CompiledClassifier, CompiledRegressor, Processor, load_model
 from async_tnt.networks import OnnxClassifier, TorchClassifier, to_onnx
-from async_tnt.networks.engines import choose_engine
-from async_tnt.networks.torch_modules import torch_classifier
-from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.networks.torch_modules import landmark_function, torch_classifier
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SAMPLES = [str(sample_recordings()[digit]) for digit in (3, 7)]
 
@@ -38,7 +37,7 @@ def test_logits_are_the_same(tested):
     assert volume.array.any()
 
 
-# -- by name: `choose_engine` and `async-tnt run` ----------------------------------------------------------------
+# -- `async-tnt run` of .onnx files ----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -56,21 +55,26 @@ def decisions(program, *words):
     return [row | {"latency_us": None, "probability": None} for row in rows]
 
 
-def test_every_engine_decides_the_same(program, exported, tmp_path):
-    """Also with a landmark network, which is always the compiled one."""
-    with_landmark = random_regressor_model(seed=2).save(tmp_path / "m.safetensors")
-    for model, of, engine in (
-        ("digits", "digits", "onnx"),
-        ("digits", "digits", "torch"),
-        (exported, "digits", "onnx"),
-        (with_landmark, with_landmark, "onnx"),
-        (with_landmark, with_landmark, "torch"),
-    ):
-        expected = decisions(program, "--model", of)
-        found = decisions(program, "--model", model, "--engine", engine)
-        assert len(expected) > 20
-        for ours, theirs in zip(found, expected, strict=True):
-            assert ours == theirs | {"probabilities": pytest.approx(theirs["probabilities"], abs=1e-3)}
+def test_an_exported_network_decides_the_same(program, exported):
+    expected, found = decisions(program), decisions(program, "--model", exported)
+    assert len(expected) > 20
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours == theirs | {"probabilities": pytest.approx(theirs["probabilities"], abs=1e-3)}
+
+
+@pytest.mark.parametrize("engine", ["onnx", "torch"])
+def test_other_engines_decide_the_same_with_a_landmark_network(engine):
+    model = random_regressor_model(seed=2)
+    classifier = OnnxClassifier(to_onnx(model)) if engine == "onnx" else TorchClassifier(torch_classifier(model))
+    regressor = CompiledRegressor(model) if engine == "onnx" else landmark_function(model)
+    ours = Processor(model, every_us=20_000)
+    other = Processor(model, classifier=classifier, regressor=regressor, every_us=20_000)
+    events = open_recording(SAMPLES[0]).read()
+    pairs = list(zip(ours.push(events) + ours.finish(), other.push(events) + other.finish(), strict=True))
+    assert len(pairs) > 10
+    for one, same in pairs:
+        assert (one.time_us, one.events, one.label) == (same.time_us, same.events, same.label)
+        np.testing.assert_allclose(one.probabilities, same.probabilities, atol=1e-3)
 
 
 def assert_one_line(program, message, *words, command="run"):
@@ -84,27 +88,21 @@ def test_files_that_do_not_belong_here_give_one_line(program, exported, tmp_path
     no_config = f"{foreign}: an ONNX network without a configuration of this package, "
     assert_one_line(program, no_config, "--model", foreign)
     assert_one_line(program, "no file no.onnx", "--model", "no.onnx")
-    assert_one_line(program, f"{m}: an .onnx file runs with engine onnx, not torch", "--model", m, "--engine", "torch")
     assert_one_line(program, f"{m}: an .onnx file can only be run", "--model", m, command="check")
-    with pytest.raises(ValueError, match="`engine` must be one of compiled, onnx, torch, got 'steam'"):
-        choose_engine("digits", "steam")
 
 
 @pytest.mark.parametrize(
-    "missing, engine, message",
+    "missing, words, message",
     [
-        ("onnxruntime", "onnx", "ONNX networks are run by onnxruntime"),
-        ("onnx", "onnx", "ONNX networks are written by onnx and run by onnxruntime"),
-        ("torch", "torch", "engine torch runs the reference network, which needs torch"),
+        ("onnxruntime", "run --model EXPORTED", "ONNX networks are run by onnxruntime"),
+        ("onnx", "export digits --out new.onnx", "ONNX networks are written by onnx and run by onnxruntime"),
     ],
 )
-def test_missing_packages_give_one_line(missing, engine, message, monkeypatch, program, exported):
-    for name in list(sys.modules):
-        if name.startswith(("async_tnt.training", "async_tnt.checking.reference")):
-            monkeypatch.delitem(sys.modules, name)
+def test_missing_packages_give_one_line(missing, words, message, monkeypatch, program, exported, tmp_path):
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, missing, None)
-    code, out, error = program("run", SAMPLES[0], "--engine", engine)
+    code, out, error = program(*words.replace("EXPORTED", str(exported)).split())
     assert (code, out) == (2, "")
-    assert re.fullmatch(rf"async-tnt: {message}: pip install 'async_tnt\[\w+\]' \(.*\)\n", error)
+    assert re.fullmatch(rf"async-tnt: {message}: pip install 'async_tnt\[onnx\]' \(.*\)\n", error)
     if missing == "onnx":  # which writes; onnxruntime runs
         assert program("run", SAMPLES[0], "--model", exported)[0] == 0
