@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from async_tnt.networks.conversion_check import expect_form
 from async_tnt.networks.onnx_layers import Node, OnnxLayers
-
-if TYPE_CHECKING:
-    pass
 
 
 def _window(node: Node, kernel: Sequence[int]) -> dict[str, list[int]]:
