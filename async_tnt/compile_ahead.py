@@ -21,9 +21,7 @@ from async_tnt.triggers import TriggerSettings
 
 CHILD_S = 120.0  # a second process that takes longer is not waited for
 
-EVENTS = {"check_columns", "empty_volume", "absorb_one", "schedule"} | {
-    name + ending for name in ("load_records", "absorb") for ending in ("", "_without_gil")
-}
+EVENTS = {"load_records", "check_columns", "empty_volume", "absorb", "absorb_without_gil", "absorb_one", "schedule"}
 LATE = {"find_late"}
 REPLAY = {"store_events", "cells_to_float32"}
 CLASSIFIER = {"classify_cells"}

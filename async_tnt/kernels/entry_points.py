@@ -10,15 +10,7 @@ from .forward import forward
 from .heatmap import centroid
 from .objects import locate_cells, locate_on_map, score_map
 from .readout import cells_to_float32, empty_volume
-from .records import (
-    CHECK_TYPES,
-    COLUMN_TYPES,
-    LOAD_TYPES,
-    check_columns,
-    find_late,
-    load_records,
-    load_records_without_gil,
-)
+from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
 from .sync_input import set_input
 from .trigger import advance_triggers, schedule, why_due
 
@@ -33,7 +25,6 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     kernel.__name__: (kernel, arguments)
     for kernel, arguments in (
         (load_records, LOAD_TYPES),
-        (load_records_without_gil, LOAD_TYPES),
         (check_columns, CHECK_TYPES),
         (find_late, (int64[::1], int64, boolean[::1])),
         (empty_volume, (_STATE, _ARRAY, int64, int64, int64)),

@@ -97,7 +97,6 @@ def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, 
     with (
         mock.patch("async_tnt.processor.STRETCH", large),
         mock.patch("async_tnt.volume.LARGE", large),
-        mock.patch("async_tnt.events.LARGE", large),
     ):
         check(events, way, windows, triggers, steps)
 
