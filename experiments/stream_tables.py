@@ -128,3 +128,46 @@ def memory() -> str:
         f"by {found['grown_mb']:.1f} MB since the first million. `experiments/memory.py` exits with 1 above "
         f"{found['limit_mb']:g} MB."
     )
+
+
+def map_times() -> str:
+    """Medians and 99th percentiles of `map_times`."""
+    models = results("map_times")["models"]
+    cases = {
+        "one event": "one more event",
+        "1,000 events": "1,000 more",
+        "new window": "the first event of a window",
+        "dense": "the whole map",
+        "onnxruntime_run": "onnxruntime, the whole map",
+    }
+    rows = [
+        [f"{name}, {sensor}", *(f"{short(of[case]['median'])} ({short(of[case]['p99'])})" for case in cases)]
+        for name, row in models.items()
+        for sensor, of in row["times_us"].items()
+    ]
+    return table(["microseconds", *cases.values()], rows)
+
+
+def map_load() -> str:
+    """Processor time by the stream's time."""
+    models = results("map_times")["models"]
+    numbers = next(iter(models.values()))["load"]
+    rows = [[name, *(f"{row['load'][n]:.2f}" for n in numbers)] for name, row in models.items()]
+    return table(["", *(f"{n} objects" if n != "1" else "one object" for n in numbers)], rows)
+
+
+def map_machine() -> str:
+    return about_machine(results("map_times"))
+
+
+def threads() -> str:
+    """Two streams at once, by one after the other."""
+    found = results("threads")
+    words = {"volume": "`TNTVolume`", "windows": "`Processor`", "every_us": "`Processor`, a decision every millisecond"}
+    head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
+    rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
+    return table(head, rows)
+
+
+def threads_machine() -> str:
+    return about_machine(results("threads"))

@@ -94,6 +94,10 @@ def test_statements_of_the_results_page_hold():
         *(scenes[k]["end"] for k in ("eight", "close", "overlapping")),
     ]
     assert [round(share, 3) for share in f1] == [0.983, 0.973, 0.984, 0.982, 0.963] and scenes["noise"] == 0
+    finder = tables.results("map_times")["models"]["digits-everywhere"]
+    us = {case: of["median"] for case, of in finder["times_us"]["640x480"].items()}
+    assert [round(us[case], -2) for case in ("1,000 events", "dense", "onnxruntime_run")] == [1400, 59_100, 51_000]
+    assert round(us["one event"]) == 196 and [round(of, 2) for of in finder["load"].values()] == [0.59, 1.15, 1.24]
     intervals = {(d["row"], d["against"], d["column"]): d for d in tables.results("table")["differences"]}
     for row in ("running-unsigned-translated", "line-unsigned-translated"):
         of = intervals[row, "raw-unsigned-translated", "1/others"]
