@@ -1,5 +1,6 @@
 """Recordings, ways to run many tasks, and a Dask cluster."""
 
+import importlib
 from functools import partial
 
 import pytest
@@ -22,9 +23,10 @@ def samples(tmp_path_factory):
 
 
 def dask_cluster(n_workers):
-    """Workers of one thread each, which are replaced when they end."""
+    """Workers of one thread each, which are replaced when they end; a task that has ended one is given up."""
     distributed = pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
-    return distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0")
+    with importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0}):
+        return distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0")
 
 
 @pytest.fixture(scope="module")
