@@ -168,3 +168,10 @@ def everywhere() -> str:
     }
     rows = [[words, f"{found[kind]['end']:.3f}", f"{found[kind]['early']:.3f}"] for kind, words in kinds.items()]
     return table(["digits", "F1 at the end", "30 ms after the last start"], rows)
+
+
+def car_scenes() -> str:
+    """F1 of a map model of N-CARS on scenes of its test part."""
+    (found,) = results("car_scenes")["models"]
+    row = [f"{found['cars'][moment]:.3f}" for moment in ("end", "early")] + [f"{found['noise']:.2f}"]
+    return table(["F1 of cars at the end", "30 ms after the last start", "objects in noise, a window"], [row])

@@ -16,8 +16,8 @@ may cover each other by up to a third; in `overlapping` each is 16 to 24 from an
 
 F1 at 105 ms after the first object's start, and after 30 ms of the *last* one; objects in noise alone, a window.
 
-With --cars: two recordings of N-CARS' test part on 304x240 pixels, each as likely a car as background, which only a
-car is to be found in: within 15 pixels of its middle.
+With --cars: two recordings of N-CARS' test part on 304x240 pixels, where cars are to be found, within 15 pixels of
+their middles, and background is not.
 """
 
 from __future__ import annotations
@@ -178,22 +178,22 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     parser.add_argument("--cars", type=Path, metavar="FOLDER", help="N-CARS: test on scenes of its test part")
     parser.add_argument("--part", default="Test", metavar="NAME", help="Test or Train (default: Test)")
-    parser.add_argument(
-        "--scenes",
-        type=int,
-        default=330,
-        metavar="N",
-        help="of each kind (default: 330; of other numbers of objects as many objects)",
-    )
+    help_scenes = "of three objects each; of other kinds as many objects (default: 330)"
+    parser.add_argument("--scenes", type=int, default=330, metavar="N", help=help_scenes)
     args: argparse.Namespace = parser.parse_args(argv)
     if bool(args.models) == bool(args.write):
         parser.error("give models to test, or --write FOLDER")
-    nmnist = args.cars or data_folder(args.nmnist, "nmnist", "--nmnist")
-    if args.write:
-        write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
-        return 0
-    part, kinds = (args.cars / "n-cars_test", CARS) if args.cars else (nmnist / args.part, DIGITS)
+    if args.cars:
+        part, kinds = args.cars / "n-cars_test", CARS
+    else:
+        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+        part, kinds = nmnist / args.part, DIGITS
+        if args.write:
+            write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
+            return 0
     files = sorted(path for path in part.glob("*/*") if path.suffix in (".bin", ".dat"))
+    if not files:
+        parser.error(f"{part} has no recordings CLASS/NAME.bin or .dat")
     n = 10 if args.quick else args.scenes
     rows = []
     with progress(len(args.models) * (len(kinds) + 1), "scenes") as bar:

@@ -94,6 +94,7 @@ def test_statements_of_the_results_page_hold():
         *(scenes[k]["end"] for k in ("eight", "close", "overlapping")),
     ]
     assert [round(share, 3) for share in f1] == [0.983, 0.973, 0.984, 0.982, 0.963] and scenes["noise"] == 0
+    assert round(tables.results("car_scenes")["models"][0]["cars"]["end"], 3) == 0.707
     finder = tables.results("map_times")["models"]["digits-everywhere"]
     us = {case: of["median"] for case, of in finder["times_us"]["640x480"].items()}
     assert [round(us[case], -2) for case in ("1,000 events", "dense", "onnxruntime_run")] == [1400, 59_100, 51_000]
