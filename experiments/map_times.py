@@ -40,12 +40,15 @@ SPEED_SENSOR, RATE, EVERY_US = (320, 240), 1_000_000, 1_000
 
 
 def four(channels: int) -> nn.Module:
-    """Four convolutions, a place for 8x8 pixels."""
+    """Four convolutions, a place for 8x8 pixels; nothing is likely, as few objects are there to be found."""
     widths, strides = (channels, 16, 32, 32, 48), (2, 2, 2, 1)
     layers: list[nn.Module] = []
     for k, stride in enumerate(strides):
         layers += [nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1), nn.ReLU()]
-    return nn.Sequential(*layers, nn.Conv2d(widths[-1], 11, 1))
+    last = nn.Conv2d(widths[-1], 11, 1)
+    assert last.bias is not None
+    nn.init.ones_(last.bias[-1:])
+    return nn.Sequential(*layers, last)
 
 
 def models() -> dict[str, Model]:
