@@ -172,7 +172,7 @@ def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("everywhere", __doc__, "ten scenes")
-    parser.add_argument("models", nargs="*", metavar="MODEL", help="map models of ten digits")
+    parser.add_argument("models", nargs="*", metavar="MODEL", help="map models of ten digits, or of cars")
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="make the data of the bundled model there")
     add_folder(parser, "--nmnist", "with Train and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")

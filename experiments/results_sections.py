@@ -11,7 +11,6 @@ from experiments import decision_tables as decisions
 from experiments import stream_tables as streams
 from experiments import thesis_tables as thesis
 from experiments.results_texts import (
-    CAR_SCENES,
     CARS,
     DEFAULT,
     EVERYWHERE,
@@ -243,7 +242,7 @@ SECTIONS = (
         "experiments.everywhere digits-everywhere --json experiments/results/everywhere.json",
         {
             datasets.everywhere: "Real digits in scenes",
-            datasets.car_scenes: CAR_SCENES,
+            datasets.car_scenes: "Cars",
             streams.map_times: "From events to objects, `push` and `fire`, beside the whole map, after three digits, "
             "medians and 99th percentiles: `python -m experiments.map_times --json experiments/results/map_times.json`",
             streams.map_load: "A million events and 1,000 decisions a second on 320x240: processor time by the "

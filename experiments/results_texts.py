@@ -98,14 +98,12 @@ images (`python -m experiments.everywhere --write FOLDER`), on scenes of the 1,0
 50 ms apart, with noise of .3 Hz a pixel: an object is found by its class within 5 pixels of its middle. Networks and
 training were chosen by scenes of held-out recordings of Train; Test was read twice, by the model bundled before, too,
 whose peaks were compared two places far (.988, .973, .931 where all overlap, .985), and by this one. In noise alone
-nothing was found in 330 windows."""
+nothing was found in 330 windows.
 
-CAR_SCENES = (
-    "Two of N-CARS' test recordings, cars or background, on 304x240: `async-tnt train n-cars_train --sensor 120x100 "
-    "--grid 60x50 --everywhere --mirror --epochs 15`, then `python -m experiments.everywhere MODEL --cars N-CARS`. "
-    "Cars are told from other things that move, and found where they stand; on a street, where all of the "
-    "background moves, this was not tried. For Prophesee's automotive sets: `async-tnt evaluate MODEL FOLDER`"
-)
+*Cars*: two of N-CARS' test recordings, cars or background, on 304x240. The network: `async-tnt train n-cars_train
+--sensor 120x100 --grid 60x50 --everywhere --mirror --epochs 15`; the test: `python -m experiments.everywhere MODEL
+--cars N-CARS`. Cars are told from other things that move, and found where they stand; on a street, where all of the
+background moves, this was not tried. For Prophesee's automotive sets: `async-tnt evaluate MODEL FOLDER`."""
 
 FROM_PICTURES = """\
 One command each, no event recorded: `async-tnt train PICTURES` and its options. N-MNIST: MNIST's 60,000 training

@@ -1,8 +1,8 @@
 """Two streams in two threads of one process: how much faster than one after the other.
 
-    python -m experiments.threads [MODEL] [--quick] [--json FILE]
+    python -m experiments.threads [--quick] [--json FILE]
 
-Each thread has its own volume or Processor and its own packets of random events on the model's sensor, a million a
+Each thread has its own volume or Processor and its own packets of random events on the sensor of `digits`, a million a
 second. By the wall clock, both ways interleaved, so that only a quiet machine tells. Packets of 400,000 events need
 Python's lock once in milliseconds: what two cores reach there is the machine's limit.
 """
@@ -20,6 +20,7 @@ from async_tnt import EVENT_DTYPE, Processor, TNTVolume, load_model
 from experiments.bench_timing import interleave, machine, spread
 from experiments.script_options import exit_with, run_script, script_parser
 
+MODEL = "digits"
 PACKETS = 100, 1_000, 10_000, 400_000
 N_EVENTS, PASSES, ROUNDS = 400_000, 10, 15
 Work = Callable[[], object]
@@ -79,11 +80,11 @@ def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
     return spread(measured["False"] / measured["True"])
 
 
-def measure(name: str, quick: bool) -> dict[str, Any]:
+def measure(quick: bool) -> dict[str, Any]:
     """The whole report."""
-    model = load_model(name)
+    model = load_model(MODEL)
     n, rounds = (20_000, 2) if quick else (N_EVENTS, ROUNDS)
-    report: dict[str, Any] = {"model": name, "machine": machine()}
+    report: dict[str, Any] = {"model": MODEL, "machine": machine()}
     for packet in PACKETS:
         one, other = (works(model, events_of(model.config.sensor, n, seed), packet) for seed in (0, 1))
         for case in one:
@@ -100,8 +101,7 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
 
 def main(argv: list[str] | None = None) -> int:
     parser = script_parser("threads", __doc__, "few events")
-    parser.add_argument("model", nargs="?", default="digits", metavar="MODEL", help="(default: digits)")
-    return run_script(parser, argv, lambda quick: measure(parser.parse_args(argv).model, quick), lines)
+    return run_script(parser, argv, measure, lines)
 
 
 if __name__ == "__main__":
