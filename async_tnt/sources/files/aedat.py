@@ -55,6 +55,8 @@ PERIOD_US = 1 << 32
 class Aedat2Source(Source):
     """The pixels' events of an AEDAT 2.0 file."""
 
+    format = "AEDAT 2.0"
+
     def __init__(self, path: Path) -> None:
         self.path = path
         camera, self._start = _read_header(path, rb"#\s*AEChip:\s*(\S+)", None)
@@ -93,6 +95,8 @@ class Aedat2Source(Source):
 
 class Aedat3Source(Source):
     """The pixels' events of an AEDAT 3.1 file, of all its sources."""
+
+    format = "AEDAT 3.1"
 
     def __init__(self, path: Path) -> None:
         self.path = path

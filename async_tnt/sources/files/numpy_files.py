@@ -90,6 +90,8 @@ def map_npy(path: str | os.PathLike[str]) -> np.memmap:
 class NpySource(Source):
     """The events of a `.npy` file, which does not state the sensor."""
 
+    format = "NumPy array"
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self._n_events = len(_columns(map_npy(path))[0])
@@ -128,7 +130,7 @@ def open_npz(path: Path) -> Source:
             raise CorruptData(problem)
     except Exception as error:  # a damaged archive raises exceptions of any type
         raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
-    return ArraySource(events, sensor)
+    return ArraySource(events, sensor, "NumPy archive")
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:

@@ -126,6 +126,7 @@ class EvtSource(Source):
             )
         self.path = path
         self.sensor = header.sensor
+        self.format = f"EVT {version}"
         self._version = version
         self._start = header.length
         self._t0_us = header.t0_us
@@ -173,6 +174,8 @@ class EvtSource(Source):
 
 class DatSource(Source):
     """The events of a DAT file."""
+
+    format = "DAT"
 
     def __init__(self, path: Path) -> None:
         header = Header(path)

@@ -27,6 +27,7 @@ from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
 from async_tnt.sources.sensor import Sensor, checked_sensor
 
+NMNIST = "N-MNIST"
 BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
     b"\x89HDF\r\n\x1a\n": open_hdf5,
     b"#!AER-DAT4": open_aedat4,
@@ -57,7 +58,7 @@ def _open_by_content(path: Path) -> Source:
 
 
 READERS: dict[str, Callable[[Path], Source]] = {
-    ".bin": lambda path: ArraySource(read_nmnist(path), NMNIST_SENSOR),
+    ".bin": lambda path: ArraySource(read_nmnist(path), NMNIST_SENSOR, NMNIST),
     ".npy": open_npy,
     ".npz": open_npz,
     ".txt": open_txt,
@@ -89,7 +90,7 @@ class Recording:
 
     Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` and `.npz`
     are read block by block, so that memory does not grow with the file.
-    `n_events`, `duration_us` and `len` take a pass over the file, unless one was made before.
+    `n_events`, `earliest_us`, `duration_us` and `len` take a pass over the file, unless one was made before.
 
     Parameters
     ----------
@@ -99,6 +100,7 @@ class Recording:
     Attributes
     ----------
     stated_sensor : (width, height) as the file or its format states it; `sensor` may come from the caller.
+    format : the name of the file's format.
     """
 
     def __init__(
@@ -117,6 +119,7 @@ class Recording:
         self.packet_events = packet_events
         self.strict = strict
         self.stated_sensor = source.sensor
+        self.format = source.format
         self._source = source
         self._totals: _Totals | None = None
         self._has_warned = False
@@ -125,6 +128,11 @@ class Recording:
     def n_events(self) -> int:
         """Events in the recording, up to the damage if there is any."""
         return self._counted().n_events
+
+    @property
+    def earliest_us(self) -> int:
+        """Time of the earliest event, in microseconds; 0 without events."""
+        return self._counted().earliest_us
 
     @property
     def duration_us(self) -> int:
@@ -253,7 +261,7 @@ def open_recording(
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
     if suffix == ".bin" and sensor not in (None, NMNIST_SENSOR):
-        source: Source = ArraySource(read_nmnist(path, sensor=None), None)
+        source: Source = ArraySource(read_nmnist(path, sensor=None), None, NMNIST)
     else:
         source = READERS[suffix](path)
     return Recording(path, source, source.sensor or sensor, packet_events, strict=strict, between_us=between_us)

@@ -32,9 +32,11 @@ class Source(ABC):
     Attributes
     ----------
     sensor : (width, height) in pixels, or None where the file does not state it.
+    format : the name of the file's format.
     """
 
     sensor: Sensor | None = None
+    format: str = ""
 
     @abstractmethod
     def blocks(self) -> Iterator[np.ndarray]:
@@ -50,9 +52,10 @@ class Source(ABC):
 class ArraySource(Source):
     """Events that are in memory already."""
 
-    def __init__(self, events: np.ndarray, sensor: Sensor | None) -> None:
+    def __init__(self, events: np.ndarray, sensor: Sensor | None, format: str) -> None:
         self.events = events
         self.sensor = sensor
+        self.format = format
 
     def blocks(self) -> Iterator[np.ndarray]:
         for start in range(0, len(self.events), BLOCK_EVENTS):

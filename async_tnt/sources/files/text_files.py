@@ -53,6 +53,8 @@ class TextSource(Source):
     expected : what a row looks like, for messages.
     """
 
+    format = "rows of text"
+
     path: Path
     start: int
     line: int

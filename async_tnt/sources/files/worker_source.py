@@ -39,6 +39,7 @@ class WorkerSource(Source):
     def __init__(self, path: Path, read: library_readers.Reader, format: str) -> None:
         self.path = path
         self._read = read
+        self.format = format
         path.open("rb").close()  # raises the OSError of a missing file
         with _worker() as worker:
             worker.submit(library_readers.sensor_of, read, self._absolute, limit_s=READ_S)

@@ -1,0 +1,179 @@
+"""async-tnt info: what recordings, folders and models hold."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from async_tnt.cli.options import size_of
+from async_tnt.cli.output import complain, say
+from async_tnt.networks.loading import bundled_models, load_model
+from async_tnt.networks.model import Model
+from async_tnt.progress import progress
+from async_tnt.sources.files.recording import READERS
+from async_tnt.sources.labelled_recordings import recordings_under
+from async_tnt.sources.recording_summary import RecordingSummary, summarize
+from async_tnt.sources.sensor import Sensor, format_size
+
+DESCRIPTION = """Say what recordings, folders of recordings and models hold.
+
+  async-tnt info desk.aedat4             format, sensor, times, rates, ON share, unsorted events, hot pixels
+  async-tnt info gestures                a folder: its classes, and each recording in a line
+  async-tnt info digits mine.safetensors classes, volume, network and training record of models
+  async-tnt info a.npy --sensor 346x260  where the file does not state the sensor: with hot pixels, too
+
+Times are those of the file, in microseconds. The bars show events a second over the recording, from its earliest
+event to its latest; where something moves, they are high. Exit code 2 if something cannot be read; the rest is shown.
+"""
+BARS = " ▁▂▃▄▅▆▇█"
+N_PARTS, N_HOT = 60, 5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "what",
+        nargs="+",
+        metavar="WHAT",
+        help=f"recordings ({', '.join(sorted(READERS))}), folders, .safetensors files or bundled models "
+        f"({', '.join(bundled_models())})",
+    )
+    parser.add_argument(
+        "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where a recording does not state them"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object for each, a line each")
+
+
+def main(args: argparse.Namespace) -> int:
+    failed = False
+    for name in args.what:
+        try:
+            report, lines = _described(name, args.sensor)
+        except (OSError, ValueError, ImportError) as error:
+            if len(args.what) == 1:
+                raise
+            complain(error)
+            failed = True
+            continue
+        say(json.dumps(report)) if args.json else say(*lines)
+    return 2 if failed else 0
+
+
+def _described(name: str, sensor: Sensor | None) -> tuple[dict[str, Any], list[str]]:
+    """A report for programs, and its lines for people."""
+    path = Path(name)
+    if path.suffix.lower() == ".safetensors" or (name in bundled_models() and not path.exists()):
+        model = load_model(name)
+        return {"model": name, **_of_model(model)}, list(_model_lines(name, model))
+    if path.is_dir():
+        return _of_folder(path, sensor)
+    found = summarize(path, sensor)
+    return _of_recording(found), list(_recording_lines(found))
+
+
+def _of_recording(found: RecordingSummary) -> dict[str, Any]:
+    return {
+        "recording": str(found.path),
+        "format": found.format,
+        "bytes": found.n_bytes,
+        "sensor": found.sensor,
+        "sensor_stated": found.states_sensor,
+        "extent": found.extent,
+        "events": found.n_events,
+        "on": found.n_on,
+        "unsorted": found.n_unsorted,
+        "first_us": found.first_us,
+        "last_us": found.last_us,
+        "events_a_second": [round(rate) for rate in found.rates(N_PARTS)] if found.n_events else [],
+        "hot_pixels": [{"x": x, "y": y, "events": n} for x, y, n in found.hot],
+    }
+
+
+def _recording_lines(found: RecordingSummary) -> Iterator[str]:
+    yield f"{found.path}: {found.format}, {found.n_bytes / 1e6:,.1f} MB"
+    if not found.n_events:
+        yield "  no events"
+        return
+    seconds = (found.last_us - found.first_us) * 1e-6
+    if found.sensor is None:
+        width, height = found.extent
+        yield f"  sensor     not stated; events reach {width}x{height}; for hot pixels give --sensor WxH"
+    else:
+        yield f"  sensor     {format_size(found.sensor)}{'' if found.states_sensor else ', as given'}"
+    yield f"  time       {found.first_us:,} to {found.last_us:,} us: {seconds:,.3f} s"
+    rate = f", {found.n_events / seconds:,.0f} a second" if seconds else ""
+    yield f"  events     {found.n_events:,}{rate}; {found.n_on / found.n_events:.0%} ON"
+    if found.n_unsorted:
+        yield f"  unsorted   {found.n_unsorted:,} are earlier than the event before them"
+    rates = found.rates(N_PARTS)
+    yield f"  rate       {''.join(_bar(rate / rates.max()) for rate in rates)} up to {rates.max():,.0f} a second"
+    if found.hot:
+        share = sum(n for *_, n in found.hot) / found.n_events
+        shown = ", ".join(f"({x}, {y})" for x, y, _ in found.hot[:N_HOT])
+        more = ", ..." if len(found.hot) > N_HOT else ""
+        yield f"  hot pixels {len(found.hot)} make {share:.1%} of the events: {shown}{more}; see async-tnt mask"
+
+
+def _bar(share: float) -> str:
+    """Of 0 to 1; what is not 0 shows."""
+    return BARS[min(len(BARS) - 1, max(int(share > 0), round(share * (len(BARS) - 1))))]
+
+
+def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], list[str]]:
+    """All recordings below it, and how many each folder has: in a data set, each class."""
+    paths = recordings_under([folder])
+    folders = Counter(str(path.parent.relative_to(folder)) for path in paths)
+    reports, lines, n_events = [], [], 0
+    with progress(len(paths), "reading") as bar:
+        for path in paths:
+            name = f"  {path.relative_to(folder)!s:<32}"
+            try:
+                found = summarize(path, sensor)
+                reports.append(_of_recording(found))
+                size = "-" if found.sensor is None else format_size(found.sensor)
+                seconds = (found.last_us - found.first_us) * 1e-6
+                lines.append(f"{name} {size:>9} {seconds:>11,.3f} s {found.n_events:>12,} events")
+                n_events += found.n_events
+            except (OSError, ValueError, ImportError) as error:
+                reports.append({"recording": str(path), "error": str(error)})
+                lines.append(f"{name} cannot be read: {error}")
+            bar.update()
+    counts = ", ".join(f"{name} {n}" for name, n in folders.items()) if len(folders) > 1 else "no folders in it"
+    head = f"{folder}: {len(paths)} recordings, {n_events:,} events; {counts}"
+    return {"folder": str(folder), "folders": folders, "recordings": reports}, [head, *lines]
+
+
+def _of_model(model: Model) -> dict[str, Any]:
+    return {
+        "classes": model.classes,
+        "config": model.config.to_dict(),
+        "volume": model.config.shape,
+        "layers": {name: [layer["op"] for layer in layers] for name, layers in model.layers.items()},
+        "weights": sum(weights.size for weights in model.weights.values()),
+        "multiplications": model.multiplications,
+        "map": None if model.places is None else model.logits_shape[1:],
+        "record": model.record,
+    }
+
+
+def _model_lines(name: str, model: Model) -> Iterator[str]:
+    config, found = model.config, _of_model(model)
+    yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"
+    grid = f"{format_size(config.sensor)}, grid {format_size(config.grid)}"
+    told = {
+        key: value for key, value in config.to_dict().items() if value and key not in ("sensor", "grid", "window_us")
+    }
+    yield f"  sensor     {grid}, windows of {config.window_us:,} us"
+    yield f"  volume     {'x'.join(map(str, config.shape))}: " + ", ".join(f"{key} {told[key]}" for key in told)
+    layers = "; ".join(f"{part}: {', '.join(ops)}" for part, ops in found["layers"].items())
+    yield f"  network    {layers}"
+    yield f"  cost       {found['weights']:,} weights, {found['multiplications']:,} multiplications a complete window"
+    if model.places is not None:
+        yield f"  decides    objects, at {found['map'][1]}x{found['map'][0]} places of the sensor"
+    for key, value in model.record.items():
+        if isinstance(value, (str, int, float)):
+            yield f"  {key:<10} {value}"
+    yield "  all of its training record: --json"

@@ -1,0 +1,71 @@
+"""async-tnt info: recordings, folders and models, for people and for programs."""
+
+import json
+
+import numpy as np
+import pytest
+from made import random_events
+
+from async_tnt.networks.loading import bundled_models, load_model
+from async_tnt.sources.files.recording import sample_recordings
+
+SAMPLE = sample_recordings()[3]
+
+
+def test_a_recording_in_lines_and_as_json(program):
+    code, text, _ = program("info", SAMPLE)
+    lines = text.splitlines()
+    assert code == 0 and lines[0] == f"{SAMPLE}: N-MNIST, 0.0 MB"
+    assert lines[1:4] == [
+        "  sensor     34x34",
+        "  time       3,075 to 307,110 us: 0.304 s",
+        "  events     4,952, 16,288 a second; 49% ON",
+    ]
+    assert lines[4].startswith("  rate       ▁▁▂▄▅▇▇█") and len(lines) == 5
+    code, text, _ = program("info", SAMPLE, "--json")
+    report = json.loads(text)
+    assert code == 0 and (report["events"], report["first_us"], report["hot_pixels"]) == (4_952, 3_075, [])
+    assert np.mean(report["events_a_second"]) * 0.304036 == pytest.approx(4_952, rel=1e-3)
+
+
+def test_a_sensor_that_is_not_stated_is_asked_for(program, tmp_path):
+    np.save(tmp_path / "a.npy", random_events(100))
+    code, text, _ = program("info", tmp_path / "a.npy")
+    assert code == 0 and "not stated; events reach 34x34; for hot pixels give --sensor WxH" in text
+    code, text, _ = program("info", tmp_path / "a.npy", "--sensor", "64x48")
+    assert code == 0 and "sensor     64x48, as given" in text
+    code, _, err = program("info", tmp_path / "a.npy", "--sensor", "20x20")
+    assert code == 2 and "events reach 34x34, off --sensor 20x20" in err and err.count("\n") == 1
+
+
+def test_a_folder_names_its_classes_and_what_cannot_be_read(program, tmp_path):
+    for name in ("wave/a.npy", "wave/b.npy", "clap/a.npy"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        np.save(tmp_path / name, random_events(100))
+    (tmp_path / "clap" / "damaged.npy").write_bytes(b"no")
+    code, text, _ = program("info", tmp_path)
+    lines = text.splitlines()
+    assert code == 0 and lines[0] == f"{tmp_path}: 4 recordings, 300 events; clap 2, wave 2"
+    assert len(lines) == 5 and "clap/damaged.npy" in lines[2] and "cannot be read: " in lines[2]
+    report = json.loads(program("info", tmp_path, "--json")[1])
+    assert report["folders"] == {"clap": 2, "wave": 2} and "error" in report["recordings"][1]
+    (tmp_path / "empty").mkdir()
+    code, _, err = program("info", tmp_path / "empty")
+    assert code == 2 and "no recordings in this folder" in err
+
+
+@pytest.mark.parametrize("name", bundled_models())
+def test_a_model_says_what_it_decides_and_costs(program, name):
+    code, text, _ = program("info", name)
+    model = load_model(name)
+    assert code == 0 and text.startswith(f"{name}: 10 classes: 0, 1, 2")
+    assert f"{model.multiplications:,} multiplications a complete window" in text
+    assert ("decides    objects" in text) == (model.places is not None)
+    report = json.loads(program("info", name, "--json")[1])
+    assert report["record"] == json.loads(json.dumps(model.record)) and report["volume"] == list(model.config.shape)
+
+
+def test_one_that_cannot_be_read_does_not_keep_the_others_back(program):
+    code, text, err = program("info", "nothing.bin", SAMPLE, "digits")
+    assert code == 2 and err.count("\n") == 1 and "nothing.bin" in err
+    assert text.count("N-MNIST") == 1 and "137,738 weights" in text

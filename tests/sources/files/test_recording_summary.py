@@ -1,0 +1,61 @@
+"""A summary says what all events together say, whatever the format and however long the recording is."""
+
+import numpy as np
+import pytest
+from made import events_of, random_events
+from sources.files.written import FORMATS, SENSOR, made_events, written
+
+from async_tnt.sources.pixel_masks import hot_pixels
+from async_tnt.sources.recording_summary import MOST_PARTS, summarize
+
+
+@pytest.mark.parametrize("name", sorted(FORMATS))
+def test_every_format_is_summarized(tmp_path, name):
+    states_sensor = FORMATS[name].states_sensor
+    sensor = tuple(np.minimum(SENSOR, FORMATS[name].largest).tolist())
+    events = made_events(3_000, sensor=sensor, step_us=40)
+    found = summarize(written(tmp_path / name, events, sensor))
+    assert found.format and found.n_bytes == (tmp_path / name).stat().st_size
+    assert found.sensor == (sensor if states_sensor else None) and found.states_sensor == states_sensor
+    assert (found.n_events, found.n_on, found.n_unsorted) == (3_000, int((events["p"] > 0).sum()), 0)
+    assert (found.first_us, found.last_us) == (events["t"][0], events["t"][-1])
+    assert found.extent == (events["x"].max() + 1, events["y"].max() + 1)
+    assert found.counts.sum() == 3_000
+    length_s = (found.last_us - found.first_us + 1) * 1e-6
+    assert found.rates(60).mean() * length_s == pytest.approx(3_000, rel=0.01)  # the last part is not full
+
+
+def test_a_recording_of_any_length_has_few_parts(tmp_path):
+    """Two hours with a burst in the middle, in packets of 65,536 events."""
+    t = np.sort(
+        np.concatenate([np.linspace(10**12, 10**12 + 7_200_000_000, 150_000), 10**12 + 3.6e9 + np.arange(50_000)])
+    )
+    rng = np.random.default_rng(0)
+    events = events_of(
+        t.astype(np.int64), rng.integers(0, 34, t.size), rng.integers(0, 34, t.size), t.astype(np.int64) % 2
+    )
+    np.save(tmp_path / "long.npy", events)
+    found = summarize(tmp_path / "long.npy", (34, 34))
+    assert MOST_PARTS / 2 < len(found.counts) <= MOST_PARTS and found.counts.sum() == t.size
+    rates = found.rates(60)
+    assert set(np.argsort(rates)[-2:]) <= {29, 30} and np.median(rates) == pytest.approx(150_000 / 7_200, rel=0.1)
+
+
+def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
+    hot = events_of(np.arange(500) * 100, [3] * 500, [4] * 500, [1] * 500)
+    events = np.concatenate([random_events(5_000), hot])
+    np.save(tmp_path / "a.npy", events)
+    found = summarize(tmp_path / "a.npy", (34, 34))
+    assert found.n_unsorted == (np.diff(events["t"]) < 0).sum() == 1
+    counts = np.zeros((34, 34), np.int64)
+    np.add.at(counts, (events["y"], events["x"]), 1)
+    assert found.hot == [(3, 4, counts[4, 3])] and hot_pixels(counts).sum() == 1
+    assert summarize(tmp_path / "a.npy").hot == []
+    with pytest.raises(ValueError, match=r"a\.npy: events reach 34x34, off `sensor` 20x34$"):
+        summarize(tmp_path / "a.npy", (20, 34))
+
+
+def test_a_recording_without_events_is_summarized(tmp_path):
+    np.save(tmp_path / "none.npy", random_events(0))
+    found = summarize(tmp_path / "none.npy", (34, 34))
+    assert (found.n_events, found.first_us, found.last_us, found.extent, found.hot) == (0, 0, 0, (0, 0), [])
