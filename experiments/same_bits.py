@@ -1,0 +1,89 @@
+"""A digest of volumes and logits on the bundled recordings: the same on every processor.
+
+    python -m experiments.same_bits [--json experiments/results/same_bits.json] [--check]
+
+For each landmark that needs no network, each polarity and each image, the volumes of the bundled recordings' windows at
+several prefixes; for each bundled model, its logits. --check compares with the recorded digest,
+and exits with 1 where it differs. Processors with vectors of 4, 8 and 16 numbers add in the same order, because the
+kernels say in which.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from async_tnt import Processor, TNTConfig, TNTVolume, bundled_models, load_model
+from async_tnt.cli.bench import machine
+from async_tnt.files import write_text
+from async_tnt.sources import open_recording, sample_recordings
+from experiments.page_parts import RESULTS
+from experiments.script_options import exit_with, plain_parser, writable_file
+
+RECORDED = RESULTS / "same_bits.json"
+PREFIXES = (1, 10, 100, 1_000, 100_000)
+WINDOW_US = 105_000
+
+
+def configs() -> Iterator[TNTConfig]:
+    """Of the volumes."""
+    for landmark, polarity in itertools.product(("center", "running", "line"), ("signed", "unsigned", "split")):
+        yield TNTConfig(t_max=4.0).replace(landmark=landmark, polarity=polarity)
+    yield TNTConfig(landmark="line", remove_flow=True)
+    yield TNTConfig(transform="none", landmark="center")
+    for image in ("count", "count_time", "mean_time", "time_surface"):
+        yield TNTConfig(transform="none", landmark="center", polarity="split").replace(representation=image)
+
+
+def digests() -> dict[str, str]:
+    """Of all volumes, and of the logits of each bundled model."""
+    recordings = [open_recording(path).read() for path in sample_recordings().values()]
+    volumes = hashlib.sha256()
+    for config in configs():
+        volume = TNTVolume(config)
+        for events in recordings:
+            window = events[events["t"] < WINDOW_US]
+            volume.reset()
+            volume.open(0)
+            for first, last in itertools.pairwise((0, *PREFIXES)):
+                volume.update(window[first:last])
+                volumes.update(np.ascontiguousarray(volume.array).tobytes())
+    found = {"volumes": volumes.hexdigest()}
+    for name in bundled_models():
+        logits = hashlib.sha256()
+        processor = Processor(load_model(name), start_us=0)
+        for events in recordings:
+            processor.reset()
+            for first, last in itertools.pairwise((0, *PREFIXES[:4])):
+                processor.push(events[first:last])
+                logits.update(np.ascontiguousarray(processor.fire().logits).tobytes())
+        found[name] = logits.hexdigest()
+    return found
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Print, write or compare. Returns 1 if a digest differs from the recorded one."""
+    parser = plain_parser("same_bits", __doc__)
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the digests there")
+    parser.add_argument("--check", action="store_true", help="compare with those of experiments/results")
+    args = parser.parse_args(argv)
+    report: dict[str, Any] = {"machine": machine(), "sha256": digests()}
+    for name, digest in report["sha256"].items():
+        print(f"{name:<24} {digest}")
+    if args.json:
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
+    if args.check:
+        recorded = json.loads(RECORDED.read_text(encoding="utf-8"))["sha256"]
+        differ = [name for name, digest in report["sha256"].items() if recorded.get(name) != digest]
+        print(f"different from the recorded ones: {', '.join(differ)}" if differ else "the same as the recorded ones")
+        return int(bool(differ))
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)
