@@ -11,7 +11,7 @@ image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib 
 
 from views.test_plot_command import in_squares  # noqa: E402
 
-from experiments import figure_motions, figure_pipeline  # noqa: E402
+from experiments import figure_groups, figure_motions, figure_pipeline  # noqa: E402
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
@@ -23,3 +23,11 @@ def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_p
     assert script.main(["3", "--picture", str(again)]) == 0
     kept, drawn = (in_squares(image.imread(path)) for path in (IMAGES / f"{name}.png", again))
     assert kept.shape == drawn.shape and np.abs(kept - drawn).max() < 0.2
+
+
+def test_a_convolution_is_equivariant_to_what_the_figure_says(tmp_path):
+    errors = {case.words: figure_groups.compared(case, figure_groups.counted())[2] for case in figure_groups.CASES}
+    differ = {words for words, error in errors.items() if error > 1e-12}
+    assert differ == {"turned", "moved by 1 px, pooled by 2"} and min(errors[words] for words in differ) > 0.5
+    assert figure_groups.main(["--picture", str(tmp_path / "groups.png")]) == 0
+    assert (tmp_path / "groups.png").stat().st_size > 10_000

@@ -1,0 +1,159 @@
+"""Draw chapter 2 of the thesis on events: to which transformations a convolution is equivariant.
+
+    python -m experiments.figure_groups --picture docs/images/groups.png
+
+The events of a bundled 3 are counted in an image, which is moved or turned before a convolution, and after it. Both are
+shown, and how far they differ, relative to the size of the features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from async_tnt.sources import open_recording, sample_recordings
+from async_tnt.views.figure_style import (
+    PALE,
+    SMALL,
+    TEXT,
+    axes_at,
+    check_picture,
+    headline,
+    new_figure,
+    save,
+    styled,
+    write_at,
+)
+from experiments.script_options import exit_with, plain_parser
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIDE, WINDOW_US = 51, 105_000
+"""Odd, so that a quarter turn moves whole pixels."""
+Map = Callable[[torch.Tensor], torch.Tensor]
+
+
+class Case(NamedTuple):
+    """A row: an image transformed before a map of it, and what should be the same."""
+
+    words: str
+    before: Map
+    of: Map
+    after: Map
+    expected: Map
+
+
+def counted() -> torch.Tensor:
+    """(1, 1, SIDE, SIDE): ON minus OFF events of the first saccade of a bundled 3."""
+    events = open_recording(sample_recordings()[3]).read()
+    events = events[events["t"] < WINDOW_US]
+    image, margin = np.zeros((SIDE, SIDE)), (SIDE - 34) // 2
+    np.add.at(image, (events["y"] + margin, events["x"] + margin), 2.0 * events["p"] - 1)
+    return torch.from_numpy(image)[None, None]
+
+
+def edge_filter() -> torch.Tensor:
+    """(1, 1, 5, 5): an edge that is not its own quarter turn."""
+    y, x = np.mgrid[-2:3, -2:3]
+    return torch.from_numpy((x + 0.4 * y) * np.exp(-(x**2 + y**2) / 3.0))[None, None]
+
+
+def moved(by: int) -> Map:
+    return lambda image: image.roll(by, -1)
+
+
+def turned(image: torch.Tensor) -> torch.Tensor:
+    return image.rot90(1, (-2, -1))
+
+
+def convolved(filters: torch.Tensor) -> Map:
+    return lambda image: F.conv2d(image, filters, padding="same")
+
+
+def lifted(image: torch.Tensor) -> torch.Tensor:
+    """The maps of all four turns of the filter, 2 by 2."""
+    return torch.cat([convolved(edge_filter().rot90(k, (-2, -1)))(image) for k in range(4)], 1)
+
+
+def turned_lift(maps: torch.Tensor) -> torch.Tensor:
+    """What a quarter turn makes of `lifted`: each map is turned, and is that of the next turn."""
+    return turned(maps).roll(1, 1)
+
+
+def pooled(image: torch.Tensor) -> torch.Tensor:
+    return F.avg_pool2d(convolved(edge_filter())(image), 2)
+
+
+CASES = (
+    Case("moved by 6 px", moved(6), convolved(edge_filter()), convolved(edge_filter()), moved(6)),
+    Case("turned", turned, convolved(edge_filter()), convolved(edge_filter()), turned),
+    Case(
+        "turned, filter turned back",
+        turned,
+        convolved(edge_filter()),
+        convolved(edge_filter().rot90(-1, (-2, -1))),
+        turned,
+    ),
+    Case("turned, all four filters", turned, lifted, lifted, turned_lift),
+    Case("moved by 2 px, pooled by 2", moved(2), pooled, pooled, moved(1)),
+    Case("moved by 1 px, pooled by 2", moved(1), pooled, pooled, moved(1)),
+)
+"""With f the image: `of(before(f))` beside `expected(after(f))`."""
+
+
+def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
+    """The features of the transformed image, the transformed features, and their relative difference."""
+    one, other = case.of(case.before(image)), case.expected(case.after(image))
+    return one, other, float((one - other).norm() / other.norm())
+
+
+def draw() -> Figure:
+    """A row for each case."""
+    image = counted()
+    figure = new_figure(1.2 * len(CASES) + 0.95)
+    heads = ("image", "transformed", "its features", "features, transformed", "difference")
+    for k, case in enumerate(CASES):
+        one, other, error = compared(case, image)
+        top = 0.85 + 1.2 * k
+        write_at(figure, 0.3, top + 0.55, case.words, fontsize=SMALL, color=TEXT)
+        limit = float(other.abs().max())
+        for place, (head, part) in enumerate(
+            zip(heads, (image, case.before(image), one, other, one - other), strict=True)
+        ):
+            axes = axes_at(figure, 2.6 + 1.45 * place, top, 1.1, 1.1)
+            most = float(image.abs().max()) if place < 2 else limit
+            axes.imshow(_tiled(part), cmap="RdBu_r", vmin=-most, vmax=most)
+            axes.set(xticks=[], yticks=[])
+            axes.spines[:].set(visible=True, color=PALE)
+            if k == 0:
+                axes.set_title(head, fontsize=SMALL, color=TEXT)
+        write_at(figure, 2.6 + 1.45 * len(heads), top + 0.55, f"{error:.2f}", fontsize=SMALL, color=TEXT)
+    headline(figure, "What a convolution is equivariant to")
+    return figure
+
+
+def _tiled(maps: torch.Tensor) -> np.ndarray:
+    """One map, or four as 2 by 2."""
+    parts: Any = maps[0].numpy()
+    return parts[0] if len(parts) == 1 else np.block([[parts[0], parts[1]], [parts[2], parts[3]]])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Draw the picture."""
+    parser = plain_parser("figure_groups", __doc__)
+    parser.add_argument("--picture", type=Path, metavar="FILE", required=True, help=".png, .svg or .pdf")
+    args = parser.parse_args(argv)
+    check_picture(args.picture)
+    with styled():
+        save(draw(), args.picture, dpi=100)
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)
