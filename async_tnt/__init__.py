@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.sources.pixel_filter import PixelFilter
     from async_tnt.sources.playback import replay
     from async_tnt.sources.queue import PacketQueue
-    from async_tnt.streams import astream, stream
+    from async_tnt.streams import WindowVolume, astream, stream, volumes
     from async_tnt.triggers import LeakyIntegrator
     from async_tnt.volume import TNTVolume
     from async_tnt.volume_state import ReplayBufferFull
@@ -49,7 +49,7 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "sources.pixel_filter": "PixelFilter",
             "sources.playback": "replay",
             "sources.queue": "PacketQueue",
-            "streams": "astream stream",
+            "streams": "WindowVolume astream stream volumes",
             "triggers": "LeakyIntegrator",
             "volume": "TNTVolume",
             "volume_state": "ReplayBufferFull",
@@ -59,5 +59,6 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
 __all__ = [
     "EVENT_DTYPE", "BackgroundReader", "CompiledClassifier", "CompiledRegressor", "Counts", "Decision",
     "LeakyIntegrator", "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "ReplayBufferFull", "TNTConfig",
-    "TNTVolume", "astream", "bundled_models", "load_model", "open_recording", "replay", "stream", "warmup",
+    "TNTVolume", "WindowVolume", "astream", "bundled_models", "load_model", "open_recording", "replay", "stream",
+    "volumes", "warmup",
 ]  # fmt: skip

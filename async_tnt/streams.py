@@ -1,10 +1,12 @@
-"""stream and astream: a source of events in, decisions out."""
+"""stream and astream: a source of events in, decisions out; `volumes`: the windows' volumes alone."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
+
+import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
@@ -95,6 +97,46 @@ async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIte
             yield decision
     for decision in processor.finish():
         yield decision
+
+
+class WindowVolume(NamedTuple):
+    """What `volumes` yields: a window's volume, float32, shape (C, H, W), its start, and the number of its events."""
+
+    volume: np.ndarray
+    start_us: int
+    events: int
+
+
+def volumes(source: Iterable[Any], config: TNTConfig, **settings: Unpack[Settings]) -> Iterator[WindowVolume]:
+    """The volumes of a source's windows, for networks and programs of one's own.
+
+    Parameters
+    ----------
+    source : as of `stream`.
+    config : how events become volumes.
+    settings : of `stream`, but for `classifier` and `confidence`. A trigger such as `every_us` yields the window's
+        volume so far at each of its moments, too.
+
+    Examples
+    --------
+    >>> from async_tnt.sources import open_recording, sample_recordings
+    >>> for window in volumes(open_recording(sample_recordings()[3]), TNTConfig(bins=5)):
+    ...     print(window.volume.shape, window.start_us, window.events)
+    (5, 34, 34) 3075 1887
+    (5, 34, 34) 108075 1721
+    (5, 34, 34) 213075 1344
+    """
+    if settings.keys() & {"classifier", "classes", "confidence"}:
+        raise TypeError("`classifier`, `classes` and `confidence` are for decisions; volumes have none")
+    waiting: list[np.ndarray] = []
+
+    def keep(volume: np.ndarray) -> list[float]:
+        waiting.append(volume.copy())
+        return [0.0]
+
+    settings["classifier"] = keep
+    decisions = stream(source, config, **settings)  # here: errors are raised before the first event
+    return (WindowVolume(waiting.pop(0), decision.window_start_us, decision.events) for decision in decisions)
 
 
 def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]) -> Processor:

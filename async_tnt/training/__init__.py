@@ -5,6 +5,7 @@ fit, train                  a finished model, with its record, from these; or th
 settings_for                `TrainSettings` for a data set of any size; `default_config`, the volume
 evaluate                    the accuracy of a model on windows; `pipeline_of` makes a torch module of the model
 read_dataset, make_windows  the steps between: recordings in memory, and their windows
+VolumeDataset               a folder's windows as volumes, for torch's DataLoader and networks of one's own
 """
 
 TYPE_CHECKING = False
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from async_tnt.training.pipeline import pipeline_of
     from async_tnt.training.recordings import Recordings
     from async_tnt.training.settings import TrainSettings, default_config, settings_for
+    from async_tnt.training.volume_dataset import VolumeDataset
     from async_tnt.training.windows import Windows, make_windows
 else:
     from async_tnt.package import lazy_names
@@ -34,12 +36,13 @@ else:
             "pipeline": "pipeline_of",
             "settings": "TrainSettings default_config settings_for",
             "recordings": "Recordings",
+            "volume_dataset": "VolumeDataset",
             "windows": "Windows make_windows",
         },
     )
 
 __all__ = [
     "Augmentation", "Dataset", "Evaluation", "Fitted", "Recordings", "TrainResult", "TrainSettings", "TrainingData",
-    "Windows", "dataset_data", "default_config", "evaluate", "fit", "make_windows", "pipeline_of", "read_dataset",
-    "settings_for", "train",
+    "VolumeDataset", "Windows", "dataset_data", "default_config", "evaluate", "fit", "make_windows", "pipeline_of",
+    "read_dataset", "settings_for", "train",
 ]  # fmt: skip

@@ -15,7 +15,8 @@ from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.temperature import fit_temperature, softened
 from async_tnt.training.windows import Windows
 
-BATCH = 256
+BATCH = 64
+"""Windows at a time. With 256, layers no longer fit into caches: 240 us a window in place of 150."""
 SURE = 0.9
 
 

@@ -3,11 +3,12 @@
 import asyncio
 from typing import get_type_hints
 
+import numpy as np
 import pytest
 from deciding import key
 from made import random_events, random_model
 
-from async_tnt import Processor, TNTConfig, astream, stream
+from async_tnt import Processor, TNTConfig, TNTVolume, astream, stream, volumes
 from async_tnt.streams import Settings
 
 MODEL = random_model(TNTConfig(window_us=1000))
@@ -96,3 +97,21 @@ def test_nanoseconds_read_as_microseconds_are_warned_of_once(settings):
 def test_other_small_windows_are_no_reason_to_warn():  # warnings are errors in these tests
     assert list(stream([SPARSE], random_model(MODEL.config.replace(window_events=2))))  # so many are wanted
     assert list(stream([SPARSE], MODEL, confidence=0.01))  # windows that the first event decides
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"every_us": 300}, {"hop_us": 400}], ids=["windows", "moments", "overlapping"]
+)
+def test_volumes_are_those_that_a_decision_would_have_seen(settings):
+    config = TNTConfig(window_us=1000, bins=3)
+    decisions = list(stream([EVENTS], config, classifier=lambda volume: [0.0], **settings))
+    found = list(volumes(packets(70), config, **settings))
+    assert [(one.start_us, one.events) for one in found] == [(d.window_start_us, d.events) for d in decisions]
+    for one, decision in zip(found, decisions, strict=True):
+        by_hand = TNTVolume(config)
+        by_hand.open(decision.window_start_us)
+        inside = EVENTS[EVENTS["t"] >= decision.window_start_us][: decision.events]
+        by_hand.update(inside)
+        np.testing.assert_array_equal(one.volume, by_hand.array)
+    with pytest.raises(TypeError, match=r"`classifier`, `classes` and `confidence` are for decisions"):
+        volumes([EVENTS], config, confidence=0.9)

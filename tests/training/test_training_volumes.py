@@ -194,3 +194,38 @@ def test_what_stands_in_the_place_of_a_recording(kind):
             halves = [volume[k] + volume[2 + k] for k in range(2)]
             first, second = (np.mgrid[:40, :50].reshape(2, -1) @ half.ravel() / half.sum() for half in halves)
             assert np.hypot(*(second - first)) > 0.5 and volume.sum() > 0.02 * n_events
+
+
+def test_a_folder_is_a_data_set_of_volumes_for_torch(tmp_path):
+    """Every window of every recording, with its class, in batches; the same bits as a stream's."""
+    torch = pytest.importorskip("torch")
+    from async_tnt import volumes
+    from async_tnt.training import VolumeDataset
+
+    config = TNTConfig(landmark="running", bins=5)
+    recordings = {}
+    for label, name in enumerate(("clap", "wave")):
+        (tmp_path / name).mkdir()
+        for k in range(2):
+            events = random_events(900, seed=10 * label + k, duration_us=300_000)
+            recordings[name, k] = events
+            np.save(tmp_path / name / f"{k}.npy", events)
+    data = VolumeDataset(tmp_path, config)
+    expected = [
+        (window.volume, label)
+        for label, name in enumerate(data.classes)
+        for k in range(2)
+        for window in volumes([recordings[name, k]], config)
+    ]
+    assert data.classes == ("clap", "wave") and len(data) == len(expected) == 12
+    for (volume, label), (by_hand, of) in zip(data, expected, strict=True):
+        np.testing.assert_array_equal(volume.numpy(), by_hand)
+        assert label == of
+    batches = list(torch.utils.data.DataLoader(data, batch_size=5))
+    assert [tuple(v.shape) for v, _ in batches] == [(5, 5, 34, 34), (5, 5, 34, 34), (2, 5, 34, 34)]
+    assert torch.cat([labels for _, labels in batches]).tolist() == [0] * 6 + [1] * 6
+    assert torch.equal(data[-1][0], data[11][0])
+    with pytest.raises(IndexError, match=r"^`index` must be below 12, the number of windows, got 12$"):
+        data[12]
+    with pytest.raises(ValueError, match="landmark 'regressor' needs a network"):
+        VolumeDataset(tmp_path, TNTConfig(landmark="regressor"))

@@ -1,0 +1,61 @@
+"""The windows of a folder of recordings as a map-style torch data set of volumes."""
+
+from __future__ import annotations
+
+import os
+
+import torch
+from torch.utils.data import Dataset
+
+from async_tnt.config import TNTConfig
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.training.batches import BatchVolumes
+from async_tnt.training.dataset import read_dataset
+from async_tnt.training.windows import make_windows
+
+
+class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
+    """Item i: the volume of window i, float32, shape (C, H, W), and the index of its class.
+
+    Volumes are computed when they are asked for, bit for bit those of a stream; the events are in memory.
+
+    Parameters
+    ----------
+    folder : with a folder of recordings for each class, or sessions, as for `async-tnt train`.
+    config : how events become volumes; not of landmark `regressor`, nor of `window_events`.
+    part : the folder in it that is read, where there is one: "Train" or "Test".
+
+    Attributes
+    ----------
+    classes : names, by index.
+    windows : all of them, end to end from each recording's first event on.
+
+    Raises
+    ------
+    ValueError, OSError : as `read_dataset`; recordings of another sensor than `config` has.
+
+    Examples
+    --------
+    >>> from torch.utils.data import DataLoader
+    >>> data = VolumeDataset("gestures", TNTConfig(sensor=(128, 128)))  # doctest: +SKIP
+    >>> volumes, labels = next(iter(DataLoader(data, batch_size=64, shuffle=True)))  # doctest: +SKIP
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], config: TNTConfig, *, part: str = "Train") -> None:
+        if config.needs_regressor:
+            raise ValueError("landmark 'regressor' needs a network; volumes of a data set have none")
+        self._volumes = BatchVolumes(config)
+        data = read_dataset(folder, part=part, pixels=PixelSelection(sensor=config.sensor), sensor_source="`config`")
+        if data.sensor != config.sensor:
+            raise ValueError(f"{folder}: recordings of sensor {data.sensor}, but `config` has {config.sensor}")
+        self.classes = data.classes
+        self.windows = make_windows(data.recordings, config.window_us)
+
+    def __len__(self) -> int:
+        return len(self.windows)
+
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, int]:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"`index` must be below {len(self)}, the number of windows, got {index}")
+        some = self.windows[index : index + 1 or None]
+        return torch.from_numpy(self._volumes(some)[0].copy()), int(some.labels[0])
