@@ -56,11 +56,11 @@ def compare(
     ValueError : damaged files, or recordings whose digit is not that of the image with their number.
     OSError : missing folders.
     """
-    split, digits = made.parameters["split"], made.parameters["digits"]
+    split, of_set = made.parameters["split"], made.parameters["images"]
     columns: dict[str, dict[str, float]] = {}
     directions = _nmnist_directions()
     if nmnist_folder is None:
-        shown_split, shown = split, _spread(list(range(digits)), n_recordings)
+        shown_split, shown = split, _spread(of_set, n_recordings)
     else:
         shown_split, found = recordings_by_image(Path(nmnist_folder), split)
         shown = _spread(sorted(found), n_recordings)
@@ -77,9 +77,9 @@ def compare(
             columns["N-MNIST"] = describe_motions(real, SACCADE_CUTS_US, directions)
         simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown)
         columns["simulated"] = describe_motions(_counted(simulated, bar), SACCADE_CUTS_US, directions)
-        same = [i for i in shown if i < digits] if shown_split == split else []
-        of_set = same if len(same) >= len(shown) / 2 else _spread(list(range(digits)), n_recordings)
-        columns["this set"] = _describe_set(made, of_set, bar, directions)
+        same = [i for i in shown if i in set(of_set)] if shown_split == split else []
+        described = same if len(same) >= len(shown) / 2 else _spread(of_set, n_recordings)
+        columns["this set"] = _describe_set(made, described, bar, directions)
     return columns
 
 

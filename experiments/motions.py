@@ -7,11 +7,15 @@ Each motion is a straight line through the centre at half time, so the mean posi
 motions, and a network cannot tell them apart by it. As these start at different places, TNT about the image centre does
 not turn them into translations of each other (Proposition 2 asks for motions from one place). Motions from the centre
 have one start; the thesis seems to have used such motions, of constant velocity.
+
+Kind "beyond" has what motion re-synthesis never draws: 14 pixels along a line, 5 pixels and back, and round a loop of 4
+by 4 pixels.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -20,9 +24,11 @@ import numpy as np
 from experiments.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
 
 FROM_CENTRE = "-from-centre"
-KINDS = ("constant", "bell", "constant" + FROM_CENTRE, "bell" + FROM_CENTRE, "nmnist")
+KINDS = ("constant", "bell", "constant" + FROM_CENTRE, "bell" + FROM_CENTRE, "beyond", "nmnist")
 DIRECTIONS_DEG = tuple(range(0, 360, 36))
 DISTANCES_PX = (3, 5, 8)
+BEYOND_PX = {"line": 14, "back": 5, "loop": 4}
+"""Shape of a path -> its distance."""
 WINDOW_US = 105_000
 NMNIST_US = 308_000
 FLOW_STEP_US = 3_500
@@ -39,10 +45,12 @@ class Motion:
     ----------
     kind : "constant" velocity; "bell", the same displacement with the bell-shaped speed of a saccade (minimum
         jerk: at rest at both ends, 15/8 of its mean speed halfway); "constant-from-centre" and "bell-from-centre",
-        the same from the sensor's centre on; or "nmnist", N-MNIST's three saccades.
+        the same from the sensor's centre on; "beyond", see `BEYOND_PX`; or "nmnist", N-MNIST's three saccades.
     index : place in `motions_of(kind)`; part of every recording's seed.
     name : such as "036deg-5px"; names sort like indices.
-    direction_deg, distance_px : direction and length of the displacement; None for "nmnist".
+    direction_deg, distance_px : direction and length of the displacement; None for "nmnist". Of a path that comes
+        back, as far as it goes; of a loop, its first side.
+    shape : of the path: "line", "back" or "loop".
     """
 
     kind: str
@@ -50,6 +58,7 @@ class Motion:
     name: str
     direction_deg: int | None
     distance_px: int | None
+    shape: str = "line"
 
     @property
     def duration_us(self) -> int:
@@ -81,14 +90,23 @@ class Motion:
             return dataclasses.replace(saccades, start=start)
         assert self.direction_deg is not None and self.distance_px is not None  # for mypy: only "nmnist" has none
         from_centre = self.kind.endswith(FROM_CENTRE)
-        if self.kind.startswith("constant"):
+        if self.kind.startswith("constant") or (self.kind, self.shape) == ("beyond", "line"):
             speed = self.distance_px / (self.duration_us * 1e-6)
             motion = ConstantVelocity.towards(self.direction_deg, speed, centre=centre, duration_us=self.duration_us)
             return dataclasses.replace(motion, start=centre) if from_centre else motion
         angle = math.radians(self.direction_deg)
         dx, dy = self.distance_px * math.cos(angle), self.distance_px * math.sin(angle)
         start = centre if from_centre else (centre[0] - dx / 2, centre[1] - dy / 2)
-        return Saccades(start, (Saccade(0, self.duration_us, dx, dy),), self.duration_us)
+        sides = {
+            "line": [(dx, dy)],
+            "back": [(dx, dy), (-dx, -dy)],
+            "loop": [(dx, dy), (-dy, dx), (-dx, -dy), (dy, -dx)],
+        }[self.shape]
+        moves = []
+        for k, side in enumerate(sides):  # those of a loop overlap by half, which rounds its corners
+            step_us = self.duration_us / (len(sides) + (self.shape == "loop"))
+            moves.append(Saccade(k * step_us, step_us * (1 + (self.shape == "loop")), *side))
+        return Saccades(start, tuple(moves), self.duration_us)
 
 
 def flow_of(trajectory: Trajectory, times_us: np.ndarray) -> np.ndarray:
@@ -114,8 +132,8 @@ def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
         raise ValueError(f"`kind` of motion must be one of {', '.join(map(repr, KINDS))}, got {kind!r}")
     if kind == "nmnist":
         return (Motion(kind, 0, "nmnist", None, None),)
-    pairs = [(direction, distance) for direction in DIRECTIONS_DEG for distance in DISTANCES_PX]
+    paths = list(BEYOND_PX.items()) if kind == "beyond" else [("line", distance) for distance in DISTANCES_PX]
     return tuple(
-        Motion(kind, index, f"{direction:03}deg-{distance}px", direction, distance)
-        for index, (direction, distance) in enumerate(pairs)
+        Motion(kind, i, f"{direction:03}deg-{f'{px}px' if shape == 'line' else shape}", direction, px, shape)
+        for i, (direction, (shape, px)) in enumerate(itertools.product(DIRECTIONS_DEG, paths))
     )

@@ -56,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=KINDS,
         default="constant",
         help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a saccade; both pass the "
-        "sensor's centre at half time, or start there (-from-centre); nmnist: N-MNIST's three saccades, 308 ms "
+        "sensor's centre at half time, or start there (-from-centre); beyond: 14 px, 5 px and back, or round a loop; "
+        "nmnist: N-MNIST's three saccades, 308 ms "
         "(default: %(default)s)",
     )
     parser.add_argument(
@@ -105,7 +106,7 @@ def main(argv: list[str] | None = None) -> int:
             args.out,
             split=args.split,
             kind=args.motions,
-            digits=args.digits,
+            which=None if args.digits is None else range(args.digits),
             seed=args.seed,
             workers=args.workers,
             scene=Scene(dark_on_bright=not args.bright_on_dark),
@@ -127,7 +128,7 @@ def main(argv: list[str] | None = None) -> int:
         say(json.dumps({**answer, "seconds": round(seconds, 3), "motions": args.motions, "statistics": numbers}))
         return 0
     say(
-        f"{args.out}: {len(made)} recordings ({made.parameters['digits']} images x {len(made.motions)} motions) in "
+        f"{args.out}: {len(made)} recordings ({len(made.parameters['images'])} images, {len(made.motions)} motions) in "
         f"{len(made.shards)} files, {n_bytes / 1e6:.1f} MB; {seconds:.1f} s"
     )
     if args.bin is not None:

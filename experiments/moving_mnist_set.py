@@ -1,7 +1,7 @@
 """N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
 
 The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is a folder of
-shards, each with up to `recordings_per_shard` consecutive images under one motion, and `set.json`, which records how
+shards, each with up to `recordings_per_shard` images under one motion, and `set.json`, which records how
 they were made and is written first. Every recording has its own random generator, seeded by (seed, index of the
 motion, index of the image), so the number of workers and interruptions change nothing.
 """
@@ -13,12 +13,14 @@ import dataclasses
 import hashlib
 import itertools
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import short
 from async_tnt.evaluation.processes import run_all
 from async_tnt.files import locked_folder
 from async_tnt.package import __version__, available_cores
@@ -34,11 +36,11 @@ from experiments.simulated_digits import simulate_digit
 
 @dataclass(frozen=True)
 class _Job:
-    """One shard to make: consecutive images under one motion."""
+    """One shard to make: some images under one motion."""
 
     path: Path
     motion: Motion
-    first: int
+    which: list[int]
     images: np.ndarray
     labels: np.ndarray
     seed: int
@@ -52,7 +54,7 @@ def build(
     *,
     split: str = "test",
     kind: str = "constant",
-    digits: int | None = None,
+    which: Sequence[int] | None = None,
     seed: int = 0,
     workers: int | None = None,
     recordings_per_shard: int = 1_000,
@@ -69,8 +71,10 @@ def build(
     Parameters
     ----------
     mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
-    split : "train" or "test". digits : how many images, from the first on; all by default.
-    kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre" (30 motions) or "nmnist" (1).
+    split : "train" or "test".
+    which : indices of images; all by default.
+    kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond" (30 motions), or
+        "nmnist" (1).
     workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
     scene, pixels, frame_us, sensor : as in `simulate_digit`.
 
@@ -79,16 +83,17 @@ def build(
     ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
     OSError : MNIST missing, or the folder cannot be written, or another process makes a set there.
     """
-    counts = {"digits": digits, "workers": workers, "recordings_per_shard": recordings_per_shard}
+    counts = {"workers": workers, "recordings_per_shard": recordings_per_shard}
     for name, n, least in (("seed", seed, 0), *((name, n, 1) for name, n in counts.items())):
         if n is not None and n < least:
             raise ValueError(f"`{name}` must be at least {least}, got {n}")
     scene, pixels = scene or Scene(), pixels or PixelModel()
     moving = motions_of(kind)
     images, labels = load_mnist(mnist_folder, split)
-    if digits is not None and digits > len(images):
-        raise ValueError(f"`digits` must be at most {len(images)}, the images of split {split!r}, got {digits}")
-    images, labels = images[:digits], labels[:digits]
+    which = list(range(len(images))) if which is None else [int(i) for i in which]
+    if not which or not 0 <= min(which) <= max(which) < len(images):
+        raise ValueError(f"`which` must be indices of the {len(images)} images of split {split!r}, got {short(which)}")
+    images, labels = images[which], labels[which]
     shared = {
         "split": split,
         "seed": int(seed),
@@ -102,18 +107,18 @@ def build(
     }
     parameters = {
         "kind": kind,
-        "digits": len(images),
+        "images": which,
         **shared,
         "recordings_per_shard": int(recordings_per_shard),
         "mnist_sha256": hashlib.sha256(images.tobytes() + labels.tobytes()).hexdigest(),
     }
-    folder, firsts = Path(out_folder), range(0, len(images), recordings_per_shard)
-    names = shard_names(moving, len(images), recordings_per_shard)
+    folder, firsts = Path(out_folder), range(0, len(which), recordings_per_shard)
+    names = shard_names(moving, len(which), recordings_per_shard)
     jobs = [
         _Job(
             folder / name,
             motion,
-            first,
+            which[first : first + recordings_per_shard],
             images[first : first + recordings_per_shard],
             labels[first : first + recordings_per_shard],
             seed,
@@ -153,7 +158,7 @@ def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
         raise ValueError(
             f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: "
             f"python -m experiments.moving_mnist --mnist MNIST --out {folder} --split {p['split']} "
-            f"--motions {p['kind']} --digits {p['digits']} --seed {p['seed']}{bright}, or by `build` with "
+            f"--motions {p['kind']} --digits {len(p['images'])} --seed {p['seed']}{bright}, or by `build` with "
             "the parameters in set.json"
         )
     return made
@@ -164,8 +169,8 @@ def _make_shard(job: _Job) -> int:
     duration_us, times_us = job.motion.duration_us, job.motion.flow_times_us
     recordings, flow = [], np.empty((len(job.images), len(times_us), 2))
     height, width = job.images.shape[1:]
-    for i, image in enumerate(job.images):
-        rng = np.random.default_rng((job.seed, job.motion.index, job.first + i))
+    for i, (index, image) in enumerate(zip(job.which, job.images, strict=True)):
+        rng = np.random.default_rng((job.seed, job.motion.index, index))
         trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.settings["sensor"])
         flow[i] = flow_of(trajectory, times_us)
         events = simulate_digit(image, rng, trajectory=trajectory, **job.settings)
@@ -175,7 +180,7 @@ def _make_shard(job: _Job) -> int:
         job.path,
         recordings,
         labels=job.labels,
-        image=job.first + np.arange(len(job.images)),
+        image=np.array(job.which),
         flow=flow,
         flow_times_us=times_us,
         sensor=job.settings["sensor"],

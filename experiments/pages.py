@@ -17,8 +17,14 @@ from experiments import accuracy_tables, dataset_tables, decision_tables, result
 from experiments.page_parts import ROOT
 from experiments.script_options import exit_with, plain_parser
 
-SHORT = (accuracy_tables.accuracy, dataset_tables.cars_in_short, decision_tables.speed, thesis_tables.unseen_motion)
-"""What README has of other tables."""
+SHORT = (
+    accuracy_tables.accuracy,
+    dataset_tables.cars_in_short,
+    decision_tables.speed,
+    thesis_tables.unseen_motion,
+    thesis_tables.thesis_answers,
+)
+"""What README and the page of results have of other tables."""
 TABLES = {make.__name__: make for make in (*SHORT, *(t for part in results_sections.SECTIONS for t in part.tables))}
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

@@ -22,6 +22,7 @@ from experiments.results_texts import (
     SIMULATED,
     THESIS,
 )
+from experiments.table_rows import THESIS_SET
 
 Table = Callable[[], str]
 
@@ -133,7 +134,7 @@ SECTIONS = (
     Section(
         "Which input",
         INPUTS,
-        "experiments.thesis_table --nmnist N-MNIST --simulated moving-mnist --rows comparison representations",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows comparison representations",
         {datasets.representations: "Accuracy and costs, by input"},
     ),
     Section(
@@ -177,17 +178,26 @@ SECTIONS = (
     Section(
         "The thesis' table",
         THESIS,
-        "experiments.thesis_table --nmnist N-MNIST --simulated moving-mnist",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
         {
-            thesis.comparison: "The comparison",
-            thesis.conclusions: "Differences of pairs that were set beforehand, with 95 % intervals of their mean",
-            thesis.simulated_sets: "Other simulated motions, after training on all three saccades; bold: better or "
-            "worse than raw. Of the last set, 3,000 images were tested, of the others 611",
-            thesis.learning_curve: "Fewer recordings",
-            thesis.thesis_rows: "The thesis' own rows: 60,000 steps, t_max 8, nothing thinned, one seed; in brackets "
-            "the thesis' numbers, from the official split and simulated motions of its own",
+            thesis.thesis_rows: "The thesis' own rows; in brackets its numbers, from the official split and simulated "
+            f"motions of its own, which were probably like {THESIS_SET!r}",
+            thesis.thesis_sets: "On nine sets of 30 simulated motions; bold: better or worse than the Baseline",
+            thesis.effects: "What the gain depends on",
+            thesis.comparison: "The comparison: 3,000 steps, t_max 2, five seeds",
+            thesis.differences: "Differences and their 95 % intervals; bold: holds among all of its question",
+            thesis.conclusions: "All that hold",
+            thesis.against_time: "Unseen motions, by the time since a window's start",
         },
         picture="directions",
+    ),
+    Section(
+        "Layers and flow",
+        "Equivariance errors of `digits`' layers: how far the features of a digit with flow added are from those "
+        "without, translated by whole cells of the layer; [drawn](../docs/theory.md#the-temporal-normalization-"
+        "transform).",
+        "experiments.figure_equivariance --json experiments/results/equivariance.json",
+        {thesis.equivariance: "By input, layer and pixels per window"},
     ),
     Section(
         "Missing edges and polarity",
@@ -201,7 +211,7 @@ SECTIONS = (
     Section(
         "Re-synthesized motions",
         MOTIONS,
-        "experiments.thesis_table --nmnist N-MNIST --simulated moving-mnist --rows motions",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows motions",
         {
             thesis.resynthesis: "Accuracy",
             thesis.resynthesis_match: "How well the recorded motion is matched",

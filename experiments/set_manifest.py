@@ -1,8 +1,8 @@
 """The manifest of a set of moving digits: `set.json` beside its shards.
 
 format, version   "async_tnt.moving_mnist", 1
-parameters        everything that decides the content: split, kind of motion, digits, seed, sensor, simulator,
-                  recordings_per_shard, package_version, and a checksum of the images and labels
+parameters        everything that decides the content: split, kind of motion, indices of images, seed, sensor,
+                  simulator, recordings_per_shard, package_version, and a checksum of the images and labels
 motions           by index
 shards            names of the files, motion by motion, and by image within each
 """
@@ -23,7 +23,7 @@ from experiments.shards import Shard, open_shard
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
 VERSION = 1
-PARAMETERS = ("split", "kind", "digits", "seed", "sensor", "simulator", "recordings_per_shard")  # that readers need
+PARAMETERS = ("split", "kind", "images", "seed", "sensor", "simulator", "recordings_per_shard")  # that readers need
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class MovingMnist:
     folder : its folder.
     shards : the files, motion by motion, and by image within each.
     motions : the motions, by index.
-    parameters : everything that decides the content: split, kind, digits, seed, simulator, MNIST's checksum ...
+    parameters : everything that decides the content: split, kind, indices of images, seed, simulator ...
     """
 
     folder: Path
@@ -51,7 +51,7 @@ class MovingMnist:
 
     def __len__(self) -> int:
         """Recordings in the complete set."""
-        return len(self.motions) * self.parameters["digits"]
+        return len(self.motions) * len(self.parameters["images"])
 
     def __iter__(self) -> Iterator[Shard]:
         """Open one shard after the other."""
@@ -59,8 +59,9 @@ class MovingMnist:
 
     def locate(self, motion: int, image: int) -> tuple[Path, int]:
         """The shard that holds the recording of an image under a motion, and its place there."""
-        digits, step = self.parameters["digits"], self.parameters["recordings_per_shard"]
-        return self.shards[motion * -(-digits // step) + image // step], image % step
+        images, step = self.parameters["images"], self.parameters["recordings_per_shard"]
+        place = images.index(image)
+        return self.shards[motion * -(-len(images) // step) + place // step], place % step
 
 
 def other_parameters(path: Path, name: str, there: object, asked: object) -> ValueError:
@@ -105,7 +106,7 @@ def read_manifest(folder: Path) -> MovingMnist:
             raise ValueError(f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}")
         parameters = {name: content["parameters"][name] for name in PARAMETERS}
         moving = motions_of(parameters["kind"])
-        names = shard_names(moving, parameters["digits"], parameters["recordings_per_shard"])
+        names = shard_names(moving, len(parameters["images"]), parameters["recordings_per_shard"])
         if content["motions"] != [dataclasses.asdict(motion) for motion in moving] or content["shards"] != names:
             raise ValueError(f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
@@ -114,5 +115,6 @@ def read_manifest(folder: Path) -> MovingMnist:
     return MovingMnist(folder, tuple(folder / name for name in names), moving, content["parameters"])
 
 
-def shard_names(motions: Sequence[Motion], digits: int, recordings_per_shard: int) -> list[str]:
-    return [f"{m.name}_{first:05}.safetensors" for m in motions for first in range(0, digits, recordings_per_shard)]
+def shard_names(motions: Sequence[Motion], n_images: int, recordings_per_shard: int) -> list[str]:
+    firsts = range(0, n_images, recordings_per_shard)
+    return [f"{m.name}_{first:05}.safetensors" for m in motions for first in firsts]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows, make_windows
+from experiments.digit_scene import Scene
 from experiments.digits_data import (
     DURATION_US,
     SACCADE_US,
@@ -20,7 +21,10 @@ from experiments.digits_data import (
     saccade,
     split_recordings,
 )
-from experiments.moving_mnist_set import open_set
+from experiments.mnist import load_mnist
+from experiments.moving_mnist_set import build
+from experiments.set_manifest import MovingMnist
+from experiments.table_rows import SETS
 
 OFFICIAL = 60_000, 10_000
 """Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set, index n - 1."""
@@ -109,39 +113,48 @@ def trained_on(windows: Windows, name: str) -> Windows:
     return windows
 
 
-def some_recordings(windows: Windows, n: int) -> Windows:
-    """The windows of `n` of their recordings, drawn at random, with as many of each class as possible."""
-    indices = np.unique(windows.recording)
-    drawn = np.random.default_rng(VALIDATION_SEED).permutation(indices)
-    labels = windows.recordings.labels[drawn]
-    rank = np.empty(len(drawn), np.int64)  # among those of its class
-    for label in np.unique(labels):
-        rank[labels == label] = np.arange((labels == label).sum())
-    chosen = drawn[np.lexsort((labels, rank))][:n]
-    return windows[np.isin(windows.recording, chosen)]
+def spanned(windows: Windows, n_events: int) -> Windows:
+    """The same windows, a recording each: their first `n_events`, with times scaled so that the first is at 0 and the
+    last at the end of the window, as in the thesis."""
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
+    for i in range(len(windows)):
+        t, x, y, p = (column[:n_events] for column in windows.events(i, SACCADE_US))
+        if len(t):
+            t = (t - t[0]) * (SACCADE_US - 1) // max(1, t[-1] - t[0])
+        for name, values in zip(COLUMNS, (t, x, y, p), strict=True):
+            columns[name].append(values.astype(COLUMNS[name]))
+    recordings = Recordings(
+        **{name: np.concatenate(parts) for name, parts in columns.items()},
+        offsets=np.cumsum([0, *map(len, columns["t"])]),
+        labels=windows.labels,
+        names=tuple(windows.recordings.names[r] for r in windows.recording),
+    )
+    return Windows(recordings, np.arange(len(windows)), np.zeros(len(windows), np.int64))
 
 
-def set_name(parameters: Mapping[str, Any]) -> str:
-    """What distinguishes a simulated set in a column: "bell", "constant-from-centre bright".
-
-    Parameters
-    ----------
-    parameters : of `MovingMnist`.
-    """
-    dark: bool = parameters["simulator"]["scene"]["dark_on_bright"]
-    return str(parameters["kind"]) + ("" if dark else " bright")
-
-
-def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[str, Windows]]:
-    """(name of the motion, windows) of each shard of a set that `python -m experiments.moving_mnist` made.
-
-    Recordings of images that were seen in training, under whatever motion, are left out.
+def make_set(name: str, mnist: Path, folder: Path, data: RealData, n_images: int, workers: int) -> MovingMnist:
+    """A simulated set of `SETS`: the first `n_images` of MNIST's test images that no training recording shows.
 
     Raises
     ------
-    ValueError, FileNotFoundError : no such set, or an incomplete or damaged one.
+    ValueError : there are not so many.
     """
-    for shard in open_set(folder):
+    kind, dark = SETS[name]
+    unseen = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
+    if len(unseen) < n_images:
+        raise ValueError(f"{mnist}: {len(unseen)} test images are not shown by training recordings, not {n_images}")
+    scene = Scene(dark_on_bright=dark)
+    return build(mnist, folder, kind=kind, which=unseen[:n_images].tolist(), scene=scene, workers=workers)
+
+
+def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
+    """(name of the motion, windows) of each shard of a set; recordings are named by their image.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError : damaged or missing shards.
+    """
+    for shard in made:
         columns = {name: getattr(shard, name).astype(dtype) for name, dtype in COLUMNS.items()}
         recordings = Recordings(
             **columns,
@@ -149,8 +162,4 @@ def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[s
             labels=shard.labels.astype(np.int64),
             names=tuple(map(str, shard.image)),
         )
-        unseen = np.flatnonzero(~np.isin(shard.image, seen_images))
-        yield (
-            shard.metadata["motion"]["name"],
-            make_windows(recordings, SACCADE_US, which=unseen, duration_us=SACCADE_US),
-        )
+        yield shard.metadata["motion"]["name"], make_windows(recordings, SACCADE_US, duration_us=SACCADE_US)

@@ -1,16 +1,29 @@
-"""The table's numbers: accuracies brought together over seeds, paired differences, and both as text and Markdown."""
+"""The table's numbers: accuracies brought together over seeds, differences of rows with their intervals, and tables.
+
+Differences are taken seed by seed and digit by digit, and both are drawn at random: other seeds and other digits would
+give other numbers. With d the (S, I) differences of S seeds and I digits, the variance of their mean is estimated by
+
+    var_seeds(mean over digits) / S + var_digits(mean over seeds) / I
+
+which is the expectation of the bootstrap that draws seeds and digits independently (Owen 2007, The Pigeonhole
+Bootstrap, arXiv:0712.1111). Intervals and p are Student's, with Satterthwaite's degrees of freedom, as few seeds ask
+for. Of all differences of a question together, in all of its columns, those are claimed that hold by Holm's method at
+.05.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
-from experiments.table_rows import COLUMNS, DIFFERENCES, GROUPS, ROWS, THESIS
+from experiments.table_rows import COLUMNS, GROUPS, QUESTIONS, ROWS, SETS, THESIS
 
-T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
-"""Student's t, 97.5 %, with 1 to 9 degrees of freedom; for more, the last one, which is a little too wide."""
+Right = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
+"""(row, column) -> seed -> which windows are right: int8, (motions, digits), -1 where a digit has no window."""
+LEVEL = 0.05
 
 
 def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
@@ -23,30 +36,36 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
     Returns
     -------
     {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion": {motion: {"mean",
-    "deviation"}}}}}, with the rows and columns that occur, in the table's order. The deviation is the sample's (n - 1),
-    None for a single seed.
+    "deviation"}}, "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the table's order. The
+    deviation is the sample's (n - 1), None for a single seed.
     """
     runs = sorted(runs, key=lambda run: int(run["seed"]))
-    columns = list(dict.fromkeys([*COLUMNS, *(column for run in runs for column in run["columns"])]))
     table: dict[str, Any] = {}
     for row in ROWS:
-        for column in columns:
-            found = {
-                run["seed"]: run["columns"][column] for run in runs if run["row"] == row and column in run["columns"]
-            }
-            if not found:
-                continue
-            seeds = {str(seed): part["accuracy"] for seed, part in found.items()}
+        of_row = [run for run in runs if run["row"] == row]
+        for column in in_order(column for run in of_row for column in run["columns"]):
+            found = {run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]}
             some = next(iter(found.values()))
             table.setdefault(row, {})[column] = {
-                **summary(list(seeds.values())),
-                "seeds": seeds,
+                **summary([part["accuracy"] for part in found.values()]),
+                "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
                 "windows": some["windows"],
                 "per_motion": {
                     m: summary([part["per_motion"][m] for part in found.values()]) for m in some["per_motion"]
                 },
+                "against_time_ms": {
+                    ms: float(np.mean([part["against_time_ms"][ms] for part in found.values()]))
+                    for ms in some["against_time_ms"]
+                },
             }
     return table
+
+
+def in_order(columns: Iterable[str]) -> list[str]:
+    """Columns, each once, in the table's order: tests on recordings, then simulated sets."""
+    found = set(columns)
+    trained_on = dict.fromkeys(column.split("/")[0] for column in COLUMNS)
+    return [c for c in (*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)) if c in found]
 
 
 def summary(values: Sequence[float]) -> dict[str, float | None]:
@@ -54,27 +73,66 @@ def summary(values: Sequence[float]) -> dict[str, float | None]:
     return {"mean": float(np.mean(values)), "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None}
 
 
-def differences(table: dict[str, Any]) -> list[dict[str, Any]]:
-    """Differences of the pairs in `DIFFERENCES`, seed by seed, in each column that both rows have.
+def shares(right: np.ndarray) -> np.ndarray:
+    """Of each digit: the share of its windows that are right."""
+    there = right >= 0
+    return np.where(there, right, 0).sum(0) / there.sum(0)
+
+
+def interval(values: np.ndarray) -> dict[str, float]:
+    """Of the mean of differences (S, I) of S seeds and I digits: "mean", "low" and "high", its 95 % interval, and "p".
+
+    At least two seeds and two digits.
+    """
+    mean = float(values.mean())
+    parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]  # of digits, of seeds
+    error = float(sum(parts)) ** 0.5
+    if error == 0.0:
+        return {"mean": mean, "low": mean, "high": mean, "p": float(mean == 0.0)}
+    freedom = error**4 / sum(part**2 / (values.shape[1 - a] - 1) for a, part in enumerate(parts))
+    half = float(stats.t.ppf(0.975, freedom)) * error
+    p = float(2 * stats.t.sf(abs(mean) / error, freedom))
+    return {"mean": mean, "low": mean - half, "high": mean + half, "p": p}
+
+
+def differences(right: Right) -> list[dict[str, Any]]:
+    """Differences of the pairs in `QUESTIONS`, in each column that both rows have with two seeds at least.
 
     Returns
     -------
-    Of each: "row", "against", "column", "seeds" (how many), "mean", and "low" and "high", the 95 % interval of the mean
-    by Student's t. Two seeds at least.
+    Of each: "question", "row", "against", "column", "seeds" (how many), those of `interval`, and "holm": p adjusted for
+    all differences of its question.
     """
-    found = []
-    for row, against in DIFFERENCES:
-        columns = table.get(row, {})
-        for column, part in columns.items():
-            other = table.get(against, {}).get(column, {"seeds": {}})
-            values = [part["seeds"][seed] - other["seeds"][seed] for seed in part["seeds"] if seed in other["seeds"]]
-            if len(values) < 2:
-                continue
-            mean = float(np.mean(values))
-            half = T_975[min(len(values) - 1, len(T_975)) - 1] * float(np.std(values, ddof=1)) / len(values) ** 0.5
-            ends = {"low": mean - half, "high": mean + half}
-            found.append({"row": row, "against": against, "column": column, "seeds": len(values), "mean": mean, **ends})
+    found: list[dict[str, Any]] = []
+    for question, pairs in QUESTIONS.items():
+        of_question: list[dict[str, Any]] = []
+        for row, against in pairs:
+            for column in in_order(column for name, column in right if name == row):
+                of_row, other = right[row, column], right.get((against, column), {})
+                seeds = [seed for seed in of_row if seed in other]
+                if len(seeds) > 1:
+                    values = np.stack([shares(of_row[seed]) - shares(other[seed]) for seed in seeds])
+                    names = {"question": question, "row": row, "against": against, "column": column}
+                    of_question.append({**names, "seeds": len(seeds), **interval(values)})
+        for difference, p in zip(of_question, holm([d["p"] for d in of_question]), strict=True):
+            difference["holm"] = p
+        found += of_question
     return found
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Adjusted p of several hypotheses (S. Holm 1979): those below a level are rejected together at that level.
+
+    Examples
+    --------
+    >>> holm([0.04, 0.01, 0.03])
+    [0.06, 0.03, 0.06]
+    """
+    adjusted, least = [0.0] * len(p), 0.0
+    for k, i in enumerate(sorted(range(len(p)), key=lambda i: p[i])):
+        least = max(least, min(1.0, (len(p) - k) * p[i]))
+        adjusted[i] = least
+    return adjusted
 
 
 def text_table(table: dict[str, Any]) -> str:
@@ -99,9 +157,11 @@ def text_table(table: dict[str, Any]) -> str:
     return "\n".join(lines[1:])
 
 
-def markdown_table(table: dict[str, Any], group: str) -> str:
-    """The rows of a group in Markdown; the thesis' numbers follow in brackets."""
-    rows, columns = _part(table, group)
+def markdown_table(table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()) -> str:
+    """The rows of groups in Markdown, in these columns or in all; the thesis' numbers follow in brackets."""
+    parts = [_part(table, group) for group in groups]
+    rows = [row for of_group, _ in parts for row in of_group]
+    columns = columns or in_order(column for _, of_group in parts for column in of_group)
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
     for row in rows:
         cells = []
@@ -113,10 +173,9 @@ def markdown_table(table: dict[str, Any], group: str) -> str:
 
 
 def _part(table: dict[str, Any], group: str) -> tuple[list[str], list[str]]:
-    """The rows of a group and their columns: those of `COLUMNS`, and of other simulated sets."""
+    """The rows of a group and their columns."""
     rows = [row for row in table if row in ROWS and ROWS[row].group == group]
-    found = dict.fromkeys(column for row in rows for column in table[row])
-    return rows, [*(c for c in COLUMNS if c in found), *(c for c in found if c not in COLUMNS)]
+    return rows, in_order(column for row in rows for column in table[row])
 
 
 def cell(part: dict[str, Any] | None) -> str:
@@ -130,3 +189,8 @@ def cell(part: dict[str, Any] | None) -> str:
 def short(number: float) -> str:
     """.957"""
     return f"{number:.3f}".replace("0.", ".", 1)
+
+
+def signed(number: float) -> str:
+    """+.165"""
+    return f"{number:+.3f}".replace("0.", ".", 1)

@@ -1,20 +1,21 @@
 """The thesis' experiment: which networks are trained, how, and which of them are compared. All was set beforehand.
 
 A row is one way from events to a network's input, and what it is trained on. All rows share the network and the
-optimizer. The comparison crosses
+optimizer. Besides the thesis' own three rows, the comparison crosses
 
 - the input: the event volume as it is (raw), or TNT about the image centre, the running centroid, a regressed
   landmark, or the fitted line with its flow removed,
-- polarity: signed or not,
+- polarity: signed, or not, or split,
 - augmentation: events are thinned at random, which moves nothing, and windows are moved by up to 4 whole pixels or
   not. The thesis moves them (it names no size) for its regressor alone; what one row may have, every row may have.
 
-t_max is 2 there: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training motion
-(docs/results.md has the numbers). The thesis has B - 1 = 8, which other rows have.
+t_max is 2 there: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training motion. The thesis
+has B - 1 = 8, as its own rows have, and some others.
 
-Besides: the thesis' own three rows; event images and TNT about `window`; rows that learn from fewer recordings; and
-rows with motion re-synthesis (`resynthesis`), an augmentation that the thesis does not have. They show what recordings
-of one motion can teach, not what a network infers by itself.
+The thesis scales time from a window's first event to its last, which rows of group `spans` do, over the whole saccade
+or over 1,000 events. Other groups: event images, and TNT about `window`; and rows with motion re-synthesis, an
+augmentation that the thesis does not have. They show what recordings of one motion can teach, not what a network infers
+by itself; their controls are trained for as many steps.
 
 References
 ----------
@@ -33,7 +34,8 @@ from async_tnt.training.moved_windows import MotionSettings
 
 T_MAX = 2.0
 T_MAX_THESIS = 8.0
-STEPS, STEPS_MOTIONS, STEPS_THESIS = 3_000, 8_000, 60_000
+STEPS, STEPS_MORE, STEPS_THESIS = 3_000, 8_000, 60_000
+ALL_EVENTS, WINDOW_EVENTS = 1_000_000, 1_000
 TRANSLATE_PX = 4
 AS_RECORDED = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)
 THINNED = replace(AS_RECORDED, drop=0.3)
@@ -51,6 +53,7 @@ IMAGES: dict[Representation, str] = {
     "mean_time": "image of mean times",
     "time_surface": "time surface",
 }
+UNSIGNED, SPLIT = ("raw", "center", "running", "line"), ("raw", "running")
 TITLES = {"raw": "raw", **{name: f"`{name}`" for name in INPUTS if name != "raw"}}
 
 COLUMNS = {
@@ -58,16 +61,32 @@ COLUMNS = {
     "1/all": "trained on the first saccade, tested on all three",
     "1/others": "trained on the first saccade, tested on the second and third",
     "1/train": "trained on the first saccade, tested on all three of the training digits",
-    "all/sim": "trained on all three saccades, tested on 30 simulated motions",
-    "1/sim": "trained on the first saccade, tested on 30 simulated motions",
     "confounded/all": "trained on each digit in one saccade only (0-3: first, 4-6: second, 7-9: third), tested on all",
-    "confounded/sim": "the same, tested on 30 simulated motions",
 }
+"""Tests on recordings. Every network is tested on each of `SETS`, too: "all/sim", "1/bell" ..."""
 TRAINED_ON = tuple(dict.fromkeys(column.split("/")[0] for column in COLUMNS))
+SETS = {
+    name + ("" if dark else " bright"): (kind, dark)
+    for dark in (True, False)
+    for name, kind in {
+        "sim": "constant",
+        "centre": "constant-from-centre",
+        "bell": "bell",
+        "bell centre": "bell-from-centre",
+        "beyond": "beyond",
+    }.items()
+    if dark or kind != "beyond"
+}
+"""Simulated set -> its kind of motions, see `motions.KINDS`, and whether digits are dark on bright. The thesis' is
+probably "centre bright"."""
+THESIS_SET = "centre bright"
 THESIS = {
-    "thesis-baseline": {"all/all": 0.991, "1/all": 0.437, "1/train": 0.442, "all/sim": 0.396, "1/sim": 0.207},
-    "thesis-tnt": {"all/all": 0.981, "1/all": 0.468, "1/train": 0.464, "all/sim": 0.592, "1/sim": 0.318},
-    "thesis-regress": {"all/all": 0.981, "1/all": 0.485, "1/train": 0.481, "all/sim": 0.566, "1/sim": 0.324},
+    "thesis-baseline": {"all/all": 0.991, "1/all": 0.437, "1/train": 0.442, f"all/{THESIS_SET}": 0.396}
+    | {f"1/{THESIS_SET}": 0.207},
+    "thesis-tnt": {"all/all": 0.981, "1/all": 0.468, "1/train": 0.464, f"all/{THESIS_SET}": 0.592}
+    | {f"1/{THESIS_SET}": 0.318},
+    "thesis-regress": {"all/all": 0.981, "1/all": 0.485, "1/train": 0.481, f"all/{THESIS_SET}": 0.566}
+    | {f"1/{THESIS_SET}": 0.324},
 }
 """The thesis' accuracies: row -> column."""
 
@@ -86,7 +105,7 @@ class Row:
     iterations : steps of the optimizer.
     trained_on : of `TRAINED_ON`.
     motions : how the windows are re-synthesized; None: they are not.
-    recordings : how many recordings are trained on; None: all.
+    span : time is scaled from a window's first event to its last of so many; None: it is not scaled.
     seeds : with how many of the command's seeds, at most; None: all.
     """
 
@@ -98,28 +117,42 @@ class Row:
     iterations: int = STEPS
     trained_on: tuple[str, ...] = ("all", "1")
     motions: MotionSettings | None = None
-    recordings: int | None = None
+    span: int | None = None
     seeds: int | None = None
 
 
 GROUPS = {
-    "comparison": "raw volumes and TNT by landmark, signed or not, translated or not; some with t_max 4 or 8",
-    "motions": "with motion re-synthesis, an augmentation",
-    "learning": "from fewer recordings",
+    "thesis": "the thesis' own rows: t_max 8, nothing thinned, translations with the regressor only",
+    "long": "the same for 60,000 steps, as in the thesis, one seed",
+    "comparison": "raw volumes and TNT by landmark, signed, unsigned or split, translated or not; some with t_max 8",
+    "spans": "time scaled from a window's first event to its last, as in the thesis",
+    "motions": "with motion re-synthesis, an augmentation, and controls of as many steps",
     "representations": "event images instead of volumes, and TNT about `window`",
-    "thesis": "the thesis' own rows: t_max 8, nothing thinned, translations with the regressor only, 60,000 steps",
 }
 
 
-def _row(
+def _thesis() -> Iterator[Row]:
+    for steps in (STEPS_MORE, STEPS_THESIS):
+        for name, title, of, augmentation in (
+            ("thesis-baseline", "Baseline", "raw", AS_RECORDED),
+            ("thesis-tnt", "TNT", "center", AS_RECORDED),
+            ("thesis-regress", "TNT+regress", "regressor", replace(AS_RECORDED, translate_px=TRANSLATE_PX)),
+        ):
+            config = INPUTS[of] if of == "raw" else INPUTS[of].replace(t_max=T_MAX_THESIS)
+            if steps == STEPS_THESIS:
+                yield Row(f"{name}-60000", "long", f"{title}, 60,000 steps", config, augmentation, steps, seeds=1)
+            else:
+                yield Row(name, "thesis", title, config, augmentation, steps)
+
+
+def _compared(
     name: str,
     *,
     polarity: str = "signed",
     t_max: float = T_MAX,
     translated: bool = False,
-    recordings: int | None = None,
 ) -> Row:
-    """A row of the comparison, or of fewer recordings; its name and title tell what is not usual."""
+    """A row of the comparison; its name and title tell what is not usual."""
     config, words, title = INPUTS[name].replace(polarity=polarity), [name], [TITLES[name]]
     if t_max != T_MAX:
         config = config.replace(t_max=t_max)
@@ -131,45 +164,43 @@ def _row(
     if translated:
         words.append("translated")
         title.append("translated")
-    if recordings is not None:
-        words.append(str(recordings))
-        title.append(f"{recordings:,} recordings")
-    usual = (polarity, t_max, recordings) == ("signed", T_MAX, None)
     return Row(
         "-".join(words),
-        "comparison" if recordings is None else "learning",
+        "comparison",
         ", ".join(title),
         config,
         replace(THINNED, translate_px=TRANSLATE_PX) if translated else THINNED,
-        trained_on=("all", "1") if usual else ("1",),
-        recordings=recordings,
+        trained_on=("all", "1") if (polarity, t_max) == ("signed", T_MAX) else ("1",),
     )
 
 
 def _comparison() -> Iterator[Row]:
-    for name in INPUTS:
-        for polarity in ("signed", "unsigned"):
+    for polarity, names in (("signed", INPUTS), ("unsigned", UNSIGNED), ("split", SPLIT)):
+        for name in names:
             for translated in (False, True):
-                yield _row(name, polarity=polarity, translated=translated)
-    yield _row("running", t_max=4.0, translated=True)
-    for name in ("center", "running", "regressor"):
-        yield _row(name, t_max=T_MAX_THESIS, translated=True)
+                yield _compared(name, polarity=polarity, translated=translated)
+    for name in ("center", "running"):
+        yield _compared(name, t_max=T_MAX_THESIS, translated=True)
+
+
+def _spans() -> Iterator[Row]:
+    for name, n, words in (
+        ("raw", ALL_EVENTS, "from first event to last"),
+        ("center", ALL_EVENTS, "from first event to last"),
+        ("center", WINDOW_EVENTS, f"windows of {WINDOW_EVENTS:,} events"),
+    ):
+        known = "span" if n == ALL_EVENTS else f"{n}-events"
+        yield Row(f"{name}-{known}", "spans", f"{TITLES[name]}, {words}", INPUTS[name], span=n)
 
 
 def _motions() -> Iterator[Row]:
     for name, title, config, motions, trained_on in (
         ("raw-motions", "raw + re-synthesis", INPUTS["raw"], MotionSettings(), ("all", "1")),
         ("running-motions", "`running` + re-synthesis", INPUTS["running"], MotionSettings(), ("all", "1")),
+        ("raw-8000", f"raw, {STEPS_MORE:,} steps", INPUTS["raw"], None, ("all", "1", "confounded")),
         ("raw-moved", "raw, re-synthesis only", INPUTS["raw"], MotionSettings(recorded=0.0), ("confounded",)),
-        ("raw-confounded", "raw", INPUTS["raw"], None, ("confounded",)),
     ):
-        yield Row(name, "motions", title, config, iterations=STEPS_MOTIONS, trained_on=trained_on, motions=motions)
-
-
-def _learning() -> Iterator[Row]:
-    for name in ("raw", "running"):
-        for recordings in (700, 2_000):
-            yield _row(name, translated=True, recordings=recordings)
+        yield Row(name, "motions", title, config, iterations=STEPS_MORE, trained_on=trained_on, motions=motions)
 
 
 def _representations() -> Iterator[Row]:
@@ -182,36 +213,52 @@ def _representations() -> Iterator[Row]:
         yield Row(f"{name}-translated", "representations", f"{title}, translated", config, augmentation)
 
 
-def _thesis() -> Iterator[Row]:
-    for name, title, of, augmentation in (
-        ("thesis-baseline", "Baseline", "raw", AS_RECORDED),
-        ("thesis-tnt", "TNT", "center", AS_RECORDED),
-        ("thesis-regress", "TNT+regress", "regressor", replace(AS_RECORDED, translate_px=TRANSLATE_PX)),
-    ):
-        config = INPUTS[of] if of == "raw" else INPUTS[of].replace(t_max=T_MAX_THESIS)
-        yield Row(name, "thesis", title, config, augmentation, STEPS_THESIS, seeds=1)
-
-
-_PARTS = (_comparison, _motions, _learning, _representations, _thesis)
+_PARTS = (_thesis, _comparison, _spans, _motions, _representations)
 ROWS = {row.name: row for make in _PARTS for row in make()}
 assert {row.group for row in ROWS.values()} == set(GROUPS)
 
-DIFFERENCES = (
-    *((f"{name}-translated", name) for name in INPUTS),
-    *((f"{name}-unsigned", name) for name in INPUTS),
-    *((f"{name}-unsigned-translated", f"{name}-translated") for name in INPUTS),
-    *((f"{name}-translated", "raw-translated") for name in INPUTS if name != "raw"),
-    *((f"{name}-unsigned-translated", "raw-unsigned-translated") for name in INPUTS if name != "raw"),
-    ("running-translated", "center-translated"),
-    ("running-translated", "regressor-translated"),
-    ("line-unsigned-translated", "running-unsigned-translated"),
-    ("running-t4-translated", "running-translated"),
-    *((f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running", "regressor")),
-    *((f"{name}-translated", "raw-translated") for name in ("window", *IMAGES)),
-    ("running-motions", "raw-motions"),
-    ("raw-moved", "raw-confounded"),
-)
-"""Pairs of rows whose difference in accuracy is looked at: (row, against)."""
+QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
+    "The thesis' rows against its Baseline": (
+        ("thesis-tnt", "thesis-baseline"),
+        ("thesis-regress", "thesis-baseline"),
+    ),
+    "The transform against raw, not translated": tuple((name, "raw") for name in INPUTS if name != "raw"),
+    "The transform against raw, translated": (
+        *((f"{name}-translated", "raw-translated") for name in INPUTS if name != "raw"),
+        ("window-translated", "raw-translated"),
+    ),
+    "The transform against raw, without the sign": tuple(
+        (f"{name}-unsigned{moved}", f"raw-unsigned{moved}")
+        for moved in ("", "-translated")
+        for name in UNSIGNED
+        if name != "raw"
+    ),
+    "Polarity against signed": tuple(
+        (f"{name}-{polarity}{moved}", f"{name}{moved}")
+        for polarity, names in (("unsigned", UNSIGNED), ("split", SPLIT))
+        for name in names
+        for moved in ("", "-translated")
+    ),
+    "Windows moved by up to 4 px in training": (
+        *((f"{name}-translated", name) for name in INPUTS),
+        *((f"{name}-unsigned-translated", f"{name}-unsigned") for name in UNSIGNED),
+    ),
+    "t_max 8 against 2": tuple((f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running")),
+    "Time from first event to last": (
+        ("raw-span", "raw"),
+        ("center-span", "center"),
+        (f"center-{WINDOW_EVENTS}-events", "center"),
+        ("center-span", "raw-span"),
+    ),
+    "Event images against raw": tuple((f"{name}-translated", "raw-translated") for name in IMAGES),
+    "Re-synthesis against as many steps without": (
+        ("raw-motions", "raw-8000"),
+        ("raw-moved", "raw-8000"),
+        ("running-motions", "raw-motions"),
+    ),
+}
+"""Question -> pairs of rows whose difference in accuracy is looked at: (row, against), in every column that both
+have."""
 
 
 @dataclass(frozen=True)

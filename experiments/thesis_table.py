@@ -8,7 +8,7 @@ import time
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from async_tnt.checks import needs_extra
 from async_tnt.cli.bench import machine
@@ -18,10 +18,7 @@ from async_tnt.files import check_folder, write_text
 from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
-from experiments.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
-
-if TYPE_CHECKING:
-    from experiments.table_data import RealData
+from experiments.table_rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
 DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
 
@@ -35,11 +32,11 @@ Columns, trained on / tested on:
   1/all     the first saccade only        / all three, of other digits
   1/others  the first saccade only        / the second and third, of other digits
   1/train   the first saccade only        / all three, of the digits trained on
-  all/sim   all three saccades            / 30 simulated motions of N-MOVING-MNIST
-  1/sim     the first saccade only        / 30 simulated motions
+  .../sim ...  the same                   / N-MOVING-MNIST, nine sets of 30 simulated motions, made in --out
   confounded: each digit in one saccade only, 0-3 in the first, 4-6 in the second, 7-9 in the third
 
-Rows are compared seed by seed; the results hold each difference with its 95 % interval.
+Rows are compared seed by seed and digit by digit; the results hold each difference with its 95 % interval, and which
+of them hold when all are asked at once (Holm's method).
 
 A network is validated on held-out digits of its training motion, and tested only at the end. Checkpoints and results
 of all networks are kept in --out: stop with Ctrl-C, give the same command again, and it resumes.
@@ -48,10 +45,9 @@ EPILOG = """\
 examples:
   python -m experiments.thesis_table --smoke --nmnist N-MNIST --mnist MNIST    everything in a minute or two
   python -m experiments.thesis_table --list                                    the networks, and their steps
-  python -m experiments.moving_mnist --mnist MNIST --out moving                10,000 digits, 30 motions
-  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving --out table
-                                                                               the table so far
-  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving bells --rows raw line --seeds 0 1
+  python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows thesis --out table
+                                                                               the thesis' own rows
+  python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows raw line --seeds 0 1 --images 100
 """
 
 
@@ -62,15 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--nmnist",
         "N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)",
     )
+    add_folder(data, "--mnist", "MNIST's IDX files, to simulate from (default: $TNT_DATA/mnist)")
     data.add_argument(
-        "--simulated",
-        type=Path,
-        nargs="+",
-        metavar="FOLDER",
-        help="a set made by experiments.moving_mnist, the columns .../sim, and any others; by default the test set of "
-        "30 motions is first made in --out",
+        "--images",
+        type=positive_int,
+        default=500,
+        metavar="N",
+        help="test images of MNIST to simulate, that no training recording shows (default: 500)",
     )
-    add_folder(data, "--mnist", "MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)")
     what = parser.add_argument_group("what to train")
     what.add_argument(
         "--rows",
@@ -131,18 +126,21 @@ def main(argv: list[str] | None = None) -> int:
             args.seeds[:1],
             min(args.iterations or 30, 30),
         )
+        args.images = min(args.images, 20)
     runs = runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))
     if not runs:
         raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
     if args.list:
         say(*_listed(runs, args.iterations))
         return 0
-    with needs_extra("train", "the table needs torch"):
+    with needs_extra("test", "the table needs torch and SciPy"):
+        import scipy  # noqa: F401
         import torch
         from tnt_reference import Classifier  # noqa: F401
-    from experiments.table_data import RealFolder
+    from experiments.table_data import RealFolder, make_set
+    from experiments.table_factors import effects
     from experiments.table_numbers import aggregate, differences, markdown_table, text_table
-    from experiments.table_runs import run_networks
+    from experiments.table_runs import right_of, run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
     check_folder(args.out, ("results.json", "table.md"))
@@ -152,42 +150,51 @@ def main(argv: list[str] | None = None) -> int:
     real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit)
     data = real.read()
     args.out.mkdir(parents=True, exist_ok=True)
-    simulated = _by_name(args.simulated or [_simulate(args, args.out / "simulated")])
-    descriptions = {name: _set_description(folder, data) for name, folder in simulated.items()}
+    mnist = data_folder(args.mnist, "mnist", "--mnist")
+    workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
+    simulated = {
+        name: make_set(name, mnist, args.out / "simulated" / name.replace(" ", "-"), data, args.images, workers)
+        for name in SETS
+    }
     note(*_listed(runs, args.iterations))
     settings = TrainSettings(iterations=args.iterations, batch=args.batch)
-    workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     started = time.monotonic()
     results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
-    table = aggregate(results)
+    table, right = aggregate(results), right_of(results, args.out / "networks")
     record = {
         "command": command_words(
-            "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST",
+            "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
             args,
             add_arguments,
             leave_out=("json", "workers"),
         ),
-        "data": {**data.description, "simulated": descriptions},
+        "data": {**data.description, "simulated": {name: made.parameters for name, made in simulated.items()}},
         "rows": {
             name: {
                 "config": ROWS[name].config.to_dict(),
                 "augmentation": asdict(ROWS[name].augmentation),
                 "iterations": args.iterations or ROWS[name].iterations,
-                "recordings": ROWS[name].recordings,
+                "span_events": ROWS[name].span,
                 "motions": {r["trained_on"]: r["motions"] for r in results if r["row"] == name and r["motions"]},
             }
             for name in table
         },
-        "settings": {"batch": args.batch},
+        "settings": {name: value for name, value in results[0]["settings"].items() if name != "iterations"},
         "seeds": list(dict.fromkeys(run.seed for run in runs)),
         "machine": machine() | {"torch": version("torch")},
         "table": table,
-        "differences": differences(table),
+        "differences": differences(right),
+        "effects": effects(right),
         "validation": {Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results},
+        "curves": {
+            Run(r["row"], r["trained_on"], r["seed"]).name: r["history"]
+            for r in results
+            if ROWS[r["row"]].group == "long"
+        },
     }
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
     groups = dict.fromkeys(ROWS[name].group for name in table)
-    write_text(args.out / "table.md", "\n\n".join(markdown_table(table, group) for group in groups) + "\n")
+    write_text(args.out / "table.md", "\n\n".join(markdown_table(table, [group]) for group in groups) + "\n")
     if args.json:
         say(json.dumps(record))
     else:
@@ -207,50 +214,7 @@ def _listed(runs: list[Run], iterations: int | None) -> list[str]:
     return lines
 
 
-def _by_name(folders: list[Path]) -> dict[str, Path]:
-    """Simulated sets by the name of their columns: the first is "sim"."""
-    from experiments.moving_mnist_set import open_set
-    from experiments.table_data import set_name
-
-    named = {"sim": folders[0]}
-    for folder in folders[1:]:
-        name = set_name(open_set(folder).parameters)
-        if name in named:
-            raise ValueError(f"{named[name]} and {folder} are the same kind of set, {name}; give one of them")
-        named[name] = folder
-    return named
-
-
-def _simulate(args: argparse.Namespace, folder: Path) -> Path:
-    from experiments.moving_mnist_set import build
-
-    mnist = data_folder(args.mnist, "mnist", "--mnist")
-    build(mnist, folder, split="test", kind="constant", digits=20 if args.smoke else None, workers=args.workers)
-    return folder
-
-
-def _set_description(folder: Path, data: RealData) -> dict[str, Any]:
-    """What the simulated set is, and how much of it is tested on."""
-    from experiments.moving_mnist_set import open_set
-
-    made = open_set(folder)
-    if made.parameters["split"] != "test" or made.parameters["kind"] == "nmnist":
-        raise ValueError(
-            f"{folder}: the table needs simulated motions of MNIST's test images, got split "
-            f"{made.parameters['split']!r}, motions {made.parameters['kind']!r}; see experiments.moving_mnist"
-        )
-    n_images = made.parameters["digits"]
-    n_unseen = n_images - int((data.seen_images < n_images).sum())
-    if n_unseen == 0:
-        raise ValueError(
-            f"{folder}: all of its {n_images} images are shown by training recordings; simulate more digits"
-        )
-    return {"motions": len(made.motions), "images_tested_on": n_unseen, **made.parameters}
-
-
 def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> list[str]:
-    from experiments.table_data import set_name
-
     data = record["data"]
     seeds = ", ".join(map(str, record["seeds"]))
     counts = {name: min(len(part["seeds"]) for part in columns.values()) for name, columns in record["table"].items()}
@@ -260,11 +224,8 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
         f"mean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; windows per step: {args.batch}.",
         f"N-MNIST: {data['training_recordings']} recordings to train on, {data['held_out_recordings']} held out, "
         f"{data['test_recordings']} to test on; the split is {data['split']}.",
-        *(
-            f"{name}: {found['motions']} {set_name(found)} motions of {found['images_tested_on']} MNIST test images "
-            "that no training recording shows."
-            for name, found in data["simulated"].items()
-        ),
+        f"{', '.join(data['simulated'])}: 30 simulated motions each of {args.images} MNIST test images that no "
+        "training recording shows.",
         f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)",
     ]
 

@@ -1,42 +1,34 @@
-"""The tables of the thesis' experiment, all from one run of `thesis_table.py`, and what follows from them.
+"""The tables of the thesis' experiment, all from one run of `thesis_table.py`, and the sentences that follow from them.
 
-A sentence about two rows is written from the paired difference and its interval: one that holds zero is not called a
-difference.
+No sentence picks its differences: it names all of a question that hold by Holm's method, gains and losses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from async_tnt.resynthesis.calibration import UNITS
+from experiments import figure_equivariance
 from experiments.page_parts import results, table
-from experiments.table_numbers import markdown_table, short
-from experiments.table_rows import INPUTS, ROWS
+from experiments.table_numbers import LEVEL, cell, in_order, markdown_table, short, signed
+from experiments.table_rows import QUESTIONS, ROWS, SETS, THESIS_SET
 
 GUESS = 0.1
 """The accuracy of guessing among ten digits."""
-COMPARED = {
-    "Windows moved by up to 4 px in training": [(f"{name}-translated", name, "1/others") for name in INPUTS],
-    "TNT, signed": [
-        *((f"{name}-translated", "raw-translated", "1/others") for name in ("center", "running", "regressor", "line")),
-        ("running-translated", "regressor-translated", "1/others"),
-        ("running-translated", "center-translated", "1/others"),
-    ],
-    "Without the sign": [
-        *((f"{name}-unsigned-translated", f"{name}-translated", "1/others") for name in ("raw", "running", "line")),
-        ("running-unsigned-translated", "raw-unsigned-translated", "1/others"),
-        ("line-unsigned-translated", "running-unsigned-translated", "1/others"),
-    ],
-    "Simulated motions": [
-        *((f"{name}-translated", "raw-translated", "all/sim") for name in ("center", "running", "regressor", "line")),
-        *((f"{name}-translated", "raw-translated", "1/sim") for name in ("running", "line")),
-        ("line-unsigned-translated", "raw-unsigned-translated", "1/sim"),
-    ],
-    "t_max 8 against 2": [
-        (f"{name}-t8-translated", f"{name}-translated", "1/others") for name in ("center", "running", "regressor")
-    ],
-}
-"""Topic -> (row, against, column), for the sentences."""
+THESIS_COLUMNS = ("all/all", "1/all", "1/train", f"all/{THESIS_SET}", f"1/{THESIS_SET}")
+COLUMNS = ("all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim", "all/bell", "1/bell")
+DIFFERENCES = ("all/all", "1/others", "all/sim", "1/sim", "all/bell", "1/bell")
+THESIS_ROWS = ("thesis-baseline", "thesis-tnt", "thesis-regress")
+EARLY = (
+    *THESIS_ROWS,
+    "raw-translated",
+    "running-translated",
+    "line-unsigned-translated",
+    "time_surface-translated",
+    "raw-motions",
+)
+"""Rows of `against_time`."""
 
 
 def _accuracies() -> dict[str, Any]:
@@ -44,12 +36,41 @@ def _accuracies() -> dict[str, Any]:
     return dict(results("table")["table"])
 
 
+def thesis_rows() -> str:
+    """The thesis' rows, in brackets its own numbers."""
+    return markdown_table(_accuracies(), ("thesis", "long"), THESIS_COLUMNS)
+
+
+def thesis_sets() -> str:
+    """The same rows on each simulated set; bold where the difference to the Baseline holds."""
+    holds = {(d["row"], d["column"]) for d in _differences() if d["holm"] < LEVEL}
+    shown = [(on, row) for on in ("all", "1") for row in THESIS_ROWS]
+    rows = []
+    for name, (kind, dark) in SETS.items():
+        cells = []
+        for on, row in shown:
+            text = cell(_accuracies().get(row, {}).get(f"{on}/{name}"))
+            cells.append(f"**{text}**" if (row, f"{on}/{name}") in holds else text)
+        rows.append([f"{name}: {kind}, {'dark on bright' if dark else 'bright on dark'}", *cells])
+    return table(["tested on", *(f"{on}: {ROWS[row].title}" for on, row in shown)], rows)
+
+
+def effects() -> str:
+    """What the gain over the Baseline depends on; bold where it holds."""
+    found = results("table")["effects"]
+    columns = list(dict.fromkeys((e["trained_on"], e["row"]) for e in found))
+    rows = []
+    for effect in dict.fromkeys(e["effect"] for e in found):
+        of = {(e["trained_on"], e["row"]): e for e in found if e["effect"] == effect}
+        rows.append([effect, *(_difference(of[column]) for column in columns)])
+    return table(["gain over the Baseline", *(f"{on}: {ROWS[row].title}" for on, row in columns)], rows)
+
+
 def comparison() -> str:
     """With what a network would have that knows the motion it saw, and guesses in others."""
-    lines = markdown_table(_accuracies(), "comparison").splitlines()
-    columns = lines[0].strip("| ").split(" | ")
+    lines = markdown_table(_accuracies(), ("comparison", "spans"), COLUMNS).splitlines()
     guessed = {"1/all": _guessed("1/all"), "1/others": GUESS, "1/train": _guessed("1/train"), "1/sim": GUESS}
-    cells = [short(guessed[column]) if column in guessed else "" for column in columns]
+    cells = [short(guessed[column]) if column in guessed else "" for column in COLUMNS]
     return "\n".join([*lines[:2], "| *guessing in other motions* | " + " | ".join(cells) + " |", *lines[2:]])
 
 
@@ -59,84 +80,107 @@ def _guessed(column: str) -> float:
     return (known + 2 * GUESS) / 3
 
 
+def differences() -> str:
+    """Every pair of every question; bold where the difference holds."""
+    found = {(d["row"], d["against"], d["column"]): d for d in _differences()}
+    rows = []
+    for question, pairs in QUESTIONS.items():
+        known = [pair for pair in pairs if any((*pair, column) in found for column in DIFFERENCES)]
+        rows += [[f"*{question}*", *[""] * len(DIFFERENCES)]] * bool(known)
+        for row, against in known:
+            of = (found.get((row, against, column)) for column in DIFFERENCES)
+            title = f"{ROWS[row].title} - {ROWS[against].title}"
+            rows.append([title, *("-" if d is None else _difference(d) for d in of)])
+    return table(["difference", *DIFFERENCES], rows)
+
+
+def _difference(of: dict[str, Any]) -> str:
+    """+.165 (+.064 to +.266), bold where it holds."""
+    mean = signed(of["mean"])
+    return f"{f'**{mean}**' if of['holm'] < LEVEL else mean} ({signed(of['low'])} to {signed(of['high'])})"
+
+
+def _differences() -> list[dict[str, Any]]:
+    return list(results("table")["differences"])
+
+
 def conclusions() -> str:
-    """What the differences say, topic by topic."""
-    found = {(d["row"], d["against"], d["column"]): d for d in results("table")["differences"]}
+    """All that holds, question by question."""
+    return "\n".join(f"- {answer(question, _differences())}" for question in QUESTIONS)
+
+
+def thesis_answers() -> str:
+    """The thesis' own question, set by set."""
+    found = {(d["row"], d["column"]): d for d in _differences() if d["question"] == next(iter(QUESTIONS))}
     lines = []
-    for topic, pairs in COMPARED.items():
-        columns = dict.fromkeys(column for *_, column in pairs)
-        for column in columns:
-            said = [difference_in_words(found[pair]) for pair in pairs if pair[2] == column]
-            lines.append(f"- **{topic}**, {column}: {'; '.join(said)}.")
+    for on, words in (("all", "all saccades"), ("1", "the first saccade")):
+        for row in THESIS_ROWS[1:]:
+            signs: dict[str, list[str]] = {"gains": [], "loses": [], "shows no difference": []}
+            for name in (name for name in SETS if (row, f"{on}/{name}") in found):
+                d = found[row, f"{on}/{name}"]
+                sign = "shows no difference" if d["holm"] >= LEVEL else "gains" if d["mean"] > 0 else "loses"
+                signs[sign].append(f"*{name}* {signed(d['mean'])}")
+            said = "; ".join(f"{sign} on {', '.join(sets)}" for sign, sets in signs.items() if sets)
+            lines += [f"- Trained on {words}, *{ROWS[row].title}* against the Baseline {said}."] * bool(said)
     return "\n".join(lines)
 
 
-def difference_in_words(difference: dict[str, Any]) -> str:
-    """A clause: which row is better, by how much, and the 95 % interval; or that neither is shown to be."""
-    row, against = (ROWS[difference[name]].title for name in ("row", "against"))
-    low, high = (f"{difference[name]:+.3f}".replace("0.", ".", 1) for name in ("low", "high"))
-    if difference["low"] <= 0 <= difference["high"]:
-        return f"no difference shown between *{row}* and *{against}* ({low} to {high})"
-    verb = "gains" if difference["mean"] > 0 else "loses"
-    return f"*{row}* {verb} {short(abs(difference['mean']))} over *{against}* ({low} to {high})"
+def answer(question: str, every: Iterable[dict[str, Any]]) -> str:
+    """One question's differences that hold, of each pair of rows in each column."""
+    found = [d for d in every if d["question"] == question]
+    if not found:
+        return f"**{question}**: not measured yet."
+    pairs: dict[tuple[str, str], dict[str, str]] = {}
+    for d in found:
+        if d["holm"] < LEVEL:
+            pairs.setdefault((d["row"], d["against"]), {})[d["column"]] = signed(d["mean"])
+    n_held = sum(map(len, pairs.values()))
+    parts = []
+    for (row, against), means in pairs.items():
+        listed = ", ".join(f"{means[column]} in {column}" for column in in_order(means))
+        parts.append(f"*{ROWS[row].title}* against *{ROWS[against].title}* {listed}")
+    return f"**{question}**: {n_held} of {len(found)} hold" + ("".join(f"; {part}" for part in parts)) + "."
 
 
 def unseen_motion() -> str:
     """Sentences."""
     n_seeds = len(_accuracies()["raw-translated"]["1/all"]["seeds"])
-    of = {name: short(columns["1/all"]["mean"]) for name, columns in _accuracies().items() if "1/all" in columns}
+    of = {
+        name: " / ".join(short(columns[column]["mean"]) for column in ("1/all", "1/sim"))
+        for name, columns in _accuracies().items()
+        if "1/all" in columns
+    }
     return (
-        f"Trained on the first saccade, tested on all three ({n_seeds} seeds, t_max 2, windows moved by up to 4 px in "
-        f"training). With the sign of polarity: untransformed {of['raw-translated']}, `running` "
-        f"{of['running-translated']}. Without it: untransformed {of['raw-unsigned-translated']}, `running` "
+        f"Trained on the first saccade, tested on all three / in 30 simulated motions ({n_seeds} seeds, t_max 2, "
+        f"windows moved by up to 4 px in training). With the sign of polarity: untransformed {of['raw-translated']}, "
+        f"`running` {of['running-translated']}. Without it: untransformed {of['raw-unsigned-translated']}, `running` "
         f"{of['running-unsigned-translated']}, `line` with its flow removed {of['line-unsigned-translated']}. "
-        f"A network that guesses in the other two saccades would score {short(_guessed('1/all'))}. "
+        f"A network that guesses in other motions would score {short(_guessed('1/all'))} / {short(GUESS)}. "
         f"[Re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions, untransformed, not moved and with "
         f"more steps: {of['raw-motions']}."
     )
 
 
-def learning_curve() -> str:
-    """Accuracy against the number of recordings."""
-    n_all = results("table")["data"]["training_recordings"]
+def against_time() -> str:
+    """Accuracy in unseen motions by the time since a window's start."""
     rows = []
-    for name in ("raw", "running"):
-        for row in [row for row in ROWS if row.startswith(f"{name}-translated-")] + [f"{name}-translated"]:
-            cells = [short(_accuracies()[row][column]["mean"]) for column in ("1/all", "1/others", "1/sim")]
-            rows.append([ROWS[f"{name}-translated"].title, f"{ROWS[row].recordings or n_all:,}", *cells])
-    return table(["", "recordings", "1/all", "1/others", "1/sim"], rows)
+    for column in ("1/others", "1/sim"):
+        for row in EARLY:
+            of = _accuracies().get(row, {}).get(column, {})
+            if of.get("against_time_ms"):
+                early = [short(accuracy) for accuracy in of["against_time_ms"].values()]
+                rows.append([f"{column}: {ROWS[row].title}", *early, short(of["mean"])])
+    times = next(of for part in _accuracies().values() for c in part.values() if (of := c["against_time_ms"]))
+    return table(["", *(f"{ms} ms" for ms in times), "105 ms"], rows)
 
 
-def simulated_sets() -> str:
-    """Accuracy on eight simulated sets; bold where the interval of the difference to raw does not hold zero."""
-    found = results("table_sets")
-    shown = {
-        (d["row"], d["column"])
-        for d in found["differences"]
-        if d["against"] == "raw-translated" and d["low"] * d["high"] > 0
-    }
-    rows = []
-    for name, parameters in found["data"]["simulated"].items():
-        column = f"all/{name}"
-        cells = {row: short(columns[column]["mean"]) for row, columns in found["table"].items()}
-        rows.append([_set_title(parameters)])
-        rows[-1] += [f"**{cell}**" if (row, column) in shown else cell for row, cell in cells.items()]
-    return table(["tested on motions", *(ROWS[row].title for row in found["table"])], sorted(rows))
-
-
-def _set_title(parameters: dict[str, Any]) -> str:
-    kind = str(parameters["kind"])
-    light = "dark on bright" if parameters["simulator"]["scene"]["dark_on_bright"] else "bright on dark"
-    speed, where = kind.split("-")[0], "from the centre" if kind.endswith("from-centre") else "through the centre"
-    return f"{speed}, {where}, {light}"
-
-
-def thesis_rows() -> str:
-    return markdown_table(_accuracies(), "thesis")
+def equivariance() -> str:
+    """How far each layer is from moving along with the flow."""
+    return "\n".join(figure_equivariance.lines(results("equivariance")))
 
 
 def resynthesis() -> str:
-    return markdown_table(_accuracies(), "motions")
+    return markdown_table(_accuracies(), ("motions",))
 
 
 def resynthesis_match() -> str:

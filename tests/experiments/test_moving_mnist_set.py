@@ -13,7 +13,7 @@ from experiments.shards import open_shard
 from experiments.simulated_digits import simulate_digit
 from experiments.trajectories import ConstantVelocity
 
-QUICK = {"digits": 5, "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
+QUICK = {"which": range(5), "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 
 
 def files_of(folder):

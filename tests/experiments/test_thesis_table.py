@@ -10,18 +10,24 @@ from small_sets import write_small_mnist
 
 torch = pytest.importorskip("torch")
 
-from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
+from scipy import stats  # noqa: E402
+
+from async_tnt import Processor, TNTConfig, TNTVolume, load_model  # noqa: E402
+from async_tnt.events import structured  # noqa: E402
+from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from experiments import thesis_table  # noqa: E402
-from experiments.moving_mnist_set import build, open_set  # noqa: E402
+from experiments.moving_mnist_set import open_set  # noqa: E402
 from experiments.page_parts import results  # noqa: E402
 from experiments.table_data import (  # noqa: E402
     RealFolder,
     saccade,
     shown_test_images,
+    spanned,
     trained_on,
 )
-from experiments.table_numbers import aggregate, differences, markdown_table, text_table  # noqa: E402
-from experiments.table_rows import DIFFERENCES, ROWS, Run  # noqa: E402
+from experiments.table_factors import FACTORS, effects  # noqa: E402
+from experiments.table_numbers import aggregate, differences, interval, markdown_table, text_table  # noqa: E402
+from experiments.table_rows import QUESTIONS, ROWS, SETS, Run  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +37,15 @@ def mnist(tmp_path_factory):
 
 
 def test_pairs_that_are_compared_differ_in_one_thing():
-    assert {name for pair in DIFFERENCES for name in pair} <= set(ROWS)
-    for row, against in DIFFERENCES:
+    assert {name for pairs in QUESTIONS.values() for pair in pairs for name in pair} <= set(ROWS)
+    for row, against in (pair for pairs in QUESTIONS.values() for pair in pairs):
         a, b = ROWS[row], ROWS[against]
-        assert (a.iterations, a.recordings) == (b.iterations, b.recordings)
+        assert a.iterations == b.iterations
         if a.config.representation != "volume":  # another input: no transform, and split
             assert (a.augmentation, a.config.transform) == (b.augmentation, "none")
+            continue
+        if against == "thesis-baseline":  # the thesis itself moves the windows of one row
+            assert a.config.t_max == 8 and (a.augmentation == b.augmentation) == (row == "thesis-tnt")
             continue
         differ = [
             a.augmentation != b.augmentation,
@@ -44,6 +53,7 @@ def test_pairs_that_are_compared_differ_in_one_thing():
             a.config.t_max != b.config.t_max and row.split("-")[0] == against.split("-")[0],
             a.config.replace(polarity="signed", t_max=2) != b.config.replace(polarity="signed", t_max=2),
             a.motions != b.motions,
+            a.span != b.span,
         ]
         assert sum(differ) == 1, (row, against)
 
@@ -51,14 +61,6 @@ def test_pairs_that_are_compared_differ_in_one_thing():
 def test_images_seen_in_training_are_read_from_the_names():
     names = ["3/00001.bin", "3/60000.bin", "7/60001.bin", "7/60026.bin", "1/70000.bin", "1/other.bin", "1/70001.bin"]
     assert shown_test_images(names).tolist() == [0, 25, 9999]
-
-
-@pytest.fixture(scope="module")
-def moving(mnist, tmp_path_factory):
-    """45 images under 30 motions, three shards each; the small N-MNIST's Train shows all but the first 5."""
-    folder = tmp_path_factory.mktemp("moving")
-    build(mnist, folder, workers=1, recordings_per_shard=20)
-    return folder
 
 
 def test_real_windows_by_saccade(nmnist):
@@ -74,40 +76,123 @@ def test_real_windows_by_saccade(nmnist):
 def test_numbers_and_tables_by_hand():
     def run(row, seed, **accuracies):
         columns = {
-            column.replace("_", "/"): {"accuracy": a, "windows": 4, "per_motion": {"saccade 1": a, "saccade 2": a / 2}}
+            column.replace("__", " ").replace("_", "/"): {
+                "accuracy": a,
+                "windows": 4,
+                "per_motion": {"saccade 1": a, "saccade 2": a / 2},
+                "against_time_ms": {},
+            }
             for column, a in accuracies.items()
         }
         return {"row": row, "seed": seed, "columns": columns}
 
     runs = [
-        run("thesis-tnt", 0, all_all=0.96, all_sim=0.6, all_bell=0.5),
+        run("thesis-tnt", 0, all_all=0.96, all_centre__bright=0.6, all_bell=0.5),
         run("raw", 1, all_all=1.0),
         run("raw", 0, all_all=0.98),
         run("raw-translated", 0, all_all=0.94),
         run("raw-translated", 1, all_all=0.98),
     ]
     table = aggregate(runs)
-    assert list(table) == ["raw", "raw-translated", "thesis-tnt"]
-    assert list(table["thesis-tnt"]) == ["all/all", "all/sim", "all/bell"]
+    assert list(table) == ["thesis-tnt", "raw", "raw-translated"]
+    assert list(table["thesis-tnt"]) == ["all/all", "all/bell", "all/centre bright"]
     part = table["raw"]["all/all"]
     assert part["mean"] == pytest.approx(0.99) and part["deviation"] == pytest.approx(0.01 * 2**0.5)
     assert part["seeds"] == {"0": 0.98, "1": 1.0}
     assert part["per_motion"]["saccade 2"]["mean"] == pytest.approx(0.495)
-    assert table["thesis-tnt"]["all/sim"]["deviation"] is None
+    assert table["thesis-tnt"]["all/bell"]["deviation"] is None
     lines = text_table(table).splitlines()
-    assert lines[0].split() == ["comparison", "all/all"] and lines[1].split() == ["raw", ".990", "±", ".014"]
-    assert lines[-1].split() == ["in", "the", "thesis", ".981", ".592"]
-    assert markdown_table(table, "comparison").splitlines()[2] == "| raw | .990 ± .014 |"
-    assert markdown_table(table, "thesis").splitlines()[2] == "| TNT | .960 (.981) | .600 (.592) | .500 |"
-    (found,) = differences(table)  # -.04 and -.02: mean -.03, deviation .01414, 12.706 x .01414 / sqrt 2 = .12706
-    assert (found["row"], found["against"], found["column"], found["seeds"]) == ("raw-translated", "raw", "all/all", 2)
-    assert [found[name] for name in ("mean", "low", "high")] == pytest.approx([-0.03, -0.15706, 0.09706])
+    assert lines[0].split() == ["thesis", "all/all", "all/bell", "all/centre", "bright"]
+    assert lines[2].split() == ["in", "the", "thesis", ".981", ".592"]
+    assert lines[4].split() == ["comparison", "all/all"] and lines[5].split() == ["raw", ".990", "±", ".014"]
+    assert markdown_table(table, ["comparison"]).splitlines()[2] == "| raw | .990 ± .014 |"
+    assert markdown_table(table, ["thesis"]).splitlines()[2] == "| TNT | .960 (.981) | .500 | .600 (.592) |"
+
+
+def test_an_interval_by_hand():
+    """Two seeds, two digits: means of seeds .2, .4, of digits .1, .5, so variances .02 / 2 and .08 / 2."""
+    found = interval(np.array([[0.0, 0.4], [0.2, 0.6]]))
+    freedom = 0.05**2 / (0.01**2 + 0.04**2)
+    half = stats.t.ppf(0.975, freedom) * 0.05**0.5
+    assert [found[name] for name in ("mean", "low", "high")] == pytest.approx([0.3, 0.3 - half, 0.3 + half])
+    assert found["p"] == pytest.approx(2 * stats.t.sf(0.3 / 0.05**0.5, freedom))
+    assert interval(np.zeros((2, 3)))["p"] == 1 and interval(np.ones((2, 3)))["p"] == 0
+
+
+def test_its_width_is_that_of_the_bootstrap_over_seeds_and_digits():
+    rng = np.random.default_rng(0)
+    values = rng.normal(0, 0.2, (40, 1)) + rng.normal(0, 0.5, (1, 60)) + rng.normal(0, 0.3, (40, 60))
+    drawn = [values[rng.integers(0, 40, 40)][:, rng.integers(0, 60, 60)].mean() for _ in range(2_000)]
+    found = interval(values)
+    assert np.std(drawn) == pytest.approx((found["high"] - found["low"]) / 4, rel=0.1)
+
+
+def test_an_interval_holds_the_truth_in_19_of_20_cases():
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(400):
+        values = 0.1 + rng.normal(0, 0.02, (5, 1)) + rng.normal(0, 0.2, (1, 100)) + rng.normal(0, 0.2, (5, 100))
+        found = interval(values)
+        held += found["low"] <= 0.1 <= found["high"]
+    assert 0.92 < held / 400 < 0.985
+
+
+def test_differences_are_taken_digit_by_digit_and_adjusted_within_their_question():
+    """Two motions of three digits, one of which has no window in one motion."""
+    better, worse = np.array([[1, 1, 1], [1, 0, -1]], np.int8), np.array([[0, 1, 0], [0, 0, -1]], np.int8)
+    right = {
+        (row, "all/sim"): {seed: of for seed in range(3)}
+        for row, of in (("thesis-tnt", better), ("thesis-baseline", worse), ("thesis-regress", worse), ("raw", worse))
+    }
+    tnt, regress = differences(right)
+    assert (tnt["row"], tnt["against"], tnt["column"], tnt["seeds"]) == ("thesis-tnt", "thesis-baseline", "all/sim", 3)
+    assert tnt["mean"] == pytest.approx((1 + 0 + 1) / 3)  # 1, 1/2, 1 against 0, 1/2, 0
+    assert (regress["mean"], regress["p"]) == (0, 1) and tnt["holm"] == pytest.approx(2 * tnt["p"])
+
+
+def test_effects_of_factors_by_hand():
+    """TNT gains .2 on bright digits, .1 from the centre, and nothing else; then .4 where both are so."""
+    for together in (0.0, 0.1):
+        right = {}
+        rng = np.random.default_rng(0)
+        for name, (kind, dark) in SETS.items():
+            gain = 0.2 * (not dark) + 0.1 * kind.endswith("from-centre") + together * (not dark and "from" in kind)
+            for seed in range(3):
+                base = rng.random((30, 2_000)) < 0.4
+                right.setdefault(("thesis-baseline", f"all/{name}"), {})[seed] = base.astype(np.int8)
+                gained = base | (rng.random(base.shape) < gain / 0.6)
+                right.setdefault(("thesis-tnt", f"all/{name}"), {})[seed] = gained.astype(np.int8)
+        found = {effect["effect"]: effect for effect in effects(right)}
+        bright, centre = list(FACTORS)[:2]
+        expected = dict.fromkeys(found, 0.0) | {"mean": 0.15 + together / 4, f"{bright} and {centre}": together / 2}
+        expected |= {bright: 0.2 + together / 2, centre: 0.1 + together / 2}
+        for name, effect in found.items():
+            assert effect["mean"] == pytest.approx(expected[name], abs=0.005), name
+            assert (effect["holm"] < 0.05) == (abs(expected[name]) > 0), name
+
+
+def test_time_from_the_first_event_to_the_last_is_that_of_a_window_of_events(nmnist):
+    """The volume of a stream with `window_events`, which scales time as the thesis does."""
+    n = 300
+    windows = RealFolder(nmnist, validation=0.25).read().test
+    config = TNTConfig(landmark="center", t_max=2)
+    scaled = spanned(windows, n)
+    assert len(scaled) == len(windows) and scaled.labels.tolist() == windows.labels.tolist()
+    volumes = BatchVolumes(config)(scaled, None)
+    for i in (0, 7, 29):
+        columns = windows.events(i, config.window_us)
+        stream = TNTVolume(config.replace(window_events=n))
+        stream.update(structured([column[:n] for column in columns]))
+        np.testing.assert_allclose(volumes[i], stream.array, atol=0.02)  # times are whole microseconds
+    whole = spanned(windows, 1_000_000)
+    t = whole.events(0, config.window_us)[0]
+    assert (t[0], t[-1]) == (0, config.window_us - 1) and len(t) == len(windows.events(0, config.window_us)[0])
 
 
 @pytest.fixture(scope="module")
-def words(nmnist, moving):
+def words(nmnist, mnist):
     """A small table of two rows."""
-    words = ["--nmnist", nmnist, "--simulated", moving, "--rows", "raw", "regressor-translated", "--seeds", 3]
+    words = ["--nmnist", nmnist, "--mnist", mnist, "--images", 2, "--rows", "raw", "regressor-translated", "--seeds", 3]
     return [*words, "--iterations", 3, "--batch", 16, "--workers", 1, "--out"]
 
 
@@ -121,32 +206,38 @@ def done(words, tmp_path_factory):
 def test_results_record_what_was_done(done):
     record = json.loads((done / "results.json").read_text())
     assert record["command"] == (
-        "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST "
+        "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --images 2 "
         "--rows raw regressor-translated --seeds 3 --iterations 3 --batch 16"
     )
     assert set(record["table"]) == {"raw", "regressor-translated"}
     for columns in record["table"].values():
-        assert list(columns) == ["all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim"]
-        assert [columns[c]["windows"] for c in columns] == [30, 30, 20, 120, 150, 150]  # 40 recordings; 5 unseen images
-        assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, 30, 30]
-    assert record["data"]["simulated"]["sim"]["images_tested_on"] == 5
+        assert list(columns)[:6] == ["all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim"]
+        assert list(columns)[6:] == [f"{on}/{name}" for name in list(SETS)[1:] for on in ("all", "1")]
+        sizes = [columns[c]["windows"] for c in columns]
+        assert sizes == [30, 30, 20, 120, *[60] * 18]  # of 40 recordings; of 2 images that none of them shows
+        assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, *[30] * 18]
+        assert list(columns["1/sim"]["against_time_ms"]) == ["10", "20", "30", "50", "75"]
+    assert record["data"]["simulated"]["bell"]["images"] == [0, 1]
     assert record["rows"]["regressor-translated"]["augmentation"]["translate_px"] == 4
     assert record["rows"]["raw"]["iterations"] == 3
     assert "raw-1-seed3" in record["validation"] and str(done) not in json.dumps(record)
     assert "| raw |" in (done / "table.md").read_text()
 
 
-def test_the_numbers_are_those_of_the_networks_beside_them(done, moving):
+def test_the_numbers_are_those_of_the_networks_beside_them(done):
     """Counted once more, recording by recording, through the stream's own volumes and compiled network."""
     model = load_model(done / "networks" / Run("raw", "1", 3).name / "model.safetensors")
-    processor, right = Processor(model, start_us=0), []
-    for shard in open_set(moving):
-        for i in np.flatnonzero(shard.image < 5):
-            processor.reset()
-            processor.push(shard.recording(i))
-            right.append(processor.fire().index == shard.labels[i])
-    found = json.loads((done / "results.json").read_text())["table"]["raw"]["1/sim"]["mean"]
-    assert np.mean(right) == pytest.approx(found)
+    processor, right, early = Processor(model, start_us=0), [], []
+    for shard in open_set(done / "simulated" / "sim"):
+        for i in range(len(shard)):
+            events = shard.recording(i)
+            for part, counted in ((events, right), (events[events["t"] < 30_000], early)):
+                processor.reset()
+                processor.push(part)
+                counted.append(processor.fire().index == shard.labels[i])
+    found = json.loads((done / "results.json").read_text())["table"]["raw"]["1/sim"]
+    assert np.mean(right) == pytest.approx(found["mean"])
+    assert np.mean(early) == pytest.approx(found["against_time_ms"]["30"])
 
 
 def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
@@ -164,33 +255,29 @@ def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
     assert code == 2 and "holds a run with other iterations" in err
 
 
-def test_rows_with_resynthesis(nmnist, moving, tmp_path, experiment):
+def test_rows_with_resynthesis(nmnist, mnist, tmp_path, experiment):
     """Motions are made once for both seeds, and counted in the results."""
     words = ["--rows", "raw-moved", "--trained-on", "confounded", "--seeds", 0, 1, "--out", tmp_path]
-    words += ["--nmnist", nmnist, "--simulated", moving, "--iterations", 4, "--batch", 16, "--workers", 1]
+    words += ["--nmnist", nmnist, "--mnist", mnist, "--images", 2, "--iterations", 4, "--batch", 16, "--workers", 1]
     code, printed, _ = experiment("thesis_table", *words)
     record = json.loads((tmp_path / "results.json").read_text())
     assert code == 0 and "conf./all" in printed
     motions = record["rows"]["raw-moved"]["motions"]["confounded"]
     assert motions["windows"] == 40 == motions["with_path"] and motions["variations"] == 2  # no more than epochs
-    assert record["table"]["raw-moved"]["confounded/sim"]["windows"] == 150
+    assert record["table"]["raw-moved"]["confounded/sim"]["windows"] == 60
     assert sorted(record["validation"]) == [f"raw-moved-confounded-seed{s}" for s in (0, 1)]
 
 
 def test_the_committed_table_is_that_of_the_code():
     record = results("table")
-    assert record["rows"].keys() - ROWS.keys() == {"hats-translated"}  # measured when the stream still had HATS
     for name, row in record["rows"].items():
-        if (of := ROWS.get(name)) is None:
-            continue
+        of = ROWS[name]
         assert (of.config, asdict(of.augmentation), of.iterations) == (
             TNTConfig.from_dict(row["config"]),
             row["augmentation"],
             row["iterations"],
         ), name
-    comparison = [row for row in ROWS.values() if row.group == "comparison"]
-    assert len(comparison) == 24 and {row.name for row in comparison} <= set(record["table"])
-    for row in comparison:
+    for row in (ROWS[name] for name in record["table"] if ROWS[name].group == "comparison"):
         columns = record["table"][row.name]
         assert {column.split("/")[0] for column in columns} == set(row.trained_on)
         assert all(len(part["seeds"]) == 5 for part in columns.values()), row.name

@@ -21,6 +21,7 @@ from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.sources import READERS
 from async_tnt.training import simulated_pictures
 from experiments.moving_mnist_set import build
+from experiments.page_parts import results
 
 PAGES = [page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))]
 README, GUIDE, REFERENCE, THEORY = (
@@ -79,7 +80,7 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
     if title == "N-MOVING-MNIST":
         (tmp_path / "mnist").mkdir()
         mnist = write_small_mnist(tmp_path / "mnist", 8)
-        build(mnist, tmp_path / "moving", digits=8, workers=1, frame_us=10_500.0)
+        build(mnist, tmp_path / "moving", which=range(8), workers=1, frame_us=10_500.0)
     if title == "Archives":
         assert main(["run", "--out", "results.jsonl"]) == 0
     texts = dict(sections(page))
@@ -189,20 +190,22 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, ca
     assert f"> {border}\n" in THEORY
 
 
-def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, capsys):
-    """The figure of the theory: no error about the centre in any layer, and large ones without the transform."""
+def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path):
+    """The figure of the theory: about the centre no error where the translation is a multiple of the layer's stride."""
     pytest.importorskip("matplotlib")
     from experiments import figure_equivariance
 
-    assert figure_equivariance.main(["--picture", str(tmp_path / "equivariance.png")]) == 0
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]
-    found = {(name, layer): [float(error) for error in errors] for name, layer, *errors in rows}
-    assert len(found) == 25 and all(errors[0] == 0 for errors in found.values())
-    for (name, layer), errors in found.items():
-        if name == "TNT, center":
-            assert max(errors) == 0
-        elif name == "raw":
-            assert errors[-1] > 0.5
-        else:
-            assert 0 < errors[-1] < found["raw", layer][-1]
-    assert (tmp_path / "equivariance.png").stat().st_size > 10_000
+    picture, report = tmp_path / "equivariance.png", tmp_path / "equivariance.json"
+    assert figure_equivariance.main(["--picture", str(picture), "--json", str(report)]) == 0
+    found, recorded = json.loads(report.read_text())["errors"], results("equivariance")["errors"]
+    pixels = {"volume": 1, "convolution 1": 1, "pooling 1": 2, "convolution 2": 2, "pooling 2": 4}
+    for name, of_layer in found.items():
+        for layer, errors in of_layer.items():
+            assert errors == pytest.approx(recorded[name][layer], abs=1e-6) and errors[0] == 0
+            for flow, error in zip(figure_equivariance.FLOWS[1:], errors[1:], strict=True):
+                moves_along = name == "TNT, center" and flow % (2 * pixels.get(layer, 1_000)) == 0
+                assert (error < 1e-12) if moves_along else (error > 0.01), (name, layer, flow)
+    assert max(max(errors) for errors in found["TNT, line, flow removed"].values()) < 0.45
+    centre = dict(zip(figure_equivariance.FLOWS, found["TNT, center"]["logits"], strict=True))
+    assert max(centre[flow] for flow in (1, 2, 3, 5, 8)) < 0.2 and centre[13] > 1  # 4 pixels and 6.5
+    assert picture.stat().st_size > 10_000
