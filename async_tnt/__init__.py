@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.compile_ahead import warmup
     from async_tnt.config import TNTConfig
     from async_tnt.decision import Counts, Decision, Object
+    from async_tnt.event_forms import event_columns
     from async_tnt.events import EVENT_DTYPE
     from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
     from async_tnt.networks.loading import bundled_models, load_model
@@ -39,6 +40,7 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "compile_ahead": "warmup",
             "config": "TNTConfig",
             "decision": "Counts Decision Object",
+            "event_forms": "event_columns",
             "events": "EVENT_DTYPE",
             "networks.compiled": "CompiledClassifier CompiledRegressor",
             "networks.loading": "bundled_models load_model",
@@ -59,6 +61,6 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
 __all__ = [
     "EVENT_DTYPE", "BackgroundReader", "CompiledClassifier", "CompiledRegressor", "Counts", "Decision",
     "LeakyIntegrator", "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "ReplayBufferFull", "TNTConfig",
-    "TNTVolume", "WindowVolume", "astream", "bundled_models", "load_model", "open_recording", "replay", "stream",
-    "volumes", "warmup",
+    "TNTVolume", "WindowVolume", "astream", "bundled_models", "event_columns", "load_model", "open_recording", "replay",
+    "stream", "volumes", "warmup",
 ]  # fmt: skip

@@ -4,20 +4,23 @@
                             Metavision, faery, neuromorphic-drivers, dv-processing's .numpy(), tonic
     a tuple of four columns (t, x, y, p): arrays, lists, tensors; or a named tuple with these names
     a tuple of four numbers (t, x, y, p): a single event
+    a table                 with columns of these names: a dict of columns, pandas, polars, pyarrow
     an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets), or with .numpy()
     None, or anything empty no events
 
-Times are integer microseconds, polarity is bool, 0/1 or -1/+1. A field under two names and masked arrays are rejected.
+Times are integer microseconds, or NumPy's datetime64 and timedelta64; polarity is bool, 0/1 or -1/+1. A field under two
+names and masked arrays are rejected. Plain arrays do not say what their columns are: see `event_columns`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import one_line, refuse_mask
+from async_tnt.checks import one_line, refuse_mask, short
 
 NAMES = {
     "t": ("t", "ts", "timestamp"),
@@ -28,8 +31,8 @@ NAMES = {
 UNMASKED = "`.compressed()` of each column, or `.data` to use every event"
 MAX_DEPTH = 4  # `.numpy()` may return events in another form, but not endlessly
 FORMS = (
-    "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
-    "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
+    "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict or table of such columns, a tuple "
+    "of four columns (t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
 )
 
 Four = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -46,6 +49,10 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
         return None
     if isinstance(events, (np.ndarray, np.void)):
         return _columns_of_array(events)
+    if (names := _names_in(events)) is not None:
+        what = f"a {type(events).__name__} with columns {', '.join(map(str, names))}"
+        t, x, y, p = (_as_column(field, events[the_name(field, names, what)]) for field in NAMES)
+        return t, x, y, p
     by_name = hasattr(events, "x") and hasattr(events, "y")
     if isinstance(events, (tuple, list)):
         if len(events) == 0:
@@ -70,16 +77,78 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
     raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
 
 
+def event_columns(table: Any, order: str) -> Four:
+    """The columns t, x, y, p of a plain array of events, to be pushed as a packet.
+
+    Parameters
+    ----------
+    table : array or tensor of shape (N, 4), of integers or of floats that are whole numbers.
+    order : what its columns are, such as "txyp" or "xytp".
+
+    Raises
+    ------
+    ValueError : another shape or `order`; a column that cannot be what `order` says. The message names the order that
+        fits, if there is one.
+
+    Examples
+    --------
+    >>> event_columns([[5, 3, 1_000, 1], [6, 3, 1_250, 0]], "xytp")[0].tolist()
+    [1000, 1250]
+    """
+    refuse_mask("table", table, UNMASKED)
+    array = np.asarray(table)
+    if sorted(order) != sorted("txyp"):
+        raise ValueError(f"`order` must have the letters t, x, y and p, each once, got {short(order)}")
+    if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iufb":
+        raise ValueError(f"`table` must be numbers in shape (N, 4), got {array.dtype} in shape {array.shape}")
+    columns = dict(zip(order, array.T, strict=True))
+    if not any(_signs(columns)):
+        for other in permutations("txyp"):
+            if other.index("x") < other.index("y") and all(_signs(dict(zip(other, array.T, strict=True)))):
+                raise ValueError(f"the columns of `table` are not {order!r}; they look like {''.join(other)!r}")
+    for field, column in columns.items():
+        if column.dtype.kind == "f":
+            whole = np.rint(column)
+            if not (whole == column).all():  # not a number, too
+                i = int(np.argmin(whole == column))
+                raise ValueError(f"`{field}` must be whole numbers, got {column[i]} in row {i}; times are microseconds")
+            columns[field] = whole.astype(np.int64)
+    return columns["t"], columns["x"], columns["y"], columns["p"]
+
+
+def _signs(columns: Mapping[str, np.ndarray]) -> tuple[bool, bool]:
+    """Two signs that columns are what they are called: polarity has its values, and times increase; or it has them, and
+    times are the largest numbers."""
+    if not np.isin(columns["p"], (-1, 0, 1)).all():
+        return False, False
+    t = columns["t"]
+    largest = max((column.max(initial=0) for column in columns.values()), default=0)
+    return bool((np.diff(t) >= 0).all()), bool(t.max(initial=0) == largest)
+
+
+def _names_in(events: Any) -> Sequence[str] | None:
+    """The columns' names of a mapping or a table; None of anything else."""
+    if isinstance(events, Mapping):
+        return list(events)
+    names = getattr(events, "column_names", None)  # pyarrow
+    if names is None:
+        names = getattr(events, "columns", None)  # pandas, polars
+    if names is None or not hasattr(events, "__getitem__"):
+        return None
+    return [name for name in names if isinstance(name, str)] if hasattr(names, "__iter__") else None
+
+
 def _columns_of_array(events: np.ndarray | np.void) -> Four | None:
     refuse_mask("events", events, UNMASKED)
     names = events.dtype.names
     if names is None:
         if isinstance(events, np.ndarray) and events.size == 0:
             return None
-        raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}")
+        order = "; async_tnt.event_columns(array, order) says what its columns are" if events.shape[1:] == (4,) else ""
+        raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}{order}")
     what = f"a structured array with fields {', '.join(names)}"
     t, x, y, p = (np.atleast_1d(events[the_name(field, names, what)]) for field in NAMES)
-    return t, x, y, p
+    return _microseconds(t), x, y, p
 
 
 def _check_four(events: tuple[Any, ...] | list[Any]) -> None:
@@ -104,7 +173,16 @@ def _as_column(field: str, values: Any) -> np.ndarray:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
     if column.dtype.kind == "f" and isinstance(values, (list, tuple)) and all(type(v) is int for v in values):
         return np.array(values, object)  # some beyond int64: NumPy made floats of them, `_check_type` names them
-    return column
+    return _microseconds(column) if field == "t" else column
+
+
+def _microseconds(t: np.ndarray) -> np.ndarray:
+    """Dates and durations with a unit as whole microseconds, rounded down; others as they are."""
+    if t.dtype.kind not in "mM" or np.datetime_data(t.dtype)[0] == "generic":
+        return t
+    if np.isnat(t).any():
+        raise ValueError(f"`t` must be a time, got NaT at event {int(np.argmax(np.isnat(t)))}")
+    return t.astype(f"{t.dtype.kind}8[us]").astype(np.int64)
 
 
 def the_name(field: str, have: Collection[str], what: str) -> str:

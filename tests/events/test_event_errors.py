@@ -111,7 +111,7 @@ NO_UNIT = (
 )
 NOT_WHOLE = [
     ("t", [0.5, 1, 2, 3, 4], TypeError, NO_UNIT.format("float64 (0.5")),
-    ("t", np.zeros(5, "m8[us]"), TypeError, NO_UNIT.format("timedelta64[us] (0 microseconds")),
+    ("t", np.zeros(5, "m8"), TypeError, NO_UNIT.format("timedelta64 (0 generic time units")),
     ("x", ["a" * 99] * 5, TypeError, f"`x` must be whole numbers, got <U99 ({'a' * 40} at event 0)"),
     ("y", [None] * 5, TypeError, "`y` must be whole numbers, got object (NoneType at event 0)"),
     ("x", [0, 1, 2, np.inf, 4], ValueError, "`x` must be a whole number, got inf at event 3"),
@@ -137,16 +137,20 @@ ENDLESS = SimpleNamespace()
 ENDLESS.polarity_events = ENDLESS
 
 NO_EVENTS = (
-    "events must be a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
-    "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy(); got "
+    "events must be a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict or table of such "
+    "columns, a tuple of four columns (t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy(); got "
 )
+ORDER = "; async_tnt.event_columns(array, order) says what its columns are"
 FOUR = "a tuple of events must hold four columns (t, x, y, p), got "
 EQUAL = "t, x, y and p must have equal lengths, got "
 MISSING = "events need a field `{}` (one of {}), got {}"
 TWICE = "events need one field `{}`, got {} in {}; leave out all but one"
 Timeless = namedtuple("Timeless", "x y p when")
 WRONG_FORMS = [
-    (np.zeros((5, 4)), TypeError, NO_EVENTS + "a plain array of shape (5, 4)"),
+    (np.zeros((5, 4)), TypeError, NO_EVENTS + f"a plain array of shape (5, 4){ORDER}"),
+    (np.zeros((5, 3)), TypeError, NO_EVENTS + "a plain array of shape (5, 3)"),
+    ({"t": T, "x": X, "y": Y}, ValueError, MISSING.format("p", "p, on, polarity, pol", "a dict with columns t, x, y")),
+    ((np.array([1, "NaT"] * 2, "M8[us]"), X, Y, P), ValueError, "`t` must be a time, got NaT at event 1"),
     ("t,x,y,p", TypeError, NO_EVENTS + "str"),
     (ENDLESS, TypeError, NO_EVENTS + "SimpleNamespace"),
     ((T, X, Y), ValueError, FOUR + "3"),

@@ -1,6 +1,8 @@
 """Events in any accepted form become the same four columns."""
 
 import array
+import importlib
+import itertools
 from collections import namedtuple
 from types import SimpleNamespace
 
@@ -8,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from async_tnt.event_forms import event_columns
 from async_tnt.events import EVENT_DTYPE, NAMES, EventDecoder, as_events
 
 SENSOR = (346, 260)
@@ -123,7 +126,86 @@ def test_objects_and_named_tuples_name_their_columns():
     assert_decoded(namedtuple("Nameless", "a b c d")(T, X, Y, P))
 
 
+def test_tables_name_their_columns():
+    """In any order, with others beside them."""
+    columns = {"polarity": P, "ts": np.array(T), "y": Y, "weight": [0.5] * len(T), "x": X}
+    assert_decoded(columns)
+    assert_decoded({"t": 7, "x": 1, "y": 2, "p": True}, [[7], [1], [2], [1]])
+    for library, make in (
+        ("pandas", lambda module: module.DataFrame(columns)),
+        ("polars", lambda module: module.DataFrame(columns)),
+        ("pyarrow", lambda module: module.table(columns)),
+    ):
+        try:
+            module = importlib.import_module(library)
+        except ImportError:  # none of them is needed
+            continue
+        assert_decoded(make(module))
+
+    class Table:  # as polars and pyarrow are
+        column_names = tuple(columns)
+
+        def __getitem__(self, name):
+            return columns[name]
+
+    assert_decoded(Table())
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "D"])
+@pytest.mark.parametrize("kind", ["datetime64", "timedelta64"])
+def test_times_with_a_unit(kind, unit):
+    t = np.array([1, 2, 2, 9], f"{kind}[{unit}]")
+    expected = [
+        [{"ns": 0, "us": int(n), "D": int(n) * 86_400_000_000}[unit] for n in (1, 2, 2, 9)],
+        [1] * 4,
+        [2] * 4,
+        [1] * 4,
+    ]
+    assert_decoded((t, [1] * 4, [2] * 4, [1] * 4), expected)
+    events = np.zeros(4, [("t", t.dtype), ("x", "u2"), ("y", "u2"), ("p", "?")])
+    events["t"], events["x"], events["y"], events["p"] = t, 1, 2, True
+    assert_decoded(events, expected)
+
+
+@pytest.mark.parametrize("order", ["".join(order) for order in itertools.permutations("txyp")])
+def test_plain_arrays_whose_order_is_stated(order):
+    """The right order is taken, every other one that is seen to be wrong is refused, and the right one named."""
+    columns = dict(zip("txyp", (sorted(T), X, Y, P), strict=True))
+    expected = [columns[name] for name in "txyp"]
+    for dtype in (np.int64, np.float64):
+        table = np.stack([np.array(columns[name], dtype) for name in order], axis=1)
+        assert_decoded(event_columns(table, order), expected)
+        assert_decoded(event_columns(torch.from_numpy(table), order), expected)
+        for wrong in map("".join, itertools.permutations("txyp")):
+            if wrong.index("t") == order.index("t") and wrong.index("p") == order.index("p"):
+                continue  # x for y cannot be seen
+            named = order if order.index("x") < order.index("y") else order.translate(str.maketrans("xy", "yx"))
+            with pytest.raises(
+                ValueError, match=f"^the columns of `table` are not '{wrong}'; they look like '{named}'$"
+            ):
+                event_columns(table, wrong)
+
+
+def test_unsorted_times_and_small_ones_are_not_taken_for_another_order():
+    for t, x in ((T, X), ([3, 5, 9], [30, 20, 33]), ([900, 300, 500], [7, 7, 7]), ([], [])):
+        table = np.stack([t, x, x, [1] * len(t)], axis=1)
+        assert event_columns(table, "txyp")[0].tolist() == list(t)
+
+
+def test_plain_arrays_that_are_refused():
+    for table, order, message in (
+        ([[1, 2, 3]], "txyp", r"`table` must be numbers in shape \(N, 4\), got int64 in shape \(1, 3\)"),
+        ([[1, 2, 3, 1]], "txy", "`order` must have the letters t, x, y and p, each once, got 'txy'"),
+        ([[0.5, 2, 3, 1]], "txyp", "`t` must be whole numbers, got 0.5 in row 0; times are microseconds"),
+        ([[float("nan"), 2, 3, 1]], "txyp", "`t` must be whole numbers, got nan in row 0; times are microseconds"),
+        ([["a", "b", "c", "d"]], "txyp", r"`table` must be numbers in shape \(N, 4\), got <U1 in shape \(1, 4\)"),
+    ):
+        with pytest.raises(ValueError, match=f"^{message}$"):
+            event_columns(table, order)
+
+
 EMPTY = {
+    "an empty dict of columns": {"t": [], "x": [], "y": [], "p": []},
     "None": None,
     "[]": [],
     "four float arrays, as numpy makes them": (np.array([]),) * 4,
