@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import load_model
-from experiments.page_parts import percent, results, short, table
+from experiments.page_parts import of_report, percent, results, short, table
 from experiments.unseen_motions import share_closed
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
@@ -163,23 +163,24 @@ def _record() -> dict[str, Any]:
     return dict(load_model("digits").record)
 
 
-def nothing() -> str:
+@of_report("nothing")
+def nothing(found: dict[str, Any]) -> str:
     """What stands in a window, and how often it is decided."""
-    found = results("nothing")
-    rows = [[name, f"{row['windows']:,}", f"{100 * row['decided']:.1f} %"] for name, row in found["rows"].items()]
-    return table(["in the window", "windows", f"decided by {found['model']}"], rows)
+    rows = []
+    for name, row in found["rows"].items():
+        moments = row.get("at_some_moment", {})  # not of all sets, measured before these were asked
+        shares = (percent(moments[level]) if level in moments else "-" for level in ("0.9", "0.99"))
+        rows.append([name, f"{row['windows']:,}", percent(row["decided"]), *shares])
+    head = ["in the window", "windows", f"decided by {found['model']}", "at some moment", ".99 at some moment"]
+    return table(head, rows)
 
 
-def early() -> str:
+@of_report("early")
+def early(found: dict[str, Any]) -> str:
     """A choice of settings."""
-    found = results("early")
     moments = {r["settings"].get("every_us", found["window_us"]): r for r in found["results"]["moment"]}
     chosen = [(f"at {us / 1000:g} ms", moments[us]) for us in (20_000, 30_000, 40_000, 50_000, found["window_us"])]
-    for group, words in (
-        ("confidence", ""),
-        ("confidence_every_10_events", ", checked every 10 events"),
-        ("confidence_every_ms", ", checked every 1 ms"),
-    ):
+    for group, words in (("confidence", ""), ("confidence_every_ms", ", checked every 1 ms")):
         for r in found["results"][group]:
             if r["settings"]["confidence"] in (0.8, 0.9, 0.95, 0.98, 0.99):
                 chosen.append((f"confidence {r['settings']['confidence']:g}{words}", r))
@@ -220,42 +221,3 @@ def same_moment_ms(found: dict[str, Any], accuracy: float) -> str:
             return short(last_ms + (ms - last_ms) * (accuracy - last) / (r["accuracy"] - last))
         last_ms, last = ms, r["accuracy"]
     return ""
-
-
-def of_nothing() -> str:
-    """A sentence."""
-    share = results("early")["of_nothing"]
-    return f"For an empty volume the likeliest class has a probability of {share:.2f}."
-
-
-def soon() -> str:
-    """Whether confidence alone decides too early in a window."""
-    found = results("early")
-    rows = [
-        [
-            f"{r['settings']['confidence']:g}",
-            str(r["fewest_events"]),
-            percent(r["soon"]),
-            "" if r["soon_accuracy"] is None else percent(r["soon_accuracy"]),
-        ]
-        for r in found["results"]["confidence"]
-    ]
-    return table(
-        [
-            "confidence, checked at every event",
-            "fewest events of a decision",
-            f"decided from fewer than {found['soon_events']} events",
-            "of these right",
-        ],
-        rows,
-    )
-
-
-def noise() -> str:
-    """In how many windows of noise a class is decided with confidence."""
-    found = results("early")["noise"]
-    rows = [
-        [f"{levels[0]['settings']['confidence']:g}", *(percent(level["closed_early"]) for level in levels)]
-        for levels in zip(*found.values(), strict=True)
-    ]
-    return table(["confidence, checked at every event", *found], rows)

@@ -1,6 +1,6 @@
 """Early decisions: how accurate are they, how soon are they made, and how often was the network evaluated?
 
-    python -m experiments.early [--nmnist FOLDER] [--recordings N] [--json FILE] [--picture FILE]
+    python -m experiments.early [--nmnist FOLDER] [--json FILE] [--picture FILE]
 
 Streams N-MNIST's test recordings, FOLDER/Test/<digit>/*.bin (default: nmnist/ in $TNT_DATA), through the bundled
 model, one window a saccade, with one setting of `Processor` after the other, and counts each window's early decision:
@@ -10,78 +10,142 @@ its decision at the end. A measurement: nothing is set by it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from async_tnt.package import available_cores
+import numpy as np
+
+from async_tnt import Decision, Model, Processor, load_model, warmup
 from async_tnt.progress import progress
-from async_tnt.views.figure_style import OFF, ON, TEXT, axes_at, headline, new_figure, note
-from experiments.measure_early import measure_early, n_settings
-from experiments.script_options import add_folder, data_folder, exit_with, report_of, script_parser, write_outputs
+from async_tnt.sources import open_recording
+from async_tnt.sources.labelled_recordings import find_recordings
+from async_tnt.views.figure_style import ON, TEXT, axes_at, headline, new_figure, note
+from experiments import accuracy_tables
+from experiments.bench_timing import machine
+from experiments.script_options import add_folder, data_folder, exit_with, run_script, script_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-QUICK = 20  # recordings
+MODEL = "digits"
+QUICK = 2  # recordings of each digit
+N_WINDOWS = 3  # saccades; a few events follow them
+MOMENTS_MS = (10, 15, 20, 25, 30, 35, 40, 50, 60, 70, 80, 90, 100, 105)
+LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 LOOKS = {  # group: words, colour, line, marker
     "moment": ("at a fixed time (every_us)", "#000000", "-", "o"),
-    "every_events": ("after N events (every_events)", OFF, "-", "o"),
-    "activity": ("at a burst of activity (LeakyIntegrator)", "#8a8a8a", "", "x"),
     "confidence": ("confidence, checked at every event", ON, "-", "o"),
-    "confidence_every_10_events": ("confidence, checked every 10 events", "#B87A00", (0, (4, 1.5)), "s"),
     "confidence_every_ms": ("confidence, checked every 1 ms", "#009E73", (0, (1.5, 1)), "^"),
 }
 ACCURACIES = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
 NAMED_LEVELS = (0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
 NAMED_MS = (20, 25, 30, 35, 40, 50)
 
-
-def words(settings: dict[str, Any]) -> str:
-    """`confidence .9, every 1 ms`."""
-    parts = []
-    if "confidence" in settings:
-        parts.append(f"confidence {settings['confidence']:g}".replace("0.", "."))
-    if "every_us" in settings:
-        parts.append(f"every {settings['every_us'] / 1000:g} ms")
-    if "every_events" in settings:
-        parts.append(f"every {settings['every_events']} events")
-    if "activity" in settings:
-        leak_us = settings["activity"]["leak_us"]
-        leak = "no leak" if leak_us is None else f"leak {leak_us / 1000:g} ms"
-        parts.append(f"activity {settings['activity']['threshold']:g}, {leak}")
-    return ", ".join(parts) or "the window's end"
+Settings = dict[str, Any]
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report as text."""
-    yield (
-        f"{report['recordings']:,} recordings, {report['windows_a_recording']} windows each, "
-        f"model {report['model']}; first decision by a trigger, or else the window's end"
-    )
-    yield (
-        f"{'':34}{'right %':>8}{'mean ms':>9}{'median':>8}{'events':>8}{'at end %':>10}{'evals':>8}"
-        f"{'evals, all':>12}{'emitted':>9}{'< {} events %'.format(report['soon_events']):>15}"
-    )
-    for group in report["results"].values():
-        yield ""
-        for r in group:
-            soon = f"{100 * r['soon']:.1f}"
-            yield (
-                f"{words(r['settings']):34}{100 * r['accuracy']:>8.1f}{r['mean_ms']:>9.1f}{r['median_ms']:>8.1f}"
-                f"{r['mean_events']:>8.0f}{100 * r['at_end']:>10.1f}{r['evaluations_until']:>8.1f}"
-                f"{r['evaluations']:>12.1f}{r['emitted']:>9.1f}{soon:>15}"
-            )
-    yield ""
-    yield "Noise: windows closed early"
-    yield f"{'':34}" + "".join(f"{kind:>14}" for kind in report["noise"])
-    for rows in zip(*report["noise"].values(), strict=True):
-        yield f"{words(rows[0]['settings']):34}" + "".join(f"{100 * r['closed_early']:>12.1f} %" for r in rows)
+def all_settings(window_us: int) -> dict[str, list[Settings]]:
+    """Groups of settings of `Processor`; without any it decides at a window's end only."""
+    return {
+        "moment": [{"every_us": 1000 * ms} if 1000 * ms < window_us else {} for ms in MOMENTS_MS],
+        "confidence": [{"confidence": level} for level in LEVELS],
+        "confidence_every_ms": [{"confidence": level, "every_us": 1000} for level in LEVELS],
+    }
+
+
+class Early(NamedTuple):
+    """The early decision of one window."""
+
+    right: bool
+    ms: float
+    """From the window's start to the decision."""
+    by_trigger: bool
+    """False: at the window's end."""
+    evaluations: int
+    """Of the network up to it, including its own."""
+    emitted: int
+    """Decisions of the window."""
+
+
+def early_decision(decisions: Sequence[Decision], settings: Settings, window_us: int, truth: int) -> Early:
+    """Of all decisions on one window, in their order."""
+    trigger = "confidence" if "confidence" in settings else "every_us"
+    early = next((d for d in decisions if d.trigger == trigger), None)
+    chosen = decisions[-1] if early is None else early
+    due_us: float = window_us
+    if early is not None:
+        due_us = early.time_us - early.window_start_us
+        if "every_us" in settings:  # due at that moment, on the events before it
+            due_us = (due_us // settings["every_us"] + 1) * settings["every_us"]
+    evaluations = next(k for k, d in enumerate(decisions) if d is chosen) + 1
+    if set(settings) == {"confidence"}:  # after every event, and once more at the end of a window that stayed open
+        evaluations = chosen.events + (early is None)
+    return Early(chosen.index == truth, due_us / 1000, early is not None, evaluations, len(decisions))
+
+
+def early_decisions(model: Model, recordings: Sequence[tuple[int, np.ndarray]], settings: Settings) -> list[Early]:
+    """The early decisions on all windows of recordings, (class, events)."""
+    window_us = model.config.window_us
+    processor = Processor(model, start_us=0, **settings)
+    found = []
+    for truth, events in recordings:
+        processor.reset()
+        windows: dict[int, list[Decision]] = {}
+        for decision in [*processor.push(events), *processor.finish()]:
+            windows.setdefault(decision.window_start_us, []).append(decision)
+        for start_us, decisions in windows.items():
+            if start_us < N_WINDOWS * window_us:
+                found.append(early_decision(decisions, settings, window_us, truth))
+    return found
+
+
+def summary(early: Sequence[Early]) -> dict[str, float]:
+    """Means over windows; `at_end` is the share of those without an early decision."""
+    right, ms, by_trigger, evaluations, emitted = np.array(early, float).T
+    return {
+        "windows": len(early),
+        "accuracy": float(right.mean()),
+        "mean_ms": float(ms.mean()),
+        "median_ms": float(np.median(ms)),
+        "at_end": float(1 - by_trigger.mean()),
+        "evaluations_until": float(evaluations.mean()),
+        "emitted": float(emitted.mean()),
+    }
+
+
+def measure(nmnist: Path, per_digit: int | None) -> dict[str, Any]:
+    """All settings on all test recordings, or on the first ones of each digit, as one JSON object."""
+    model = load_model(MODEL)
+    warmup(model)
+    recordings = [
+        (model.classes.index(name), open_recording(one.path).read())
+        for name, of_digit in find_recordings(nmnist, "Test").items()
+        for one in of_digit[:per_digit]
+    ]
+    groups = all_settings(model.config.window_us)
+    found: dict[str, list[dict[str, Any]]] = {}
+    with progress(sum(map(len, groups.values())), "settings") as bar:
+        for group, choices in groups.items():
+            found[group] = []
+            for settings in choices:
+                early = early_decisions(model, recordings, settings)
+                found[group].append({"settings": settings, **summary(early)})
+                bar.update()
+    return {
+        "machine": machine(),
+        "model": MODEL,
+        "window_us": model.config.window_us,
+        "recordings": len(recordings),
+        "windows_a_recording": N_WINDOWS,
+        "results": found,
+    }
 
 
 def draw_early(report: dict[str, Any]) -> Figure:
     """Two panels with one axis of accuracy, spread out near 100 %: against mean milliseconds to the decision, and
     against evaluations of the network up to it."""
-    figure = new_figure(5.2)
+    figure = new_figure(4.8)
     left = axes_at(figure, 0.73, 0.78, 4.37, 3.12)
     right = axes_at(figure, 5.82, 0.78, 4.37, 3.12, sharey=left)
     results = report["results"]
@@ -91,11 +155,7 @@ def draw_early(report: dict[str, Any]) -> Figure:
         width = 1.8 if group == "confidence" else 1.2
         look: dict[str, Any] = {"color": colour, "ls": line, "marker": marker, "ms": 4.5, "lw": width}
         left.plot([r["mean_ms"] for r in rows], y, label=label, **look)
-        evaluations = [r["evaluations_until"] for r in rows]
-        if group.startswith("confidence"):
-            right.plot(evaluations, y, **look)
-        elif group == "moment":
-            right.plot(evaluations, y, **{**look, "ls": ""})
+        right.plot([r["evaluations_until"] for r in rows], y, **(look | {"ls": ""} if group == "moment" else look))
     _lay_axes(left, right, report["window_us"] / 1000)
     for r in results["confidence"]:
         if r["settings"]["confidence"] in NAMED_LEVELS:
@@ -112,7 +172,7 @@ def draw_early(report: dict[str, Any]) -> Figure:
     left.set_xlabel("mean time from the window's start to the decision (ms)")
     right.set_xlabel("mean evaluations of the network up to the decision")
     handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.06, 0.0), ncols=2, labelcolor=TEXT)
+    figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.06, 0.0), ncols=3, labelcolor=TEXT)
     return figure
 
 
@@ -134,29 +194,14 @@ def _lay_axes(left: Any, right: Any, window_ms: float) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked."""
-    parser = script_parser("early", __doc__, f"{QUICK} recordings", draws=True)
+    parser = script_parser("early", __doc__, f"{QUICK} recordings of each digit", draws=True)
     add_folder(parser, "--nmnist", "with Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
-    parser.add_argument("--recordings", type=int, metavar="N", help="number of recordings, the same for each digit")
-    cores = available_cores()
-    parser.add_argument("--workers", type=int, default=cores, metavar="N", help="processes (default: one per core)")
     args = parser.parse_args(argv)
-    for name in ("recordings", "workers"):
-        if (value := getattr(args, name)) is not None and value < 1:
-            parser.error(f"--{name} must be at least 1, got {value}")
 
-    def measure() -> dict[str, Any]:
-        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-        with progress(n_settings(), "settings") as bar:
-            n = QUICK if args.quick else args.recordings
-            return measure_early(nmnist / "Test", n, workers=args.workers, each=bar.update)
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(data_folder(args.nmnist, "nmnist", "--nmnist"), QUICK if quick else None)
 
-    try:
-        report = report_of(args, measure)
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
-    print("\n".join(lines(report)))
-    write_outputs(args, report, draw_early)
-    return 0
+    return run_script(parser, argv, measured, lambda report: [accuracy_tables.early(report)], draw_early)
 
 
 if __name__ == "__main__":

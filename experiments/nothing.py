@@ -5,7 +5,8 @@
 
 Windows have the times of the bundled recordings' events, which stand somewhere else. `train` shows noise, events of one
 polarity, hot pixels, rectangular patches and straight edges to its networks; discs and corners, and other objects, only
-this command does. Here they are made by code of their own. The share is of windows whose class has .9 at their ends.
+this command does. Here they are made by code of their own. Shares are of windows whose class has .9 at their ends, and
+of those in which one has .9 or .99 at some moment, asked after every event.
 Of other objects, those in folders that are named as a class of the model are left out.
 """
 
@@ -22,10 +23,11 @@ from async_tnt.networks.loading import load_model
 from async_tnt.processor import Processor
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.sources.labelled_recordings import recordings_under
+from experiments import accuracy_tables
 from experiments.bench_timing import machine
 from experiments.script_options import add_folder, exit_with, run_script, script_parser
 
-SURE = 0.9
+SURE, SURER = 0.9, 0.99
 Place = tuple[np.ndarray, np.ndarray, np.ndarray]
 """x, y, p of each event; x and y may lie off the sensor."""
 
@@ -100,7 +102,7 @@ KINDS: dict[str, Callable[[np.ndarray, int, np.random.Generator], Place]] = {
 
 def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, Any]:
     """Share of windows decided with confidence, by what is in them."""
-    processor = Processor(load_model(model), start_us=0)
+    processor = Processor(load_model(model), start_us=0, every_events=1)
     config = processor.config
     rows = {}
     samples = [open_recording(path).read() for path in sample_recordings().values()]
@@ -122,7 +124,7 @@ def _of_kind(kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.r
     t = events["t"] - events["t"][0]
     t = t[t < window_us]
     x, y, p = kind(t / window_us, side, rng)
-    return _events(t, x, y, p, side)
+    return on_sensor(t, x, y, p, side)
 
 
 def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterator[np.ndarray]:
@@ -133,10 +135,11 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
         scale = max(1.0, (max(int(events["x"].max()), int(events["y"].max())) + 1) / side)
         in_window = t < window_us
         one = events[in_window]
-        yield _events(t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, side)
+        yield on_sensor(t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, side)
 
 
-def _events(t: np.ndarray, x: Any, y: Any, p: Any, side: int) -> np.ndarray:
+def on_sensor(t: np.ndarray, x: Any, y: Any, p: Any, side: int) -> np.ndarray:
+    """Events of those that lie on a sensor of this side."""
     x, y = np.floor(x).astype(int), np.floor(y).astype(int)
     inside = (x >= 0) & (x < side) & (y >= 0) & (y < side)
     events = np.zeros(int(inside.sum()), EVENT_DTYPE)
@@ -146,18 +149,15 @@ def _events(t: np.ndarray, x: Any, y: Any, p: Any, side: int) -> np.ndarray:
 
 
 def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any]:
-    sure = []
+    last, highest = [], []
     for events in windows:
         processor.reset()
-        processor.push(events)
-        sure.append(processor.fire().probability >= SURE)
-    return {"windows": len(sure), "decided": float(np.mean(sure))}
-
-
-def lines(report: dict[str, Any]) -> list[str]:
-    """For people."""
-    rows = [f"{name:36}{row['decided']:7.1%} of {row['windows']}" for name, row in report["rows"].items()]
-    return [f"windows in which {report['model']} has a class of {SURE}", *rows]
+        probabilities = [decision.probability for decision in [*processor.push(events), processor.fire()]]
+        last.append(probabilities[-1])
+        highest.append(max(probabilities))
+    at_some_moment = {f"{level:g}": float(np.mean(np.array(highest) >= level)) for level in (SURE, SURER)}
+    decided = float(np.mean(np.array(last) >= SURE))
+    return {"windows": len(last), "decided": decided, "at_some_moment": at_some_moment}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -168,7 +168,11 @@ def main(argv: list[str] | None = None) -> int:
         add_folder(parser, f"--{name}", f"recordings of {name}, which are objects of other kinds")
     args = parser.parse_args(argv)
     folders = {name: getattr(args, name) for name in ("poker", "characters", "cars") if getattr(args, name) is not None}
-    return run_script(parser, argv, lambda quick: measure(args.model, folders, 10 if quick else 500), lines)
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(args.model, folders, 10 if quick else 500)
+
+    return run_script(parser, argv, measured, lambda report: [accuracy_tables.nothing(report)])
 
 
 if __name__ == "__main__":

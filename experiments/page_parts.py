@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,19 @@ def results(name: str) -> dict[str, Any]:
     """A recorded run."""
     found: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
     return found
+
+
+def of_report(name: str) -> Callable[[Callable[[Any], str]], Callable[..., str]]:
+    """Decorates what makes a table of a report: called without a report, it takes the recorded run `name`."""
+
+    def decorated(make: Callable[[Any], str]) -> Callable[..., str]:
+        @functools.wraps(make)
+        def made(report: dict[str, Any] | None = None) -> str:
+            return make(results(name) if report is None else report)
+
+        return made
+
+    return decorated
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

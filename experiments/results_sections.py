@@ -140,16 +140,10 @@ SECTIONS = (
     Section(
         "Early decisions",
         "The 1,000 test recordings of `digits`, each window's first decision by a trigger; windows without one count "
-        "with the decision at their end, after 105 ms. Nothing was chosen by these numbers. *Noise*: nothing is there, "
-        "with as many events as real windows have. Training showed `digits` *uniform* noise; *few* are a fifteenth of "
-        "the events, *flicker* is everywhere at once every 10 ms, *pairs* are two neighbouring pixels at a time, "
-        "*one polarity* is all ON, and was shown as well.",
+        "with the decision at their end, after 105 ms. Nothing was chosen by these numbers.",
         "experiments.early --json experiments/results/early.json --picture docs/images/early.png",
         {
             accuracy.early: "By trigger",
-            accuracy.of_nothing: "Before any event",
-            accuracy.soon: "Decisions from few events",
-            accuracy.noise: "In how many windows of noise a class is decided",
         },
         picture="early",
     ),

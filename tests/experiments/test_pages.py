@@ -118,11 +118,10 @@ def test_statements_of_the_results_page_hold():
         assert every_ms[level]["accuracy"] >= row["accuracy"]
         assert 5 < row["evaluations_until"] / every_ms[level]["evaluations_until"] < 8.5
         assert row["accuracy"] == pytest.approx(level, abs=0.025)  # calibrated
-    noise = {
-        kind: {row["settings"]["confidence"]: row["closed_early"] for row in rows}
-        for kind, rows in early["noise"].items()
-    }
-    assert len(noise) == 5 and all(0.02 <= of[0.9] < 0.075 and of[0.99] == 0 for of in noise.values())
+    moments = {kind: row["at_some_moment"] for kind, row in tables.results("nothing")["rows"].items() if len(row) > 2}
+    for kind in ("noise", "noise of one polarity", "pairs"):
+        assert 0.03 <= moments[kind]["0.9"] <= 0.05 and moments[kind]["0.99"] == 0
+    assert all(0.4 < moments[kind]["0.9"] < 0.65 for kind in moments if re.search("edge|corner|disc", kind))
     assert early["recordings"] == 1000 and early["windows_a_recording"] == 3
     networks = tables.results("incremental")["networks"]
     for new, least, most in (("1", 5.5, 14.5), ("1300", 1.05, 1.6)):

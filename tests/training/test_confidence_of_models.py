@@ -19,7 +19,7 @@ from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
-from experiments.measure_early import NOISE, made_noise  # noqa: E402
+from experiments.nothing import KINDS, on_sensor  # noqa: E402
 
 CONFIG = TNTConfig(transform="none", landmark="center", bins=3, window_us=100_000)
 
@@ -55,12 +55,13 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
     for nothing, model in models.items():
         assert evaluate(pipeline_of(model), shapes(60, 2)).per_window >= 0.95
         model, _ = calibrated(model, evaluate(pipeline_of(model), shapes(60, 1)).temperature)
-        for kind in NOISE:
+        for kind in ("noise", "noise of one polarity", "pairs"):
             decisions = []
             for _ in range(40):
                 processor = Processor(model, start_us=0)
-                n_events = int(rng.integers(150, 450))
-                processor.push(made_noise(kind, rng, CONFIG.sensor, n_events, CONFIG.window_us - 1))
+                t = np.sort(rng.integers(0, CONFIG.window_us - 1, rng.integers(150, 450)))
+                x, y, p = KINDS[kind](t / CONFIG.window_us, CONFIG.sensor[0], rng)
+                processor.push(on_sensor(t, x, y, p, CONFIG.sensor[0]))
                 decisions.append(processor.fire().probability >= 0.9)
             sure[kind, nothing] = np.mean(decisions)
     assert all(share <= 0.05 for (_, nothing), share in sure.items() if nothing), sure
