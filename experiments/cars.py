@@ -5,7 +5,7 @@
 N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train`; `bare` has no option
 but the sensor's size. Finished trainings in --out are kept, interrupted ones resume, and recipes that are not named
 keep their entry in FILE. The test part is read when all networks of a recipe are trained: each network reads it once,
-the first two of them also together, by the mean of their probabilities, and once the size of the crops alone is asked.
+and once the size of the crops alone is asked.
 """
 
 from __future__ import annotations
@@ -104,8 +104,6 @@ def measure(data: DataSet, folder: Path, out: Path, recipe: str, seeds: int) -> 
         **_costs(models[0], folder / data.test),
         "machine": machine("torch"),
     }
-    if len(models) > 1:
-        found["mean_of_two"] = together(models[:2], folder / data.test)
     return {
         "title": data.title,
         "shown_ms": data.shown_ms,
@@ -137,31 +135,6 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
     names = (*counts, "calibration_error", "confidence")
     against_time = {f"{row['time_us'] / 1e3:g}": row["accuracy"] for row in report["accuracy_against_time"]}
     return {"against_time_ms": against_time, **{name: report[name] for name in names}}
-
-
-def together(paths: Sequence[Path], test: Path) -> dict[str, float]:
-    """Accuracy of the mean of several networks' probabilities after each tenth of the first window, by milliseconds."""
-    models = [load_model(str(path)) for path in paths]
-    processors = [Processor(model, start_us=0) for model in models]
-    classes, config = models[0].classes, models[0].config
-    window_us = config.window_us
-    moments = [k * window_us // 10 for k in range(1, 11)]
-    right = np.zeros(len(moments))
-    recordings = [(label, path) for label, name in enumerate(classes) for path in sorted((test / name).iterdir())]
-    with progress(len(recordings), "mean of networks") as bar:
-        for label, path in recordings:
-            events = open_recording(path, sensor=config.sensor).read()
-            events["t"] -= events["t"][0]
-            parts = np.split(events, np.searchsorted(events["t"], moments))[:-1]
-            means = np.zeros((len(moments), len(classes)))
-            for processor in processors:
-                processor.reset()
-                for k, part in enumerate(parts):
-                    processor.push(part)
-                    means[k] += processor.fire().probabilities
-            right += means.argmax(1) == label
-            bar.update()
-    return {f"{us / 1e3:g}": share for us, share in zip(moments, (right / len(recordings)).tolist(), strict=True)}
 
 
 def by_crop_size(train: Path, test: Path) -> float:
@@ -252,10 +225,6 @@ def lines(report: dict[str, Any]) -> list[str]:
         values = [[course[ms] for course in courses if ms in course] for ms in report["shown_ms"]]
         cells = [cell(summary(v) if v else None) for v in values]
         printed.append(f"{name:10}" + "".join(f"{cell:>18}" for cell in cells))
-        if "mean_of_two" in found:
-            of_two = found["mean_of_two"]
-            cells = [f"{of_two[ms]:.4f}" if ms in of_two else "-" for ms in report["shown_ms"]]
-            printed.append(f"{'of two':10}" + "".join(f"{cell:>18}" for cell in cells))
         printed.append(f"{'':10}{found['every_event']['a_second']:,.0f} decisions a second, one after every event")
     printed.append(f"width and height of the crop alone: {report['by_crop_size']:.4f}")
     return printed

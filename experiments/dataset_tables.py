@@ -36,9 +36,6 @@ def cars() -> str:
         options = found["command"].partition("--sensor 120x100")[2].strip()
         rate = found["every_event"]["a_second"]
         rows.append([f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"])
-        if "mean_of_two" in found:
-            of_two = [three_digits(found["mean_of_two"][ms]) for ms in CARS_MS]
-            rows.append(["the same, mean of the first two", "2", *of_two, "-"])
     rows.append(
         ["none: width and height of the crop alone", "-", *"----", three_digits(results("cars")["by_crop_size"]), "-"]
     )
