@@ -97,9 +97,9 @@ def digits_tried_motions() -> str:
     return table([*head, "recording", "20 ms", "30 ms", "40 ms", "in other motions"], rows)
 
 
-def edges() -> str:
+@of_report("edges")
+def edges(found: dict[str, Any]) -> str:
     """Events by the angle between edge and motion."""
-    found = results("edges")
     angles = found["angles_deg"]
     rows = [
         [
@@ -113,31 +113,34 @@ def edges() -> str:
     return table(["between gradient and motion", "events", "cosine", "of the expected polarity"], rows)
 
 
-def polarity() -> str:
+@of_report("edges")
+def polarity(found: dict[str, Any]) -> str:
     """How signed and unsigned images of two saccades correlate."""
     rows = [
         [pair.replace("-", " and "), f"{of['angle_deg']:.0f}°"]
         + [f"{of[name]:+.2f}".replace("0.", ".", 1) for name in ("signed", "expected", "unsigned")]
-        for pair, of in results("edges")["between_saccades"].items()
+        for pair, of in found["between_saccades"].items()
     ]
     return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
 
 
-def unseen_hands() -> str:
-    return _unseen("unseen_hands")
+@of_report("unseen_hands")
+def unseen_hands(found: dict[str, Any]) -> str:
+    return _unseen(found["accuracy"])
 
 
-def unseen_saccades() -> str:
-    return _unseen("unseen_saccades")
+@of_report("unseen_saccades")
+def unseen_saccades(found: dict[str, Any]) -> str:
+    return _unseen(found["accuracy"])
 
 
-def unseen_volumes() -> str:
-    return _unseen("unseen_volumes")
+@of_report("unseen_volumes")
+def unseen_volumes(found: dict[str, Any]) -> str:
+    return _unseen(found["accuracy"])
 
 
-def _unseen(name: str) -> str:
+def _unseen(accuracy: dict[str, Any]) -> str:
     """Means over seeds by what was trained on and tested in, with the range of several."""
-    accuracy = results(name)["accuracy"]
     tests = list(next(iter(accuracy.values())))
     rows = [[mode, *(_with_range(found[test]["seeds"]) for test in tests)] for mode, found in accuracy.items()]
     if closed := share_closed(accuracy):
@@ -150,10 +153,11 @@ def _with_range(values: list[float]) -> str:
     return texts[0] if len(values) == 1 else f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
-def found_paths() -> str:
+@of_report("found_paths")
+def found_paths(found: dict[str, Any]) -> str:
     """In how many windows a path is found, and how often it is right."""
     rows = []
-    for name, row in results("found_paths")["rows"].items():
+    for name, row in found["rows"].items():
         shares = (percent(row[key]) if row.get(key) is not None else "" for key in ("found", "right", "opposite"))
         rows.append([name, str(row["windows"]), *shares])
     return table(["", "windows", "path found", "right of these", "opposite"], rows)

@@ -19,8 +19,7 @@ from async_tnt.progress import progress
 from async_tnt.sources.sensor import format_size
 from experiments.bench_timing import machine
 from experiments.made_objects import SENSOR, write
-from experiments.script_options import add_folder, exit_with, script_parser, write_outputs
-from experiments.table_numbers import cell, summary
+from experiments.script_options import add_folder, exit_with, print_tables, script_parser, write_outputs
 from experiments.unseen_motions import command
 
 SETS = {
@@ -48,21 +47,6 @@ def measure(folder: Path, name: str, seeds: int, out: Path, parts: tuple[str, st
     return {"title": title, "command": f"{given} {options}".strip(), "networks": rows, "machine": machine("torch")}
 
 
-def lines(sets: dict[str, Any]) -> list[str]:
-    """For people."""
-    printed = []
-    for found in sets.values():
-        windows, recordings = (
-            cell(summary([row[key] for row in found["networks"]])) for key in ("window_accuracy", "accuracy")
-        )
-        last = found["networks"][-1]
-        printed.append(
-            f"{found['title']:18}{windows} of {last['windows']:,} windows, {recordings} of {last['recordings']:,} "
-            f"recordings right, {len(found['networks'])} networks"
-        )
-    return printed
-
-
 def main(argv: list[str] | None = None) -> int:
     """Train, test, print and write."""
     parser = script_parser("bare", __doc__, "a made set and one epoch")
@@ -83,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.quick:
         report["sets"]["made"] = _quick()
         write_outputs(args, report)
-    print("\n".join(lines(report["sets"])))
+    print_tables(report, "bare")
     return 0
 
 

@@ -101,17 +101,6 @@ def machine(*packages: str) -> dict[str, Any]:
     return this_machine() | {name: _version(name) for name in packages}
 
 
-def machine_text(about: Mapping[str, Any], *packages: str) -> str:
-    """`machine` in one line."""
-    versions = [f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba", *packages) if about[name]]
-    return f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; {', '.join(versions)}"
-
-
-def quartiles(figure: Mapping[str, float]) -> str:
-    """A `spread` as text: median [quartiles]."""
-    return f"{figure['median']:,.1f} [{figure['q1']:,.1f}, {figure['q3']:,.1f}]"
-
-
 def _version(package: str) -> str | None:
     try:
         return version(package)

@@ -34,7 +34,6 @@ from experiments.bench_interleaved import WorkDiffers
 from experiments.bench_timing import interleave, machine, spread, work_clock
 from experiments.made_objects import SENSOR, write
 from experiments.script_options import exit_with, run_script, script_parser, write_outputs
-from experiments.table_numbers import cell, summary
 from experiments.unseen_motions import command
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
@@ -217,19 +216,6 @@ def _compare_with_dense(model: Model, recordings: list[np.ndarray]) -> int:
     return n
 
 
-def lines(report: dict[str, Any]) -> list[str]:
-    """For people."""
-    printed = [f"{'':10}" + "".join(f"{ms + ' ms':>18}" for ms in report["shown_ms"])]
-    for name, found in report["recipes"].items():
-        courses = [test["against_time_ms"] for test in found["tests"]]
-        values = [[course[ms] for course in courses if ms in course] for ms in report["shown_ms"]]
-        cells = [cell(summary(v) if v else None) for v in values]
-        printed.append(f"{name:10}" + "".join(f"{cell:>18}" for cell in cells))
-        printed.append(f"{'':10}{found['every_event']['a_second']:,.0f} decisions a second, one after every event")
-    printed.append(f"width and height of the crop alone: {report['by_crop_size']:.4f}")
-    return printed
-
-
 def draw(report: dict[str, Any]) -> Any:
     """Accuracy against time, and against what a confidence costs."""
     tests = next(iter(report["recipes"].values()))["tests"]
@@ -289,7 +275,7 @@ def main(argv: list[str] | None = None) -> int:
             write_outputs(args, report)  # before the next recipe's hours
         return report
 
-    return run_script(parser, argv, measured, lines, draw)
+    return run_script(parser, argv, measured, "cars", draw)
 
 
 def _quick() -> dict[str, Any]:

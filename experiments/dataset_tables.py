@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import LANDMARKS
-from experiments.page_parts import about_machine, percent, results, short, table
+from experiments.page_parts import about_machine, of_report, percent, results, short, table
 from experiments.table_numbers import cell, summary
 from experiments.table_numbers import short as three_digits
 from experiments.table_rows import IMAGES
@@ -24,28 +24,29 @@ REPRESENTATIONS = {
 """Recipe of N-CARS, without `equal_` -> title, row of the thesis' table."""
 
 
-def cars() -> str:
+@of_report("cars")
+def cars(report: dict[str, Any]) -> str:
     """N-CARS' test part against time: mean over the networks, and their standard deviation."""
-    rows = []
-    for name, found in results("cars")["recipes"].items():
+    rows, shown = [], report["shown_ms"]
+    for name, found in report["recipes"].items():
         if name.startswith("equal_"):
             continue
         courses = [test["against_time_ms"] for test in found["tests"]]
-        shares = [[course[ms] for course in courses] for ms in CARS_MS]
+        shares = [[course[ms] for course in courses] for ms in shown]
         cells = [cell(summary(values)) for values in shares]
         options = found["command"].partition("--sensor 120x100")[2].strip()
         rate = found["every_event"]["a_second"]
         rows.append([f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"])
-    rows.append(
-        ["none: width and height of the crop alone", "-", *"----", three_digits(results("cars")["by_crop_size"]), "-"]
-    )
-    times = [f"{ms} ms" for ms in CARS_MS]
+    by_size = ["-"] * (len(shown) - 1) + [three_digits(report["by_crop_size"])]
+    rows.append(["none: width and height of the crop alone", "-", *by_size, "-"])
+    times = [f"{ms} ms" for ms in shown]
     return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
 
 
-def cars_confidence() -> str:
+@of_report("cars")
+def cars_confidence(report: dict[str, Any]) -> str:
     """What a level of confidence costs and buys on N-CARS: means over the networks of the first recipe."""
-    tests = results("cars")["recipes"]["tuned"]["tests"]
+    tests = next(iter(report["recipes"].values()))["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
         if any(level["median_ms"] is None for level in levels):  # that no window reaches
@@ -102,21 +103,20 @@ def representations() -> str:
     return f"{table(head, rows)}\n\nCosts: {about_machine(*measured)}"
 
 
-def bare() -> str:
+@of_report("bare")
+def bare(report: dict[str, Any]) -> str:
     """`train` without options: mean over the networks and their standard deviation."""
     rows = []
-    for found in results("bare")["sets"].values():
-        networks = found["networks"]
-        shares = (cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy"))
-        sizes = (f"{networks[0][key]:,}" for key in ("windows", "recordings"))
-        rows.append([found["title"], str(len(networks)), *(f"{s} of {n}" for s, n in zip(shares, sizes, strict=True))])
+    for found in report["sets"].values():
+        rows.append([found["title"], *_tested(found)])
     return table(["data set", "networks", "windows", "recordings"], rows)
 
 
-def from_pictures() -> str:
+@of_report("from_pictures")
+def from_pictures(report: dict[str, Any]) -> str:
     """The same for `train` given pictures alone."""
     rows = []
-    for found in results("from_pictures")["sets"].values():
+    for found in report["sets"].values():
         options = found["command"].partition("PICTURES ")[2]
         rows.append([found["title"], f"`{options}`", f"{found['pictures']['pictures']:,}", *_tested(found)])
     return table(["recordings of", "options", "pictures", "networks", "windows", "recordings"], rows)
@@ -130,19 +130,21 @@ def _tested(found: dict[str, Any]) -> list[str]:
     return [str(len(networks)), *(f"{share} of {n}" for share, n in zip(shares, sizes, strict=True))]
 
 
-def moved_digits() -> str:
+@of_report("from_pictures")
+def moved_digits(report: dict[str, Any]) -> str:
     """Digits in simulated motions that N-MNIST does not have: mean over the networks."""
     rows = []
-    for test, cases in results("from_pictures")["sets"]["nmnist"]["simulated"].items():
+    for test, cases in report["sets"].get("nmnist", {}).get("simulated", {}).items():
         means = {case: float(np.mean(shares)) for case, shares in cases.items()}
         worst = min(means, key=lambda case: means[case])
         rows.append([test, str(len(means)), _mean(list(means.values())), f"{three_digits(means[worst])} ({worst})"])
     return table(["1,000 test images", "motions or speeds", "mean", "worst"], rows)
 
 
-def recipes() -> str:
+@of_report("recipes")
+def recipes(report: dict[str, Any]) -> str:
     """Candidates of a default: held-out windows right at their ends, and in the mean over ten moments."""
-    sets = results("recipes")["sets"]
+    sets = report["sets"]
     candidates = list(dict.fromkeys(name for found in sets.values() for name in found))
     rows = []
     for name in candidates:

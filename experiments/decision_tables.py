@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from experiments.page_parts import about_machine, results, short, table
+from typing import Any
+
+from experiments.page_parts import about_machine, of_report, results, short, table
 
 NETWORKS = {
     "incremental": "async_tnt, incremental: `refresh`",
@@ -44,12 +46,12 @@ def speed() -> str:
     return table(["", *names.values()], rows)
 
 
-def decisions_machine() -> str:
-    return about_machine(results("decisions"))
+@of_report("decisions")
+def decisions_machine(found: dict[str, Any]) -> str:
+    return about_machine(found)
 
 
-def _turns(part: str, mode: str, names: dict[str, str]) -> str:
-    rows = results("decisions")[part]
+def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
     counts = list(rows)
     head = ["", *("random numbers" if n == "random" else f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
     body = []
@@ -68,25 +70,30 @@ def _turns(part: str, mode: str, names: dict[str, str]) -> str:
     return table(head, body)
 
 
-def network_in_blocks() -> str:
-    return _turns("network", "in_blocks", NETWORKS)
+@of_report("decisions")
+def network_in_blocks(found: dict[str, Any]) -> str:
+    return _turns(found["network"], "in_blocks", NETWORKS)
 
 
-def network_call_by_call() -> str:
-    return _turns("network", "call_by_call", NETWORKS)
+@of_report("decisions")
+def network_call_by_call(found: dict[str, Any]) -> str:
+    return _turns(found["network"], "call_by_call", NETWORKS)
 
 
-def end_to_end_in_blocks() -> str:
-    return _turns("end_to_end", "in_blocks", WAYS)
+@of_report("decisions")
+def end_to_end_in_blocks(found: dict[str, Any]) -> str:
+    return _turns(found["end_to_end"], "in_blocks", WAYS)
 
 
-def end_to_end_call_by_call() -> str:
-    return _turns("end_to_end", "call_by_call", WAYS)
+@of_report("decisions")
+def end_to_end_call_by_call(found: dict[str, Any]) -> str:
+    return _turns(found["end_to_end"], "call_by_call", WAYS)
 
 
-def touched() -> str:
+@of_report("decisions")
+def touched(report: dict[str, Any]) -> str:
     """What new events change, and what is computed because of it."""
-    found = results("decisions")["touched"]
+    found = report["touched"]
     columns = [*(n for n in found if n != "whole"), "whole"]
     head = [
         "mean of",
@@ -104,10 +111,11 @@ def _count(value: float) -> str:
     return f"{value:,.0f}" if value == int(value) else short(value)
 
 
-def every_event() -> str:
+@of_report("decisions")
+def every_event(found: dict[str, Any]) -> str:
     """Decisions a second."""
     names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
-    rows = results("decisions")["every_event"]["packets"]
+    rows = found["every_event"]["packets"]
     words = {name: names[name] for name in rows}
     body = [
         [
@@ -121,14 +129,15 @@ def every_event() -> str:
     return table(["", "decisions a second", "us each", "ratio"], body)
 
 
-def singles() -> str:
+@of_report("decisions")
+def singles(found: dict[str, Any]) -> str:
     """The tail of single decisions."""
     names = {
         "collector": "with the garbage collector, the default",
         "no_collector": "garbage collector off",
         "machine": "plain Python additions that take as long",
     }
-    rows = results("decisions")["every_event"]["singles"]
+    rows = found["every_event"]["singles"]
     body = [
         [
             names[name],
@@ -142,11 +151,13 @@ def singles() -> str:
     return table([first, "median", "p99", "p99.9", "max", "p99 / median"], body)
 
 
-def starts_machine() -> str:
-    return about_machine(results("starts"))
+@of_report("starts")
+def starts_machine(found: dict[str, Any]) -> str:
+    return about_machine(found)
 
 
-def starts() -> str:
+@of_report("starts")
+def starts(found: dict[str, Any]) -> str:
     """Seconds to a first decision."""
     names = {
         "ours_cold": "async_tnt, nothing compiled yet",
@@ -163,19 +174,21 @@ def starts() -> str:
     }
     body = [
         [names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
-        for name, row in results("starts")["starts"].items()
+        for name, row in found["starts"].items()
     ]
     return table(["seconds", *steps.values()], body)
 
 
-def incremental_machine() -> str:
-    return about_machine(results("incremental"))
+@of_report("incremental")
+def incremental_machine(found: dict[str, Any]) -> str:
+    return about_machine(found)
 
 
-def incremental_times() -> str:
+@of_report("incremental")
+def incremental_times(report: dict[str, Any]) -> str:
     """Microseconds of a decision, in blocks, by network and new events."""
     body = []
-    for network, row in results("incremental")["networks"].items():
+    for network, row in report["networks"].items():
         volume = " x ".join(map(str, row["volume"]))
         for n_new, found in row["network"].items():
             us, ratio = found["in_blocks"]["us"], found["in_blocks"]["ratio"]
@@ -190,10 +203,11 @@ def incremental_times() -> str:
     return table(["network", "new events", *names], body)
 
 
-def incremental_work() -> str:
+@of_report("incremental")
+def incremental_work(report: dict[str, Any]) -> str:
     """Multiplications of a decision, memory, and decisions a second."""
     body = []
-    for network, row in results("incremental")["networks"].items():
+    for network, row in report["networks"].items():
         counts = [row["touched"][n]["multiplications"] / 1e6 for n in ("1", "10", "100", "1300", "whole")]
         memory = [f"{sum(row['bytes'][part] for part in parts) / 1e3:,.0f}" for parts in (("weights",), MAPS)]
         rates = row["every_event"]

@@ -12,7 +12,6 @@ Rows whose package is not installed are left out, with the reason:
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from typing import Any
 
 if __name__ == "__main__":  # before any library reads them
@@ -25,7 +24,7 @@ from experiments import measure_end_to_end as end_to_end
 from experiments.bench_every_event import bench_every_event
 from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
 from experiments.bench_network import bench_network, bench_on_noise, fastest
-from experiments.bench_timing import is_installed, machine, machine_text, one_thread, quartiles
+from experiments.bench_timing import is_installed, machine, one_thread
 from experiments.draw_decisions import draw_decisions
 from experiments.measure_singles import bench_singles
 from experiments.measure_touched import bench_touched
@@ -35,7 +34,6 @@ MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
 FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10, "single_decisions": 100_000}
 QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "single_decisions": 2_000}
-MODES = {"call_by_call": "backends alternate from call to call", "in_blocks": "each decides in blocks of {} calls"}
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
@@ -100,54 +98,10 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
     }
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report as text."""
-    about, settings = report["machine"], report["settings"]
-    yield machine_text(about, *PACKAGES)
-    titles = {"network": "The network alone", "end_to_end": "From a packet of new events to the decision"}
-    for part, title in titles.items():
-        for mode, words in MODES.items():
-            words = words.format(settings["decisions_a_block"])
-            yield ""
-            yield f"{title}, us: median [quartiles], p99, times ours; {words}"
-            yield from _turns(report[part], mode)
-    yield ""
-    yield "A decision after every event, recordings in packets: us of processor time, decisions a second, times ours"
-    for name, row in report["every_event"]["packets"].items():
-        ratio = f"{row['ratio']['median']:8.1f}" if "ratio" in row else ""
-        yield f"  {name:22}{quartiles(row['us']):>26}{row['a_second']:>12,.0f}{ratio}"
-    yield ""
-    yield f"Single decisions, push_one, {settings['single_decisions']:,} each: us"
-    for name, row in report["every_event"]["singles"].items():
-        yield (
-            f"  {name:22}{quartiles(row):>26}  p99 {row['p99']:.1f}  p99.9 {row['p999']:.1f}  max {row['max']:.0f}  "
-            f"p99 / median {row['p99_over_median']:.1f}"
-        )
-    yield ""
-    yield "What new events touch, means: multiplications; cells that change, places of each layer computed"
-    for name, row in report["touched"].items():
-        places = ", ".join(f"{layer} {n:.1f}" for layer, n in row.items() if layer != "multiplications")
-        yield f"  {name:6}{row['multiplications']:>12,.0f}   {places}"
-    yield ""
-    yield "What each row does:"
-    for part, rows in report["work"].items():
-        for name, words in rows.items():
-            why = report["left_out"][part].get(name)
-            yield f"  {name:22}" + (f"left out: {why}" if why else words)
-
-
-def _turns(rows: dict[str, Any], mode: str) -> Iterator[str]:
-    for name, row in rows.items():
-        yield "  volumes of random numbers" if name == "random" else f"  {name} new event{'s' if name != '1' else ''}"
-        for backend, us in row[mode]["us"].items():
-            ratio = row[mode]["ratio"].get(backend)
-            yield f"    {backend:20}{quartiles(us):>26}{us['p99']:>9.1f}" + (f"{ratio['median']:9.2f}" if ratio else "")
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser("decisions", __doc__, "few rounds", draws=True)
-    return run_script(parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), lines, draw_decisions)
+    return run_script(parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), "decisions", draw_decisions)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.views.figure_style import ON, TEXT, axes_at, headline, new_figure, note
-from experiments import accuracy_tables
 from experiments.bench_timing import machine
 from experiments.script_options import add_folder, data_folder, exit_with, run_script, script_parser
 
@@ -201,7 +200,7 @@ def main(argv: list[str] | None = None) -> int:
     def measured(quick: bool) -> dict[str, Any]:
         return measure(data_folder(args.nmnist, "nmnist", "--nmnist"), QUICK if quick else None)
 
-    return run_script(parser, argv, measured, lambda report: [accuracy_tables.early(report)], draw_early)
+    return run_script(parser, argv, measured, "early", draw_early)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from experiments.bench_timing import machine
 from experiments.comparison import recordings_by_image
 from experiments.digit_scene import render
 from experiments.mnist import load_mnist
-from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
+from experiments.script_options import add_folder, data_folder, exit_with, run_script, script_parser
 from experiments.trajectories import nmnist_saccades
 
 N_RECORDINGS = 1_000
@@ -113,16 +113,7 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--mnist", "MNIST's IDX files (default: $TNT_DATA/mnist)")
     args = parser.parse_args(argv)
     folders = (data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist"))
-    report = measure(*folders, 50 if args.quick else N_RECORDINGS)
-    for k in range(len(ANGLES_DEG) - 1):
-        print(
-            f"{ANGLES_DEG[k]:2}-{ANGLES_DEG[k + 1]} degrees: {report['events_per_gradient'][k]:.2f} events a unit of "
-            f"gradient (cosine {report['cosine'][k]:.2f}), {100 * report['polarity_as_expected'][k]:.1f} % as expected"
-        )
-    for pair, found in report["between_saccades"].items():
-        print(f"saccades {pair}: " + ", ".join(f"{name} {value:.2f}" for name, value in found.items()))
-    write_outputs(args, report)
-    return 0
+    return run_script(parser, argv, lambda quick: measure(*folders, 50 if quick else N_RECORDINGS), "edges")
 
 
 if __name__ == "__main__":

@@ -170,24 +170,13 @@ def measure(nmnist: Path | None, n: int) -> dict[str, Any]:
     return {"machine": machine(), "rows": rows}
 
 
-def lines(report: dict[str, Any]) -> list[str]:
-    """For people."""
-    printed = []
-    for name, row in report["rows"].items():
-        right = (
-            "" if row.get("right") is None else f", {row['right']:.3f} of these right, {row['opposite']:.3f} opposite"
-        )
-        printed.append(f"{name:60}{row['found']:.3f} of {row['windows']} found{right}")
-    return printed
-
-
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("found_paths", __doc__, "eight windows of each kind")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
     parser.add_argument("--windows", type=int, default=200, metavar="N", help="of each kind (default: 200)")
     args = parser.parse_args(argv)
-    return run_script(parser, argv, lambda quick: measure(args.nmnist, 8 if quick else args.windows), lines)
+    return run_script(parser, argv, lambda quick: measure(args.nmnist, 8 if quick else args.windows), "found_paths")
 
 
 if __name__ == "__main__":

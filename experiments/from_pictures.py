@@ -28,11 +28,10 @@ import numpy as np
 from async_tnt import load_model
 from async_tnt.progress import progress
 from experiments import made_pictures, moving_digits
-from experiments.bare import lines
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import CHARACTERS, PIPS, write_glyphs, write_mnist
 from experiments.mnist import load_mnist
-from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
+from experiments.script_options import add_folder, data_folder, exit_with, print_tables, script_parser, write_outputs
 from experiments.table_data import OFFICIAL
 from experiments.unseen_motions import command
 
@@ -156,7 +155,7 @@ def main(argv: list[str] | None = None) -> int:
             tests = data_folder(args.mnist, "mnist", "--mnist"), 5 if args.quick else 1_000
             report["sets"][name]["simulated"] = test_moving(report["sets"][name]["networks"], args.out, *tests)
         write_outputs(args, report)
-    print("\n".join(lines(report["sets"])))
+    print_tables(report, "from_pictures")
     return 0
 
 

@@ -11,7 +11,7 @@ out: `pip install torch==2.13.0 onnx onnxruntime openvino`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if __name__ == "__main__":  # before any library reads them
@@ -28,7 +28,7 @@ from experiments import bench_backends as backends
 from experiments.bench_every_event import bench_every_event
 from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
 from experiments.bench_network import bench_network
-from experiments.bench_timing import machine, machine_text, one_thread
+from experiments.bench_timing import machine, one_thread
 from experiments.draw_decisions import NETWORKS as LOOKS
 from experiments.draw_decisions import draw_lines, lay_axis
 from experiments.measure_touched import bench_touched
@@ -114,21 +114,6 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     }
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report for people."""
-    yield machine_text(report["machine"])
-    for name, row in report["networks"].items():
-        yield ""
-        kilobytes = ", ".join(f"{part} {n / 1e3:,.0f} kB" for part, n in row["bytes"].items())
-        yield f"{name}, volume {' x '.join(map(str, row['volume']))}: {kilobytes}"
-        for n_new, found in row["network"].items():
-            us = found["in_blocks"]["us"]
-            times = ", ".join(f"{engine} {of['median']:.1f} (p99 {of['p99']:.0f})" for engine, of in us.items())
-            yield f"  {n_new:>5} new: {row['touched'][n_new]['multiplications']:>12,.0f} multiplications; us: {times}"
-        rates = ", ".join(f"{engine} {of['a_second']:,.0f}" for engine, of in row["every_event"].items())
-        yield f"  decisions a second, one after every event: {rates}"
-
-
 def draw_incremental(report: dict[str, Any]) -> Figure:
     """Medians and quartiles in blocks; hollow: medians from call to call."""
     figure = new_figure(4.4)
@@ -154,7 +139,9 @@ def draw_incremental(report: dict[str, Any]) -> Figure:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser("incremental", __doc__, "a few decisions of each", draws=True)
-    return run_script(parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), lines, draw_incremental)
+    return run_script(
+        parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), "incremental", draw_incremental
+    )
 
 
 if __name__ == "__main__":

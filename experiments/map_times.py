@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 if __name__ == "__main__":  # before any library reads them
@@ -31,7 +31,7 @@ from async_tnt.progress import progress
 from async_tnt.sources import open_recording, sample_recordings
 from experiments import bench_backends as backends
 from experiments.bench_interleaved import WorkDiffers
-from experiments.bench_timing import latency, machine, machine_text, no_collector, one_thread
+from experiments.bench_timing import latency, machine, no_collector, one_thread
 from experiments.script_options import exit_with, run_script, script_parser
 
 SENSORS = (128, 96), (304, 240), (640, 480)
@@ -168,21 +168,10 @@ def measure(quick: bool) -> dict[str, Any]:
     return {"machine": machine("torch", "onnxruntime"), "models": rows, "left_out": backends.left_out()}
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """For people."""
-    yield machine_text(report["machine"])
-    for name, row in report["models"].items():
-        for sensor, figures in row["times_us"].items():
-            cases = ", ".join(f"{case} {of['median']:,.0f} (p99 {of['p99']:,.0f})" for case, of in figures.items())
-            yield f"{name}, {sensor}: {cases} us"
-        loads = ", ".join(f"{n} objects {of:.2f}" for n, of in row["load"].items())
-        yield f"{name}, a million events and 1,000 decisions a second, processor time by the stream's: {loads}"
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON if asked. Returns 1 if ways do not agree."""
     parser = script_parser("map_times", __doc__, "few moments")
-    return run_script(parser, argv, measure, lines)
+    return run_script(parser, argv, measure, "map_times")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,9 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "experiments" / "results"
+Table = Callable[..., str]
+REPORT_OF: dict[Table, str] = {}
+"""Table -> the recorded run that it is made of, without ".json"."""
 
 
 def results(name: str) -> dict[str, Any]:
@@ -18,14 +21,15 @@ def results(name: str) -> dict[str, Any]:
     return found
 
 
-def of_report(name: str) -> Callable[[Callable[[Any], str]], Callable[..., str]]:
+def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:
     """Decorates what makes a table of a report: called without a report, it takes the recorded run `name`."""
 
-    def decorated(make: Callable[[Any], str]) -> Callable[..., str]:
+    def decorated(make: Callable[[Any], str]) -> Table:
         @functools.wraps(make)
         def made(report: dict[str, Any] | None = None) -> str:
             return make(results(name) if report is None else report)
 
+        REPORT_OF[made] = name
         return made
 
     return decorated

@@ -26,13 +26,11 @@ from experiments.bench_timing import (
     interleave,
     is_installed,
     machine,
-    machine_text,
     one_thread,
-    quartiles,
     spread,
     work_clock,
 )
-from experiments.script_options import exit_with, script_parser, write_outputs
+from experiments.script_options import exit_with, run_script, script_parser
 from experiments.volumes import GRIDS
 
 BINS = 9
@@ -256,39 +254,20 @@ def _timed(case: Case, volume: TNTVolume, n_events: int) -> Callable[[], float]:
     return run
 
 
-def lines(report: dict[str, Any]) -> list[str]:
-    """The report as text."""
-    text = [machine_text(report["machine"], "torch", "eventcv", "tonic")]
-    for result in report["results"]:
-        text += [
-            "",
-            "{} x {}, ".format(*result["grid"]) + f"packets of {result['events_a_packet']:,} events",
-            f"{'':18}{'ns/event [quartiles]':>30}{'Mev/s':>10}{'/ ours read':>13}{'/ ours fresh':>14}",
-        ]
-        for name, row in result["rows"].items():
-            text.append(f"{name:18}{quartiles(row['ns_per_event']):>30}{row['mev_per_s']:>10.2f}")
-            if not name.startswith("ours"):
-                text[-1] += f"{row['times_ours_update_read']:>13.2f}{row['times_ours_fresh']:>14.2f}"
-    text += ["", "A ratio above 1: ours is faster. What each row does:"]
-    text += [f"  {name:18}{WORK[name]}" for name in report["results"][0]["rows"]]
-    return text + [f"  {name:18}left out: {why}" for name, why in report["left_out"].items()]
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run, print, and write JSON if asked."""
-    args = script_parser("peers", __doc__, "the small grid only, few rounds").parse_args(argv)
+def measure(quick: bool) -> dict[str, Any]:
+    """Every row, on every grid."""
     warmup()
     settings = [(grid, PACKET, 20) for grid in GRIDS]
     settings += [(grid, round(DENSITY * grid[0] * grid[1]), 1) for grid in GRIDS[1:]]
-    settings = settings[:1] if args.quick else settings
+    settings = settings[:1] if quick else settings
     results = []
     with progress(len(settings), "volumes") as bar, one_thread(is_installed("torch")):
         for grid, size, n_packets in settings:
             bar.update(0, "{} x {}, ".format(*grid) + f"packets of {size:,}")
-            results.append(compare(grid, size, n_packets, rounds=3 if args.quick else 15))
+            results.append(compare(grid, size, n_packets, rounds=3 if quick else 15))
             bar.update()
     missing = {row: package for row, package in PACKAGES.items() if not is_installed(package)}
-    report = {
+    return {
         "machine": machine("torch", "eventcv", "tonic"),
         "bins": BINS,
         "threads": 1,
@@ -296,9 +275,11 @@ def main(argv: list[str] | None = None) -> int:
         "results": results,
         "left_out": {row: f"{package} is not installed" for row, package in missing.items()},
     }
-    print("\n".join(lines(report)))
-    write_outputs(args, report)
-    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run, print, and write JSON if asked."""
+    return run_script(script_parser("peers", __doc__, "the small grid only, few rounds"), argv, measure, "peers")
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from async_tnt.training.settings import default_config, settings_for
 from async_tnt.training.windows import Windows
 from experiments.bench_timing import machine
 from experiments.made_objects import SENSOR, WINDOW_US, Session, write
-from experiments.script_options import add_folder, exit_with, plain_parser, writable_file, write_outputs
+from experiments.script_options import add_folder, exit_with, plain_parser, print_tables, writable_file, write_outputs
 
 SPLIT = {"transform": "none", "polarity": "split"}
 EARLIER = {"learning_rate": 2e-3, "weight_decay": 1e-2, "warm_up": 0.05, "averaging": 0.0, "logarithm": False}
@@ -151,20 +151,6 @@ def measure(name: str, data: TrainingData, candidate: Candidate, seed: int, run_
     }
 
 
-def lines(report: Mapping[str, Any]) -> list[str]:
-    """Means over seeds: at the windows' ends, and over ten moments."""
-    printed = [f"{'held-out windows right':24}" + "".join(f"{name:>18}" for name in report["sets"])]
-    for candidate in CANDIDATES:
-        cells = []
-        for found in report["sets"].values():
-            rows = found.get(candidate, [])
-            pair = (np.mean([row[key] for row in rows]) for key in ("per_window", "mean_over_time"))
-            cells.append("/".join(f"{value:.3f}" for value in pair) if rows else "-")
-        if any(cell != "-" for cell in cells):
-            printed.append(f"{candidate:24}" + "".join(f"{cell:>18}" for cell in cells))
-    return printed
-
-
 def main(argv: list[str] | None = None) -> int:
     """Train, print and write."""
     parser = plain_parser("recipes", __doc__)
@@ -184,7 +170,7 @@ def main(argv: list[str] | None = None) -> int:
         report = json.loads(args.json.read_text(encoding="utf-8"))
     for name in names:
         _measure_set(name, args, report)
-    print("\n".join(lines(report)))
+    print_tables(report, "recipes")
     return 0
 
 

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -15,6 +15,7 @@ from async_tnt.checks import printable
 from async_tnt.files import check_writable, write_text
 from async_tnt.views.figure_style import check_picture, save, styled
 from experiments.bench_interleaved import WorkDiffers
+from experiments.page_parts import REPORT_OF, Table
 
 
 def writable_file(text: str) -> Path:
@@ -65,11 +66,11 @@ def run_script(
     parser: argparse.ArgumentParser,
     argv: list[str] | None,
     measure: Callable[[bool], dict[str, Any]],
-    lines: Callable[[dict[str, Any]], Iterable[str]],
+    name: str,
     draw: Callable[[Any], Any] | None = None,
 ) -> int:
-    """Measure (given --quick) or read, print, and write JSON and the picture if asked. Returns the exit code: 1 if
-    backends do not agree."""
+    """Measure (given --quick) or read, print the tables of report `name`, and write JSON and the picture if asked.
+    Returns the exit code: 1 if backends do not agree."""
     args = parser.parse_args(argv)
     try:
         report = report_of(args, lambda: measure(args.quick))
@@ -78,9 +79,28 @@ def run_script(
     except WorkDiffers as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
-    print("\n".join(lines(report)))
+    print_tables(report, name)
     write_outputs(args, report, draw)
     return 0
+
+
+def print_tables(report: dict[str, Any], name: str) -> None:
+    """What RESULTS.md would show of this report; what each row does, and what is left out and why."""
+    from experiments.results_sections import SECTIONS
+
+    for section in SECTIONS:
+        for table, caption in section.tables.items():
+            if REPORT_OF.get(table) == name:
+                of_this_report: Table = table
+                print(f"{caption}\n\n{of_this_report(report)}\n")
+    for key, words in (("work", "What each row does"), ("left_out", "Left out")):
+        if rows := dict(_leaves(report.get(key, {}))):
+            print(f"{words}:", *(f"  {row:22}{why}" for row, why in rows.items()), sep="\n")
+
+
+def _leaves(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in node.items():
+        yield from _leaves(value, f"{name}: ") if isinstance(value, dict) else [(above + name, value)]
 
 
 def write_outputs(args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None) -> None:

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ import numpy as np
 from async_tnt import Model, load_model, warmup
 from async_tnt.progress import progress
 from experiments.bench_backends import missing
-from experiments.bench_timing import machine, machine_text, spread
+from experiments.bench_timing import machine, spread
 from experiments.script_options import exit_with, run_script, script_parser
 
 MODEL, ROUNDS = "digits", 5
@@ -162,20 +162,9 @@ def measure(quick: bool) -> dict[str, Any]:
     return about | {"starts": found, "left_out": left_out(cold=not quick)}
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report as text."""
-    yield machine_text(report["machine"], *PACKAGES)
-    yield f"Fresh processes, medians of {report['rounds']}: seconds"
-    for name, row in report["starts"].items():
-        yield f"  {name:22}" + ", ".join(f"{step} {taken['median']:.3f}" for step, taken in row.items())
-    for name, words in report["work"].items():
-        why = report["left_out"].get(name)
-        yield f"  {name:22}" + (f"left out: {why}" if why else words)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
-    return run_script(script_parser("starts", __doc__, "one round, nothing compiled"), argv, measure, lines)
+    return run_script(script_parser("starts", __doc__, "one round, nothing compiled"), argv, measure, "starts")
 
 
 if __name__ == "__main__":

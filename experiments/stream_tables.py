@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.page_parts import about_machine, percent, results, short, table
+from experiments.page_parts import about_machine, of_report, percent, results, short, table
 
 PEERS = {
     "eventcv": "eventcv",
@@ -78,7 +78,8 @@ def _row(run: dict[str, Any]) -> list[str]:
     ]
 
 
-def volumes() -> str:
+@of_report("bench")
+def volumes(found: dict[str, Any]) -> str:
     """Nanoseconds per event, by the size of a packet."""
     ways = {
         "single": "`update_one`",
@@ -86,7 +87,7 @@ def volumes() -> str:
         "packet_1300_columns": "packets of 1300, columns",
         "packet_1300_structured": "packets of 1300, structured",
     }
-    grids = results("bench")["volume"]
+    grids = found["volume"]
     rows = [
         [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
         for way, words in ways.items()
@@ -94,30 +95,27 @@ def volumes() -> str:
     return table(["", *("{} x {}".format(*v["grid"]) for v in grids)], rows)
 
 
-def splat() -> str:
+@of_report("peers")
+def splat(report: dict[str, Any]) -> str:
     """Events into a volume, beside the peers: packets of 1300 and whole windows."""
-    found = _by_packet()
+    found = {
+        "{} x {}".format(*r["grid"]) + f", packets of {r['events_a_packet']:,}": r["rows"] for r in report["results"]
+    }
     head = ["", *found]
     ours = {"ours_update": "async_tnt", "ours_update_read": "async_tnt, volume read after each packet"}
     rows = [
         [f"{words}, ns an event", *(short(rows[name]["ns_per_event"]["median"]) for rows in found.values())]
         for name, words in ours.items()
     ]
-    for name, words in PEERS.items():
+    installed = [name for name in PEERS if name in report["results"][0]["rows"]]
+    for name in installed:
         cells = []
         for rows_of in found.values():
             theirs = rows_of[name]
             to_update = theirs["ns_per_event"]["median"] / rows_of["ours_update"]["ns_per_event"]["median"]
             cells.append(f"{short(to_update)} / {short(theirs['times_ours_update_read'])}")
-        rows.append([f"{words}: ratio / ratio to the volume read", *cells])
+        rows.append([f"{PEERS[name]}: ratio / ratio to the volume read", *cells])
     return table(head, rows)
-
-
-def _by_packet() -> dict[str, dict[str, Any]]:
-    return {
-        "{} x {}".format(*r["grid"]) + f", packets of {r['events_a_packet']:,}": r["rows"]
-        for r in results("peers")["results"]
-    }
 
 
 def memory() -> str:
@@ -130,9 +128,10 @@ def memory() -> str:
     )
 
 
-def map_times() -> str:
+@of_report("map_times")
+def map_times(found: dict[str, Any]) -> str:
     """Medians and 99th percentiles of `map_times`."""
-    models = results("map_times")["models"]
+    models = found["models"]
     cases = {
         "one event": "one more event",
         "1,000 events": "1,000 more",
@@ -141,33 +140,39 @@ def map_times() -> str:
         "onnxruntime_run": "onnxruntime, the whole map",
     }
     rows = [
-        [f"{name}, {sensor}", *(f"{short(of[case]['median'])} ({short(of[case]['p99'])})" for case in cases)]
+        [
+            f"{name}, {sensor}",
+            *(f"{short(of[case]['median'])} ({short(of[case]['p99'])})" for case in cases if case in of),
+        ]
         for name, row in models.items()
         for sensor, of in row["times_us"].items()
     ]
     return table(["microseconds", *cases.values()], rows)
 
 
-def map_load() -> str:
+@of_report("map_times")
+def map_load(found: dict[str, Any]) -> str:
     """Processor time by the stream's time."""
-    models = results("map_times")["models"]
+    models = found["models"]
     numbers = next(iter(models.values()))["load"]
     rows = [[name, *(f"{row['load'][n]:.2f}" for n in numbers)] for name, row in models.items()]
     return table(["", *(f"{n} objects" if n != "1" else "one object" for n in numbers)], rows)
 
 
-def map_machine() -> str:
-    return about_machine(results("map_times"))
+@of_report("map_times")
+def map_machine(found: dict[str, Any]) -> str:
+    return about_machine(found)
 
 
-def threads() -> str:
+@of_report("threads")
+def threads(found: dict[str, Any]) -> str:
     """Two streams at once, by one after the other."""
-    found = results("threads")
     words = {"volume": "`TNTVolume`", "windows": "`Processor`", "every_us": "`Processor`, a decision every millisecond"}
     head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
     rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
     return table(head, rows)
 
 
-def threads_machine() -> str:
-    return about_machine(results("threads"))
+@of_report("threads")
+def threads_machine(found: dict[str, Any]) -> str:
+    return about_machine(found)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -92,16 +92,9 @@ def measure(quick: bool) -> dict[str, Any]:
     return report
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    for case, figures in report.items():
-        if case not in ("model", "machine"):
-            for packet, figure in figures.items():
-                yield f"{case:16} {packet:>6}  {figure['median']:.2f} [{figure['q1']:.2f}, {figure['q3']:.2f}]"
-
-
 def main(argv: list[str] | None = None) -> int:
     parser = script_parser("threads", __doc__, "few events")
-    return run_script(parser, argv, measure, lines)
+    return run_script(parser, argv, measure, "threads")
 
 
 if __name__ == "__main__":

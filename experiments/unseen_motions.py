@@ -35,7 +35,7 @@ from async_tnt.sources.sensor import format_size
 from experiments import made_hands, thinned_saccades
 from experiments.bench_timing import machine
 from experiments.digits_data import CLASSES, SACCADE_US
-from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
+from experiments.script_options import add_folder, data_folder, exit_with, print_tables, script_parser, write_outputs
 
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
 RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
@@ -200,12 +200,7 @@ def main(argv: list[str] | None = None) -> int:
             report = measure(replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3"))
         else:
             report = measure(made, args.seeds, out)
-    for mode, tests in report["accuracy"].items():
-        print(f"{mode:16}" + "".join(f"{test}: {found['mean']:.3f}   " for test, found in tests.items()))
-    if closed := share_closed(report["accuracy"]):
-        print(
-            "of the gap to training on all directions, closed: " + ", ".join(f"{t} {s:.3f}" for t, s in closed.items())
-        )
+    print_tables(report, f"unseen_{args.set}")
     write_outputs(args, report)
     return 0
 

@@ -7,7 +7,7 @@ Events are random, seeded. Each way feeds one window, all ways in turns, on one 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from async_tnt import TNTConfig, TNTVolume, warmup
 from async_tnt.events import structured
 from async_tnt.progress import progress
 from experiments.bench_moments import made_columns
-from experiments.bench_timing import interleave, machine, machine_text, quartiles, spread, work_clock
+from experiments.bench_timing import interleave, machine, spread, work_clock
 from experiments.script_options import exit_with, run_script, script_parser
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
@@ -99,26 +99,9 @@ def _column_packets(columns: tuple[np.ndarray, ...], size: int) -> list[tuple[np
     return [tuple(column[first : first + size] for column in columns) for first in range(0, n, size)]
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report as text."""
-    volumes = report["volume"]
-    yield machine_text(report["machine"])
-    yield f"processor time, medians of {report['settings']['rounds']} interleaved rounds, quartiles in brackets"
-    yield (
-        f"landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, {volumes[0]['events']:,} events a window: "
-        "ns per event"
-    )
-    yield f"{'':28}" + "".join(f"{'{} x {}'.format(*v['grid']):>28}" for v in volumes)
-    ways = {"single": "update_one, each event"}
-    ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
-    rows = {title: [v["ns_per_event"][way] for v in volumes] for way, title in ways.items()}
-    for title, figures in rows.items():
-        yield f"{title:28}" + "".join(f"{quartiles(figure):>28}" for figure in figures)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Measure, print, and write JSON if asked."""
-    return run_script(script_parser("volumes", __doc__, "fewer events and rounds"), argv, measure, lines)
+    return run_script(script_parser("volumes", __doc__, "fewer events and rounds"), argv, measure, "bench")
 
 
 if __name__ == "__main__":
