@@ -84,55 +84,39 @@ def compare(
     ------
     WorkDiffers : logits of one moment differ by more than LOGIT_TOLERANCE.
     """
-    call_by_call(make(True), blocks(1, N_WARM))
+    timed(make(True), blocks(1, N_WARM), True)
     return {
-        "call_by_call": call_by_call(make(True), blocks(n_blocks, size)).report(),
-        "in_blocks": in_blocks(make(False), blocks(n_blocks, size)).report(),
+        "call_by_call": timed(make(True), blocks(n_blocks, size), True).report(),
+        "in_blocks": timed(make(False), blocks(n_blocks, size), False).report(),
     }
 
 
-def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at a moment, then at the next one, in a new random order each time (fixed seed)."""
+def timed(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]], call_by_call: bool) -> Timed:
+    """Every backend decides at all moments of a block before the next backend does, in an order that alternates; or,
+    call by call, every one decides at a moment, then at the next one, in a new random order each time (fixed seed)."""
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
-    worst, rng = 0.0, np.random.default_rng(0)
+    worst, rng, names = 0.0, np.random.default_rng(0), list(backends)
     with no_collector():
         for block in blocks:
+            if call_by_call:
+                turns = [(k, rng.permutation(names).tolist()) for k in range(len(block))]
+            else:
+                turns = [(k, [name]) for name in names for k in range(len(block))]
+                names.reverse()
             for taken in us.values():
                 taken.append([])
-            for moment in block:
-                order = rng.permutation(list(backends)).tolist()
-                for name in order:
-                    _catch_up(backends[name], moment)
-                found = {}
-                for name in order:
-                    taken_us, logits = _time(backends[name], moment)
-                    us[name][-1].append(taken_us)
-                    if logits is not None:
-                        found[name] = logits
-                worst = max(worst, _check(found, backends, moment))
-    return Timed({name: np.array(taken) for name, taken in us.items()}, True, worst)
-
-
-def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at all moments of a block before the next backend does; the order alternates."""
-    us: dict[str, list[list[float]]] = {name: [] for name in backends}
-    worst, forward = 0.0, True
-    with no_collector():
-        for block in blocks:
             found: list[dict[str, np.ndarray]] = [{} for _ in block]
-            for name in list(backends)[:: 1 if forward else -1]:
-                backend = backends[name]
-                us[name].append([])
-                for k, moment in enumerate(block):
-                    _catch_up(backend, moment)
-                    taken_us, logits = _time(backend, moment)
+            for k, some in turns:
+                for name in some:
+                    _catch_up(backends[name], block[k])
+                for name in some:
+                    taken_us, logits = _time(backends[name], block[k])
                     us[name][-1].append(taken_us)
                     if logits is not None:
                         found[k][name] = logits
-            forward = not forward
             for k, moment in enumerate(block):
                 worst = max(worst, _check(found[k], backends, moment))
-    return Timed({name: np.array(taken) for name, taken in us.items()}, False, worst)
+    return Timed({name: np.array(taken) for name, taken in us.items()}, call_by_call, worst)
 
 
 def _catch_up(backend: Backend, moment: Moment) -> None:

@@ -29,9 +29,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Model, Processor, load_model
+from async_tnt.events import structured
 from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.bench_moments import made_columns
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
@@ -111,11 +113,7 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
 def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
     """Uniform over pixels and a window."""
     n = rng.poisson(NOISE_HZ * kind.sensor[0] * kind.sensor[1] * kind.window_us / 1e6)
-    events = np.zeros(n, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(kind.window_us, size=n))
-    events["x"], events["y"] = rng.integers(kind.sensor[0], size=n), rng.integers(kind.sensor[1], size=n)
-    events["p"] = rng.integers(2, size=n)
-    return events
+    return structured(made_columns(rng, kind.sensor, n, kind.window_us))
 
 
 def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:

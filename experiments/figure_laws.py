@@ -272,11 +272,6 @@ def cancellation() -> str:
     )
 
 
-def fallen_off(sensor_side: int, side: int) -> int:
-    """Sensor columns that x side / sensor_side puts beyond the last grid pixel."""
-    return int(np.count_nonzero(np.arange(sensor_side) * side / sensor_side > side - 1))
-
-
 def main(argv: list[str] | None = None) -> int:
     """Print the tables, and draw the law if asked."""
     parser = plain_parser("figure_laws", __doc__)
@@ -299,11 +294,6 @@ def main(argv: list[str] | None = None) -> int:
     print("## Rounding\n")
     print(border_counts())
     print(cancellation())
-    for width, height in ((346, 260), (1280, 720)):
-        print(
-            f"{width}x{height} onto 34x34 by x W / Ws: {fallen_off(width, 34)} columns and "
-            f"{fallen_off(height, 34)} rows fall off; corner to corner: none"
-        )
     return 0
 
 

@@ -24,6 +24,7 @@ from async_tnt.resynthesis.reconstruction import SPAN
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments import made_hands
+from experiments.bench_moments import made_columns
 from experiments.bench_timing import machine
 from experiments.digits_data import SACCADE_US
 from experiments.script_options import add_folder, exit_with, run_script, script_parser
@@ -106,9 +107,8 @@ def swings(n: int) -> dict[str, Any]:
     return rows
 
 
-def _uniform(n: int, rng: np.random.Generator) -> list[np.ndarray]:
-    t = np.sort(rng.integers(0, SACCADE_US, n))
-    return [t, *rng.integers(0, SIDE, (2, n)), rng.integers(0, 2, n)]
+def _uniform(n: int, rng: np.random.Generator) -> Columns:
+    return made_columns(rng, (SIDE, SIDE), n, SACCADE_US)
 
 
 def _flicker(n: int, rng: np.random.Generator) -> list[np.ndarray]:
@@ -135,7 +135,7 @@ def _hot_pixels(n: int, rng: np.random.Generator) -> list[np.ndarray]:
     return [t, np.where(often, hot[which, 0, 0], x), np.where(often, hot[which, 1, 0], y), p]
 
 
-NOISE: dict[str, Callable[[int, np.random.Generator], list[np.ndarray]]] = {
+NOISE: dict[str, Callable[[int, np.random.Generator], Sequence[np.ndarray]]] = {
     "uniform": _uniform,
     "flicker": _flicker,
     "one polarity": _one_polarity,

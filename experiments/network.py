@@ -32,10 +32,12 @@ from typing import Any
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
+from async_tnt.events import structured
 from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.datagrams import encode
 from async_tnt.sources.playback import wait_until
 from async_tnt.sources.udp import UdpSource
+from experiments.bench_moments import made_columns
 from experiments.bench_timing import latency, machine
 from experiments.script_options import exit_with, plain_parser
 
@@ -54,10 +56,7 @@ SLOW_S = 0.02
 
 def random_events(n: int) -> np.ndarray:
     """n events on 34x34 pixels, whose times are set later."""
-    rng = np.random.default_rng(0)
-    events = np.zeros(n, EVENT_DTYPE)
-    events["x"], events["y"], events["p"] = rng.integers(0, 34, n), rng.integers(0, 34, n), rng.integers(0, 2, n)
-    return events
+    return structured(made_columns(np.random.default_rng(0), (34, 34), n, n))
 
 
 def send_pings(ports: list[int], n: int) -> None:

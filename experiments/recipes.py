@@ -32,9 +32,6 @@ from experiments.made_objects import SENSOR, WINDOW_US, Session, write
 from experiments.script_options import add_folder, exit_with, plain_parser, print_tables, writable_file, write_outputs
 
 SPLIT = {"transform": "none", "polarity": "split"}
-EARLIER = {"learning_rate": 2e-3, "weight_decay": 1e-2, "warm_up": 0.05, "averaging": 0.0, "logarithm": False}
-FEW = 0.01
-"""Two candidates that differ by less are as good as each other here."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +41,10 @@ class Candidate:
     Parameters
     ----------
     volume : fields of `TNTConfig`.
-    longer_side : of the grid; None: the default one.
     settings : fields of `TrainSettings`; `augmentation` as for `settings_for`.
     """
 
     volume: Mapping[str, Any] = field(default_factory=dict)
-    longer_side: int | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -60,7 +55,6 @@ CANDIDATES = {
     "time surface": Candidate({"representation": "time_surface", "bins": 1, **SPLIT}),
     "3 bins": Candidate({"representation": "volume", "bins": 3, **SPLIT}),
     "5 bins": Candidate({"representation": "volume", "bins": 5, **SPLIT}),
-    "60 pixels": Candidate(longer_side=60),
     "conv4": Candidate(settings={"network": "conv4"}),
     "no logarithm": Candidate(settings={"logarithm": False}),
     "no average": Candidate(settings={"averaging": 0.0}),
@@ -68,7 +62,6 @@ CANDIDATES = {
         settings={"augmentation": {"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3, "scale": 0.1}}
     ),
     "no late start": Candidate(settings={"augmentation": {"late_start": 0.0}}),
-    "earlier": Candidate({"representation": "volume", "bins": 9, **SPLIT}, 60, {**EARLIER, "network": "conv4"}),
 }
 EPOCHS = {"cars": 10, "nmnist": 10}
 """Of large sets, for every candidate; of the others those that are the default."""
@@ -127,16 +120,9 @@ def _some(windows: Windows, which: np.ndarray) -> Windows:
     return windows[np.flatnonzero(which)]
 
 
-def _grid(sensor: tuple[int, int], longer_side: int) -> tuple[int, int]:
-    shrink = min(1.0, longer_side / max(sensor))
-    return max(8, round(shrink * sensor[0])), max(8, round(shrink * sensor[1]))
-
-
 def measure(name: str, data: TrainingData, candidate: Candidate, seed: int, run_folder: Path) -> dict[str, Any]:
     """Held-out accuracy of one candidate on one set."""
     config = data.config.replace(**candidate.volume)
-    if candidate.longer_side is not None:
-        config = config.replace(grid=_grid(config.sensor, candidate.longer_side))
     settings = settings_for(config, len(data.training), epochs=EPOCHS.get(name), seed=seed, **{**candidate.settings})
     fitted = fit(replace(data, config=config), settings, run_folder, progress=progress)
     found = fitted.model.record["validation"]

@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import EVENT_DTYPE, Processor, TNTVolume, load_model
+from async_tnt import Processor, TNTVolume, load_model
+from async_tnt.events import structured
+from experiments.bench_moments import made_columns
 from experiments.bench_timing import interleave, machine, spread
 from experiments.script_options import exit_with, run_script, script_parser
 
@@ -24,15 +26,6 @@ MODEL = "digits"
 PACKETS = 100, 1_000, 10_000, 400_000
 N_EVENTS, PASSES, ROUNDS = 400_000, 10, 15
 Work = Callable[[], object]
-
-
-def events_of(sensor: tuple[int, int], n: int, seed: int) -> np.ndarray:
-    """A million a second, anywhere."""
-    rng = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT_DTYPE)
-    events["t"], events["p"] = np.arange(n), rng.integers(2, size=n)
-    events["x"], events["y"] = rng.integers(sensor[0], size=n), rng.integers(sensor[1], size=n)
-    return events
 
 
 def works(model: Any, events: np.ndarray, packet: int) -> dict[str, Work]:
@@ -86,7 +79,10 @@ def measure(quick: bool) -> dict[str, Any]:
     n, rounds = (20_000, 2) if quick else (N_EVENTS, ROUNDS)
     report: dict[str, Any] = {"model": MODEL, "machine": machine()}
     for packet in PACKETS:
-        one, other = (works(model, events_of(model.config.sensor, n, seed), packet) for seed in (0, 1))
+        one, other = (
+            works(model, structured(made_columns(np.random.default_rng(seed), model.config.sensor, n, n)), packet)
+            for seed in (0, 1)
+        )
         for case in one:
             report.setdefault(case, {})[str(packet)] = speed_up((one[case], other[case]), rounds)
     return report

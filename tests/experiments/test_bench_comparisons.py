@@ -9,7 +9,7 @@ from made import random_events, random_model
 from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
 from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
-from experiments.bench_interleaved import Timed, WorkDiffers, call_by_call, in_blocks
+from experiments.bench_interleaved import Timed, WorkDiffers, timed
 from experiments.bench_moments import Moments, made_recording
 from experiments.bench_timing import spread
 
@@ -55,14 +55,14 @@ class Answer:
         return self.logits
 
 
-@pytest.mark.parametrize("mode", [call_by_call, in_blocks])
+@pytest.mark.parametrize("mode", [True, False], ids=["call by call", "in blocks"])
 def test_different_logits_stop_the_comparison(mode):
     blocks = list(Moments([window(40)], WINDOW_US, 2).blocks(3, 4))
     wrong = LOGITS + np.array([0, 3e-3], np.float32)  # 1.5e-4 of the largest
     for logits, words in ((wrong, r"1\.5e-04 apart at event 3 of"), (LOGITS * np.float32(np.nan), "nan apart")):
         with pytest.raises(WorkDiffers, match=rf"within 0\.0001, got ours and wrong {words}"):
-            mode({"ours": Answer(LOGITS), "wrong": Answer(logits)}, blocks)
-    assert mode({"ours": Answer(LOGITS), "other": Answer(None)}, blocks).largest_difference == 0
+            timed({"ours": Answer(LOGITS), "wrong": Answer(logits)}, blocks, mode)
+    assert timed({"ours": Answer(LOGITS), "other": Answer(None)}, blocks, mode).largest_difference == 0
 
 
 def test_ratios_are_paired_and_by_hand():
