@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -41,91 +41,52 @@ EQUAL = "--mirror --epochs 6 --validation 0.05"
 VOLUMES = {"volume": "transform=none"} | {name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
 HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 5.0  # of the picture
 IMAGES = "count", "count_time", "mean_time", "time_surface"
-
-
-@dataclass(frozen=True)
-class DataSet:
-    """A data set's parts, and how they are trained on.
-
-    Parameters
-    ----------
-    train, test : names in its folder; `train` is what the command is given.
-    options : of every recipe.
-    shown_ms : the times that are printed.
-    recipes : name -> further options; the first one is drawn.
-    others : who -> accuracy of complete recordings, as published.
-    """
-
-    title: str
-    train: str
-    test: str
-    options: str = ""
-    shown_ms: tuple[str, ...] = ("10", "20", "30", "50", "100")
-    recipes: Mapping[str, str] = field(default_factory=lambda: {"bare": ""})
-    others: Mapping[str, float] = field(default_factory=dict)
-
-
-CARS = DataSet(
-    "N-CARS",
-    "n-cars_train",
-    "n-cars_test",
-    "--sensor 120x100",
-    recipes={
-        "tuned": TUNED,
-        "bare": "",
-        **{f"equal_{name}": f"--volume {volume} {EQUAL}" for name, volume in VOLUMES.items()},
-        **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
-    },
-    others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
-)
+TRAIN, TEST, SENSOR_SIZE = "n-cars_train", "n-cars_test", "--sensor 120x100"
+RECIPES = {
+    "tuned": TUNED,
+    "bare": "",
+    **{f"equal_{name}": f"--volume {volume} {EQUAL}" for name, volume in VOLUMES.items()},
+    **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
+}
+"""Name -> options besides the sensor's size; the first one is drawn."""
+N_CARS = {
+    "title": "N-CARS",
+    "shown_ms": ("10", "20", "30", "50", "100"),
+    "others": {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # complete recordings, see docs/results.md
+}
+MADE = {"title": "made objects", "shown_ms": ("5", "50"), "others": {}}
 TIMED = 12  # recordings of the test part
 SMOOTHED = 2.0  # pixels
 COMPARED = 1000  # events of each of these, at most
-QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1", ("5", "50"))
-"""A made set and one epoch."""
 
 
-def measure(data: DataSet, folder: Path, out: Path, recipe: str, seeds: int) -> dict[str, Any]:
-    """Train and test a recipe with each seed."""
+def measure(folder: Path, out: Path, recipe: str, seeds: int, common: str = SENSOR_SIZE) -> dict[str, Any]:
+    """Train and test a recipe with each seed.
+
+    common : options of every recipe.
+    """
     out.mkdir(parents=True, exist_ok=True)
-    options = f"{data.options} {data.recipes[recipe]}".strip()
+    options = f"{common} {RECIPES[recipe]}".strip()
     models = []
     with progress(seeds, f"training {recipe}") as bar:
         for seed in range(seeds):
             models.append(out / f"{recipe}{seed}.safetensors")
             words = [*options.split(), "--seed", seed, "--out", models[-1]]
-            command("train", folder / data.train, *words, "--json")
+            command("train", folder / TRAIN, *words, "--json")
             bar.update()
     found = {
-        "command": f"async-tnt train {data.train} {options}".strip(),
-        "networks": [_about(path) for path in models],
-        "tests": [_tested(path, folder / data.test) for path in models],
-        **_costs(models[0], folder / data.test),
+        "command": f"async-tnt train {TRAIN} {options}",
+        "tests": [_tested(path, folder / TEST) for path in models],
+        **_costs(models[0], folder / TEST),
         "machine": machine("torch"),
     }
-    return {
-        "title": data.title,
-        "shown_ms": data.shown_ms,
-        "others": data.others,
-        "recipes": {recipe: found},
-    }
+    return {**N_CARS, "by_crop_size": by_crop_size(folder / TRAIN, folder / TEST), "recipes": {recipe: found}}
 
 
 def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
     """A report, and the recipes of an earlier one that it does not have, in the order given."""
     recipes = before["recipes"] | report["recipes"]
     return {**report, "recipes": {name: recipes[name] for name in order if name in recipes}}
-
-
-def _about(path: Path) -> dict[str, Any]:
-    model = load_model(str(path))
-    return {
-        "network": model.record["network"],
-        "weights": sum(w.size for w in model.weights.values()),
-        "trained_on": model.record["data"]["real_recordings"],
-        "temperature": model.record.get("temperature"),
-        "sure_of_nothing": model.record["validation"]["sure_of_nothing"],
-    }
 
 
 def _tested(path: Path, test: Path) -> dict[str, Any]:
@@ -136,6 +97,7 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
     return {"against_time_ms": against_time, **{name: report[name] for name in names}}
 
 
+@cache  # one answer for all recipes
 def by_crop_size(train: Path, test: Path) -> float:
     """Accuracy on the test part of the width and the height of a recording alone: each training recording votes for
     its class among the sizes around its own. It is what a network could have from the crops, without any object."""
@@ -255,8 +217,9 @@ def main(argv: list[str] | None = None) -> int:
     parser = script_parser("cars", __doc__, "a made set and one epoch", draws=True)
     parser.add_argument("folder", nargs="?", type=Path, metavar="N-CARS", help="its folder; not with --quick or --from")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
-    recipes = list(CARS.recipes)
-    parser.add_argument("--recipes", nargs="+", choices=recipes, default=recipes, metavar="NAME", help="default: all")
+    parser.add_argument(
+        "--recipes", nargs="+", choices=RECIPES, default=list(RECIPES), metavar="NAME", help="default: all"
+    )
     parser.add_argument("--out", type=Path, default=Path("cars"), metavar="FOLDER", help="models (default: cars)")
     args = parser.parse_args(argv)
     if [args.folder is not None, args.quick, args.source is not None].count(True) != 1:
@@ -266,12 +229,11 @@ def main(argv: list[str] | None = None) -> int:
         if quick:
             return _quick()
         report: dict[str, Any] = {}
-        by_size = by_crop_size(args.folder / CARS.train, args.folder / CARS.test)
         for name in args.recipes:
-            found = {**measure(CARS, args.folder, args.out, name, args.seeds), "by_crop_size": by_size}
+            found = measure(args.folder, args.out, name, args.seeds)
             if args.json and args.json.exists():  # read now, as another run may have written it meanwhile
                 report = json.loads(args.json.read_text(encoding="utf-8"))
-            report = with_earlier(found, report, recipes) if report else found
+            report = with_earlier(found, report, list(RECIPES)) if report else found
             write_outputs(args, report)  # before the next recipe's hours
         return report
 
@@ -281,10 +243,9 @@ def main(argv: list[str] | None = None) -> int:
 def _quick() -> dict[str, Any]:
     with TemporaryDirectory() as name:
         folder = Path(name)
-        for part, n, seed in ((QUICK.train, 6, 0), (QUICK.test, 3, 1)):
+        for part, n, seed in ((TRAIN, 6, 0), (TEST, 3, 1)):
             write(folder / part, n, (0.0,), seed)
-        by_size = by_crop_size(folder / QUICK.train, folder / QUICK.test)
-        return {**measure(QUICK, folder, folder / "models", "bare", 1), "by_crop_size": by_size}
+        return measure(folder, folder / "models", "bare", 1, f"--sensor {format_size(SENSOR)} --epochs 1") | MADE
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.made_objects import in_order, pixel_events
+from experiments.made_objects import in_order, pixel_events, write_classes
 
 SENSOR = (128, 128)
 WINDOW_US = 100_000
@@ -159,10 +159,6 @@ def _with_after_pulses(
 
 def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: HandSession) -> Path:
     """`n` recordings of each class, whose directions take turns, as `folder/<class>/<number>.npz`."""
-    for label, name in enumerate(SHAPES):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-        for i in range(n):
-            rng = np.random.default_rng((seed, label, i))
-            columns = record(name, directions[i % len(directions)], rng, session)
-            np.savez(folder / name / f"{i:03}.npz", t=columns["t"], x=columns["x"], y=columns["y"], p=columns["p"])
-    return folder
+    return write_classes(
+        folder, SHAPES, n, seed, lambda name, i, rng: record(name, directions[i % len(directions)], rng, session)
+    )

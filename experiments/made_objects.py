@@ -5,7 +5,7 @@ This renders and simulates on its own: nothing here is shared with the augmentat
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -115,10 +115,25 @@ def in_order(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict
 
 def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: Session = Session()) -> Path:
     """`n` recordings of each class, whose directions take turns, as `folder/<class>/<number>.npz`."""
-    for label, name in enumerate(CLASSES):
+    return write_classes(
+        folder, CLASSES, n, seed, lambda name, i, rng: record(name, directions[i % len(directions)], rng, session)
+    )
+
+
+def write_classes(
+    folder: Path,
+    classes: Iterable[str],
+    n: int,
+    seed: int,
+    record: Callable[[str, int, np.random.Generator], dict[str, np.ndarray]],
+) -> Path:
+    """`n` recordings of each class, each with a generator of its own, as `folder/<class>/<number>.npz`.
+
+    record : of class, number and generator; returns columns.
+    """
+    for label, name in enumerate(classes):
         (folder / name).mkdir(parents=True, exist_ok=True)
         for i in range(n):
-            rng = np.random.default_rng((seed, label, i))
-            columns: dict[str, Any] = record(name, directions[i % len(directions)], rng, session)
+            columns: dict[str, Any] = record(name, i, np.random.default_rng((seed, label, i)))
             np.savez(folder / name / f"{i:03}.npz", **columns)
     return folder

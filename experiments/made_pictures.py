@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.made_objects import in_order, pixel_events
+from experiments.made_objects import in_order, pixel_events, write_classes
 
 CLASSES = ("bottle", "cup", "glass", "key", "leaf", "star")
 SENSOR, WINDOW_US, STEPS = (48, 48), 100_000, 60
@@ -111,12 +111,7 @@ def write_pictures(folder: Path, n: int, seed: int) -> Path:
 
 def write_recordings(folder: Path, n: int, seed: int) -> Path:
     """`n` recordings of each class, each of another object, `folder/<class>/<number>.npz`."""
-    for label, name in enumerate(CLASSES):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-        for i in range(n):
-            columns = _record(name, np.random.default_rng((seed, label, i)))
-            np.savez(folder / name / f"{i:03}.npz", t=columns["t"], x=columns["x"], y=columns["y"], p=columns["p"])
-    return folder
+    return write_classes(folder, CLASSES, n, seed, lambda name, _, rng: _record(name, rng))
 
 
 def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
