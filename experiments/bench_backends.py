@@ -83,16 +83,17 @@ def _openvino(model: Model) -> Network:
 def _torch(model: Model) -> Network:
     import torch
 
-    from experiments.bench_torch_batch import TorchBatch
+    from async_tnt.networks.torch_modules import torch_classifier
 
-    batch = TorchBatch(model.config, model)
+    network = torch_classifier(model)
     tensor = torch.zeros(model.config.shape)
     memory = tensor.numpy()
 
     def run(volume: np.ndarray) -> np.ndarray:
         np.copyto(memory, volume)
         with torch.inference_mode():
-            return batch.logits(tensor).numpy()
+            logits: np.ndarray = network(tensor[None])[0].numpy()
+        return logits
 
     return run
 

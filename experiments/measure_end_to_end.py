@@ -52,9 +52,10 @@ class TorchRebuild:
     def __init__(self, model: Model) -> None:
         import torch
 
+        from async_tnt.networks.torch_modules import torch_classifier
         from experiments.bench_torch_batch import TorchBatch
 
-        self._torch, self._batch = torch, TorchBatch(model.config, model)
+        self._torch, self._network, self._batch = torch, torch_classifier(model), TorchBatch(model.config)
 
     def prepare(self, moment: Moment) -> None:
         from experiments.bench_torch_batch import as_tensors
@@ -63,9 +64,10 @@ class TorchRebuild:
 
     def decide(self) -> np.ndarray:
         with self._torch.inference_mode():
-            logits = self._batch.logits(self._batch.volume(*self._columns))
+            logits = self._network(self._batch.volume(*self._columns)[None])[0]
             int(logits.argmax())
-        return logits.numpy()
+        found: np.ndarray = logits.numpy()
+        return found
 
 
 class EventcvRebuild:
