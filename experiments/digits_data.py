@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.progress import Bar, no_progress
 from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.training.data import TrainingData
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows, make_windows
@@ -26,7 +26,6 @@ DURATION_US = 3 * SACCADE_US
 FIRST_INDEX = 5_000
 """Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
 held out for validation; the bundled samples show images 2,000 to 2,100."""
-LAYOUT = "expected N-MNIST's layout, Train/<digit>/*.bin and Test/<digit>/*.bin"
 
 
 def read_nmnist_folder(
@@ -47,22 +46,14 @@ def read_nmnist_folder(
     ValueError : a damaged file, or no recordings at all.
     FileNotFoundError : no such folder.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise FileNotFoundError(f"no folder {folder}; {LAYOUT}")
-    paths = []
-    for digit in sorted(d for d in folder.iterdir() if d.is_dir() and re.fullmatch("[0-9]", d.name)):
-        paths += [(int(digit.name), path) for path in sorted(digit.glob("*.bin"))[:per_digit]]
-    if not paths:
-        raise ValueError(f"{folder}: no recordings; {LAYOUT}")
-    events, labels, names = [], [], []
-    with progress(len(paths), "reading") as bar:
-        for label, path in paths:
+    digits = find_recordings(folder)
+    found = [(one, int(digit)) for digit, of_digit in digits.items() for one in of_digit[:per_digit]]
+    events = []
+    with progress(len(found), "reading") as bar:
+        for one, _ in found:
             bar.update()
-            events.append(read_nmnist(path))
-            labels.append(label)
-            names.append(f"{path.parent.name}/{path.name}")
-    return Recordings.from_events(events, labels, names)
+            events.append(read_nmnist(one.path))
+    return Recordings.from_events(events, [digit for _, digit in found], [one.name for one, _ in found])
 
 
 def simulate_recordings(

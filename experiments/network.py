@@ -49,6 +49,7 @@ WAYS = ("plain_socket", "packet", "decision")
 LATEST_S = 1.0
 SHARE_S = 1e-4
 SLOW_S = 0.02
+BUFFER_BYTES = 1 << 22  # of the system, for datagrams that wait
 
 
 # -- the other process -----------------------------------------------------------------------------------
@@ -157,20 +158,17 @@ def measure_load(
     *,
     latest: bool = False,
     slow_s: float = 0.0,
-    buffer_bytes: int = 1 << 22,
 ) -> dict[str, Any]:
     """Receive and decide until the sender is silent; with `latest`, skip packets for which there is no time.
 
     Parameters
     ----------
     slow_s : what the consumer sleeps after each packet.
-    buffer_bytes : of the system, for datagrams that wait.
     """
     processor = Processor(model, every_us=EVERY_US)
     delays_us: list[float] = []
-    seconds_of: list[int] = []
     n_received = 0
-    with UdpSource(port=0, sensor=model.config.sensor, timeout_s=30, buffer_bytes=buffer_bytes) as source:
+    with UdpSource(port=0, sensor=model.config.sensor, timeout_s=30, buffer_bytes=BUFFER_BYTES) as source:
         reader = None
         if latest:
             reader = BackgroundReader(
@@ -178,20 +176,14 @@ def measure_load(
             )
         packets: Iterable[np.ndarray] = source if reader is None else reader
         sending = other_process("load", source.port, seconds, rate, datagram_events)
-        cpu_s = started_s = 0.0
         try:
             for packet in packets:
-                if not n_received:
-                    cpu_s, started_s = -time.process_time(), time.monotonic()
-                    source.timeout_s = SILENCE_S
+                source.timeout_s = SILENCE_S  # once events have come
                 n_received += len(packet)
                 for decision in processor.push(packet):
-                    now_us = time.monotonic_ns() / 1e3
-                    delays_us.append(now_us - decision.time_us)
-                    seconds_of.append(int(now_us / 1e6 - started_s))
+                    delays_us.append(time.monotonic_ns() / 1e3 - decision.time_us)
                 if slow_s:
                     time.sleep(slow_s)
-            cpu_s += time.process_time()
             sent = json.loads(sending.communicate(timeout=30)[0])
         finally:
             sending.kill()
@@ -199,8 +191,6 @@ def measure_load(
                 reader.close()
         counts = source.counts
     skipped = 0 if reader is None else reader.n_skipped
-    delays, of = np.array(delays_us), np.array(seconds_of)
-    by_second = [delays[of == k] for k in range(max(seconds_of, default=-1) + 1)]
     return {
         "rate_wanted": rate,
         "datagram_events": datagram_events,
@@ -215,13 +205,8 @@ def measure_load(
         "datagrams_missing": sent["datagrams"] - counts.datagrams,
         "events_skipped": skipped,
         "events_pushed": n_received,
-        "decisions": len(delays),
-        "delay_us": {
-            **latency(delays),
-            "by_second_median": [round(float(np.median(d))) for d in by_second if len(d)],
-            "by_second_max": [round(float(d.max())) for d in by_second if len(d)],
-        },
-        "cpu_share": round(cpu_s / sent["seconds"], 3),
+        "decisions": len(delays_us),
+        "delay_us": latency(np.array(delays_us)),
         "buffer_bytes": source.buffer_bytes,
     }
 
@@ -255,9 +240,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--rate", type=float, default=1e6, metavar="R", help="events a second (default: a million)")
     parser.add_argument("--overload", type=float, default=10.0, metavar="K", help="times the rate (10); 0: none")
     parser.add_argument("--pings", type=int, default=2000, metavar="N", help="single datagrams (default: 2000)")
-    parser.add_argument(
-        "--buffer-bytes", type=int, default=1 << 22, metavar="N", help="of the system, under load (default: 4 MiB)"
-    )
     parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
     if args.task:
@@ -271,7 +253,7 @@ def main(argv: list[str] | None = None) -> int:
     model = load_model("digits")
     warmup(model)
     result: dict[str, Any] = {"machine": machine(), "latency_us": measure_latency(model, args.pings)}
-    result["load"] = measure_load(model, args.seconds, args.rate, SMALL, buffer_bytes=args.buffer_bytes)
+    result["load"] = measure_load(model, args.seconds, args.rate, SMALL)
     result["overload"] = [
         measure_load(model, max(args.seconds / 10, 2.0), args.overload * args.rate, size, latest=True, slow_s=slow_s)
         for size, slow_s in ((SMALL, 0.0), (LARGE, 0.0), (SMALL, SLOW_S))
