@@ -1,5 +1,5 @@
 """The network alone, at batch 1: some events after the previous decision, where ours computes changes and others
-everything; and on random numbers."""
+everything."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.model import Model
 from async_tnt.volume import TNTVolume
 from experiments.bench_backends import Network
 from experiments.bench_interleaved import Backend, compare
 from experiments.bench_moments import Moment, Moments
-
-N_RANDOM = 8  # volumes of random numbers, used in rotation
 
 
 class Feed:
@@ -85,32 +82,6 @@ def bench_network(
         return made
 
     return compare(backends, Moments(windows, model.config.window_us, n_new).blocks, blocks, size)
-
-
-class OnNoise:
-    """A network on volumes of random numbers, none of them zero."""
-
-    def __init__(self, network: Network, volumes: np.ndarray) -> None:
-        self._network, self._volumes, self._k = network, volumes, 0
-
-    def prepare(self, moment: Moment) -> None:
-        self._k = (self._k + 1) % N_RANDOM
-
-    def decide(self) -> np.ndarray:
-        return self._network(self._volumes[self._k])
-
-
-def bench_on_noise(model: Model, networks: Mapping[str, Network], *, blocks: int, size: int) -> dict[str, Any]:
-    """Time networks as `bench_network` does, on volumes of random numbers: nothing is empty, nothing can be reused.
-    Ratios are over `dense`, our full forward pass."""
-    volumes = np.random.default_rng(0).standard_normal((N_RANDOM, *model.config.shape)).astype(np.float32)
-    volumes.flags.writeable = False  # as a volume's own array is: else ours takes a copy
-    moments = [Moment(0, np.empty(0, EVENT_DTYPE), 0)] * size
-
-    def backends(alternating: bool) -> dict[str, Backend]:
-        return {name: OnNoise(network, volumes) for name, network in networks.items()}
-
-    return compare(backends, lambda n, n_calls: [moments[:n_calls]] * n, blocks, size)
 
 
 def fastest(names: tuple[str, ...], results: Mapping[str, Mapping[str, Any]]) -> str | None:

@@ -53,7 +53,7 @@ def decisions_machine(found: dict[str, Any]) -> str:
 
 def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
     counts = list(rows)
-    head = ["", *("random numbers" if n == "random" else f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
+    head = ["", *(f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
     body = []
     for name, words in names.items():
         cells = [words]

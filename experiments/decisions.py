@@ -23,7 +23,7 @@ from experiments import bench_backends as backends
 from experiments import measure_end_to_end as end_to_end
 from experiments.bench_every_event import bench_every_event
 from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
-from experiments.bench_network import bench_network, bench_on_noise, fastest
+from experiments.bench_network import bench_network, fastest
 from experiments.bench_timing import is_installed, machine, one_thread
 from experiments.draw_decisions import draw_decisions
 from experiments.measure_singles import bench_singles
@@ -43,7 +43,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     ------
     WorkDiffers : backends do not agree. Then nothing is reported.
     """
-    with progress(5 + 2 * len(NEW_EVENTS), "compiling") as bar:
+    with progress(4 + 2 * len(NEW_EVENTS), "compiling") as bar:
         return _measure(settings, quick, bar)
 
 
@@ -59,8 +59,6 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
         for n_new in NEW_EVENTS:
             bar.update(title=f"the network alone, new events: {n_new}")
             network[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
-        bar.update(title="the network alone, random numbers")
-        network["random"] = bench_on_noise(model, networks, **counts)
         way = fastest(backends.ONNXRUNTIME, network)
         whole = {}
         for n_new in NEW_EVENTS:

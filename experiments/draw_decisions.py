@@ -68,7 +68,7 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
 
 def draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]]) -> list[tuple[float, str, str]]:
     """Returns where each line ends, its words and its colour."""
-    counts = [name for name in rows if name != "random"]
+    counts = list(rows)
     shown = [name for name in looks if name in rows[counts[0]]["in_blocks"]["us"]]
     ends = []
     for k, name in enumerate(shown):

@@ -58,7 +58,7 @@ SECTIONS = (
         {
             decisions.decisions_machine: "Machine",
             decisions.network_in_blocks: "The network alone, in blocks: microseconds from a finished volume to its "
-            "logits, 99th percentile, ratio to the incremental one; random volumes change everywhere",
+            "logits, 99th percentile, ratio to the incremental one",
             decisions.network_call_by_call: "The network alone, call by call",
             decisions.end_to_end_in_blocks: "From a packet to the decision, in blocks",
             decisions.end_to_end_call_by_call: "From a packet to the decision, call by call",
