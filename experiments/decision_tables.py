@@ -40,7 +40,7 @@ def speed() -> str:
             *(short(us[same[name]]["median"]) if name in same else "" for name in names),
         ]
     )
-    packets = found["every_event"]["packets"]
+    packets = found["every_event"]
     every = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
     rows.append(["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)])
     return table(["", *names.values()], rows)
@@ -115,7 +115,7 @@ def _count(value: float) -> str:
 def every_event(found: dict[str, Any]) -> str:
     """Decisions a second."""
     names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
-    rows = found["every_event"]["packets"]
+    rows = found["every_event"]
     words = {name: names[name] for name in rows}
     body = [
         [
@@ -127,28 +127,6 @@ def every_event(found: dict[str, Any]) -> str:
         for name, row in rows.items()
     ]
     return table(["", "decisions a second", "us each", "ratio"], body)
-
-
-@of_report("decisions")
-def singles(found: dict[str, Any]) -> str:
-    """The tail of single decisions."""
-    names = {
-        "collector": "with the garbage collector, the default",
-        "no_collector": "garbage collector off",
-        "machine": "plain Python additions that take as long",
-    }
-    rows = found["every_event"]["singles"]
-    body = [
-        [
-            names[name],
-            *(short(row[key]) for key in ("median", "p99", "p999")),
-            f"{row['max']:,.0f}",
-            f"{row['p99_over_median']:.1f}",
-        ]
-        for name, row in rows.items()
-    ]
-    first = f"us, {rows['collector']['n']:,} decisions each"
-    return table([first, "median", "p99", "p99.9", "max", "p99 / median"], body)
 
 
 @of_report("starts")

@@ -26,14 +26,13 @@ from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
 from experiments.bench_network import bench_network, fastest
 from experiments.bench_timing import is_installed, machine, one_thread
 from experiments.draw_decisions import draw_decisions
-from experiments.measure_singles import bench_singles
 from experiments.measure_touched import bench_touched
 from experiments.script_options import exit_with, run_script, script_parser
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
-FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10, "single_decisions": 100_000}
-QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "single_decisions": 2_000}
+FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10}
+QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1}
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
@@ -43,7 +42,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     ------
     WorkDiffers : backends do not agree. Then nothing is reported.
     """
-    with progress(4 + 2 * len(NEW_EVENTS), "compiling") as bar:
+    with progress(3 + 2 * len(NEW_EVENTS), "compiling") as bar:
         return _measure(settings, quick, bar)
 
 
@@ -68,8 +67,6 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
         others = {name: f for name, f in networks.items() if name not in backends.ONNXRUNTIME or name == way}
         n_events = 500 if quick else None
         rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=n_events)
-        bar.update(title="single decisions")
-        singles = bench_singles(model, recordings, n_decisions=settings["single_decisions"])
     bar.update(title="what new events touch")
     touched = bench_touched(model, windows, moments=40 if quick else 1000)
     return {
@@ -87,7 +84,7 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
         },
         "network": network,
         "end_to_end": whole,
-        "every_event": {"packets": rates, "singles": singles},
+        "every_event": rates,
         "touched": touched,
         "left_out": {
             "network": backends.left_out(),
