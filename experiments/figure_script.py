@@ -1,4 +1,4 @@
-"""What the scripts share that draw recordings: figure_heatmap, figure_motions, figure_pipeline."""
+"""What the scripts share that draw recordings: figure_heatmap and figure_motions."""
 
 from __future__ import annotations
 

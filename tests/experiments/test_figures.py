@@ -11,12 +11,12 @@ image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib 
 
 from views.test_plot_command import in_squares  # noqa: E402
 
-from experiments import figure_groups, figure_motions, figure_pipeline  # noqa: E402
+from experiments import figure_groups, figure_motions  # noqa: E402
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
 
-@pytest.mark.parametrize("script, name", [(figure_motions, "motions"), (figure_pipeline, "pipeline")])
+@pytest.mark.parametrize("script, name", [(figure_motions, "motions")])
 def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_path):
     """Up to the dots that one matplotlib puts elsewhere than the next. When this fails: draw them again."""
     again = tmp_path / "again.png"
