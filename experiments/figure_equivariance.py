@@ -13,7 +13,6 @@ place, and see the middle 34 x 34 cells, as on the network's own sensor: nothing
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -133,19 +132,10 @@ def draw(report: dict[str, Any]) -> Figure:
     return figure
 
 
-def lines(report: dict[str, Any]) -> Iterator[str]:
-    """The table, in Markdown."""
-    yield f"| input | layer | {' | '.join(f'{flow} px' for flow in report['flows_px'])} |"
-    yield "|---" * (2 + len(report["flows_px"])) + "|"
-    for name, of_layer in report["errors"].items():
-        for layer, row in of_layer.items():
-            yield f"| {name} | {layer} | {' | '.join(f'{error:.2f}' for error in row)} |"
-
-
 def main(argv: list[str] | None = None) -> int:
     """Print the table, and draw it."""
     parser = script_parser("figure_equivariance", __doc__, "two flows", draws=True)
-    return run_script(parser, argv, measure, lines, draw)
+    return run_script(parser, argv, measure, "equivariance", draw)
 
 
 if __name__ == "__main__":

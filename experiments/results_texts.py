@@ -27,8 +27,9 @@ recipe was found on the last fifth of the training part; of the first row the la
 networks of a row were trained, each read the test part once. Earlier versions of this project had seen it, with other
 recipes (.81 to .93). Most training recordings are right by the width and height of their crops alone, which a table of
 the training part tells, smoothed over two pixels; so are most test recordings: a shortcut that every network on these
-crops may take. For each row and each input, 11,679 decisions of the first network, one after every event, were compared
-with the network computed in full: all bits are equal. The rows of the comparison of inputs are of an earlier version."""
+crops may take. For each row and each input, 11,679 decisions of the first network, one after every event, were
+compared with the network computed in full: all bits are equal. The rows of the comparison of inputs are of an earlier
+version."""
 
 DEFAULT = """\
 No test part was read: held out are the last recordings of each class, of HOTS' characters the end of each recording,

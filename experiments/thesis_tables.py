@@ -9,8 +9,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from async_tnt.resynthesis.calibration import UNITS
-from experiments import figure_equivariance
-from experiments.page_parts import results, table
+from experiments.page_parts import of_report, results, table
 from experiments.table_numbers import LEVEL, cell, in_order, markdown_table, short, signed
 from experiments.table_rows import QUESTIONS, ROWS, SETS, THESIS_SET
 
@@ -174,9 +173,15 @@ def against_time() -> str:
     return table(["", *(f"{ms} ms" for ms in times), "105 ms"], rows)
 
 
-def equivariance() -> str:
+@of_report("equivariance")
+def equivariance(report: dict[str, Any]) -> str:
     """How far each layer is from moving along with the flow."""
-    return "\n".join(figure_equivariance.lines(results("equivariance")))
+    rows = [
+        [name, layer, *(f"{error:.2f}" for error in errors)]
+        for name, of_layer in report["errors"].items()
+        for layer, errors in of_layer.items()
+    ]
+    return table(["input", "layer", *(f"{flow} px" for flow in report["flows_px"])], rows)
 
 
 def resynthesis() -> str:
