@@ -11,7 +11,7 @@ image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib 
 
 from views.test_plot_command import in_squares  # noqa: E402
 
-from experiments import figure_groups, figure_motions  # noqa: E402
+from experiments import figure_groups, figure_motions, figure_stream  # noqa: E402
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
@@ -31,3 +31,13 @@ def test_a_convolution_is_equivariant_to_what_the_figure_says(tmp_path):
     assert differ == {"turned", "moved by 1 px, pooled by 2"} and min(errors[words] for words in differ) > 0.5
     assert figure_groups.main(["--picture", str(tmp_path / "groups.png")]) == 0
     assert (tmp_path / "groups.png").stat().st_size > 10_000
+
+
+def test_the_moving_picture_shows_what_is_decided():
+    labels = [
+        decision.label for _, decision, _ in figure_stream.moments() if decision is not None and decision.events > 900
+    ]
+    assert list(dict.fromkeys(labels)) == ["3", "7", "8"]
+    picture = figure_stream.frame(*next(figure_stream.moments()))
+    kept = IMAGES / "stream.gif"
+    assert picture.size == (figure_stream.WIDTH, figure_stream.HEIGHT) and 50_000 < kept.stat().st_size < 2_000_000

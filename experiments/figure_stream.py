@@ -1,0 +1,92 @@
+"""Make README's moving picture: recordings as a stream, and what `digits` decides every millisecond.
+
+    python -m experiments.figure_stream --picture docs/images/stream.gif
+
+Left: the events of the last 15 ms, ON orange, OFF blue. Right: the probabilities of the classes at that moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt import Decision, Processor, load_model
+from async_tnt.checks import needs_extra
+from async_tnt.files import check_writable, replacing
+from async_tnt.sources import open_recording, sample_recordings
+from async_tnt.views.figure_style import OFF, ON
+from experiments.script_options import exit_with, plain_parser
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+DIGITS = (3, 7, 8)
+STEP_US, SHOWN_US, DURATION_US = 5_000, 15_000, 315_000
+SIDE, WIDTH, HEIGHT = 7, 560, 264  # of a pixel; of the picture
+INK, PALE = "#333333", "#d8d8d8"
+
+
+def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:
+    """Of each frame: the events shown, the newest decision, and the seconds so far."""
+    processor, before_us = Processor(load_model("digits"), every_us=1_000, start_us=0), 0
+    for digit in DIGITS:
+        events = open_recording(sample_recordings()[digit]).read()
+        events = events[events["t"] < DURATION_US]
+        events["t"] += before_us
+        for start_us in range(before_us, before_us + DURATION_US, STEP_US):
+            end_us = start_us + STEP_US
+            decisions = processor.push(events[(events["t"] >= start_us) & (events["t"] < end_us)])
+            shown = events[(events["t"] >= end_us - SHOWN_US) & (events["t"] < end_us)]
+            yield shown, decisions[-1] if decisions else None, end_us * 1e-6
+        before_us += DURATION_US
+
+
+def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Image.Image:
+    """One picture."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    image = Image.new("RGB", (WIDTH, HEIGHT), "white")
+    draw: Any = ImageDraw.Draw(image)
+    small, large = ImageFont.load_default(13), ImageFont.load_default(44)
+    draw.rectangle((12, 12, 12 + 34 * SIDE, 12 + 34 * SIDE), outline=PALE)
+    for event in events:
+        x, y = 12 + SIDE * int(event["x"]), 12 + SIDE * int(event["y"])
+        draw.rectangle((x + 1, y + 1, x + SIDE - 1, y + SIDE - 1), fill=ON if event["p"] else OFF)
+    classes, left, top = load_model("digits").classes, 290, 52
+    probabilities = np.full(len(classes), 1 / len(classes)) if decision is None else softmax(decision.logits)
+    best = int(probabilities.argmax())
+    for k, (name, probability) in enumerate(zip(classes, probabilities, strict=True)):
+        y = top + 20 * k
+        sure = k == best and probability >= 0.5
+        draw.text((left, y), name, fill=INK, font=small)
+        draw.rectangle((left + 18, y + 3, left + 18 + int(170 * probability), y + 14), fill=INK if sure else PALE)
+    draw.text((left, 16), f"{1e3 * seconds:.0f} ms, a decision every millisecond", fill=INK, font=small)
+    if probabilities[best] >= 0.5:
+        draw.text((left + 210, top + 60), classes[best], fill=INK, font=large)
+    return image
+
+
+def softmax(logits: np.ndarray) -> np.ndarray:
+    powers = np.exp(logits - logits.max())
+    return np.asarray(powers / powers.sum())
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write the picture."""
+    parser = plain_parser("figure_stream", __doc__)
+    parser.add_argument("--picture", type=Path, metavar="FILE.gif", required=True, help="the moving picture")
+    args = parser.parse_args(argv)
+    check_writable(args.picture, (".gif",))
+    with needs_extra("train", "pictures need Pillow"):
+        from PIL import Image
+    frames = [frame(*moment).quantize(16, dither=Image.Dither.NONE) for moment in moments()]
+    with replacing(args.picture) as part, part.open("wb") as file:
+        frames[0].save(file, "GIF", save_all=True, append_images=frames[1:], duration=60, loop=0, optimize=True)
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)
