@@ -23,6 +23,7 @@ from async_tnt.package import __version__
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
     "run": ("async_tnt.cli.run", "stream recordings through a model and print its decisions"),
+    "record": ("async_tnt.cli.record", "record a camera or a network stream into class folders"),
     "info": ("async_tnt.cli.info", "say what recordings, folders of them and models hold"),
     "export": ("async_tnt.cli.export", "write a model's networks to ONNX files, checked (extra: onnx)"),
     "check": ("async_tnt.cli.check", "prove on recordings that the stream equals the batch reference"),

@@ -51,6 +51,8 @@ EVT_VERSIONS: dict[str, tuple[Any, Any, int]] = {  # kernel, type of its words, 
 EVT_NAMES = {"evt2": "2", "evt21": "2.1", "evt3": "3"}
 DAT_EVENT_BYTES = 8
 DAT_PERIOD_US = 1 << 32
+DAT_SIDE = 1 << 14
+"""Pixels of the longest side that version 2 can say."""
 DAT_PIXEL_EVENTS = (0x00, 0x0C)
 DAT_FIELDS = {"2": ((0, 14), (14, 14), (28, 4)), "1": ((0, 9), (9, 8), (17, 1))}  # x, y, p: first bit, bits
 _SIDE = re.compile(r"\d{1,5}")
@@ -170,6 +172,28 @@ class EvtSource(Source):
             raise CorruptData(
                 f"{state[UNPLACED]} words of events have no time or no row: no TIME_HIGH or ADDR_Y before"
             )
+
+
+def dat_header(sensor: Sensor) -> bytes:
+    """The first bytes of a DAT file of version 2, up to its first event."""
+    width, height = sensor
+    lines = ("Data file containing CD events", "Version 2", f"Height {height}", f"Width {width}")
+    return "".join(f"% {line}\n" for line in lines).encode() + bytes((DAT_PIXEL_EVENTS[-1], DAT_EVENT_BYTES))
+
+
+def dat_records(events: np.ndarray, t0_us: int) -> bytes:
+    """Events as they stand in a DAT file of version 2.
+
+    Parameters
+    ----------
+    events : of `EVENT_DTYPE`; x and y below `DAT_SIDE`.
+    t0_us : when the file's times begin; they wrap after 71 minutes, which readers unwrap.
+    """
+    words = np.empty((len(events), 2), "<u4")
+    words[:, 0] = (events["t"] - t0_us) & 0xFFFF_FFFF
+    x, y, p = (events[name].astype(np.uint32) for name in "xyp")
+    words[:, 1] = x | y << 14 | p << 28
+    return words.tobytes()
 
 
 class DatSource(Source):

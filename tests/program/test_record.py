@@ -1,0 +1,132 @@
+"""async-tnt record: streams from the network into class folders, to train on."""
+
+import io
+import json
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from listening import free_port, send_in_parts
+from made import random_events
+
+from async_tnt.cli import record
+from async_tnt.sources.files.prophesee import dat_header, dat_records
+from async_tnt.sources.files.recording import open_recording
+
+EVENTS = random_events(5_000, seed=3, duration_us=2_000_000, sensor=(64, 48))
+EVENTS["t"] += 7_000_000_000  # a camera that has been on for two hours
+
+
+@pytest.fixture
+def sent():
+    """Send the events, once somebody listens at the port that this returns."""
+    port = free_port()
+    sender = threading.Thread(target=send_in_parts, args=(port, EVENTS), daemon=True)
+    sender.start()
+    yield port
+    sender.join()
+
+
+def test_a_stream_is_recorded_whole_until_it_ends(sent, program, tmp_path):
+    url = f"udp://127.0.0.1:{sent}?timeout_s=1"
+    code, out, err = program("record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path / "gestures")
+    (path,) = (tmp_path / "gestures" / "wave").glob("*.dat")
+    assert code == 0 and out.startswith(f"{path}: 5,000 events, ") and f"recording wave from {url} into {path}" in err
+    recording = open_recording(path)
+    expected = EVENTS.copy()
+    expected["t"] -= EVENTS["t"][0]
+    np.testing.assert_array_equal(recording.read(), expected)
+    assert recording.sensor == (64, 48) and recording.format == "DAT"
+    about = json.loads(path.with_suffix(".json").read_text())
+    assert (about["class"], about["sensor"], about["events"]) == ("wave", [64, 48], 5_000)
+    assert about["first_us"] == EVENTS["t"][0] and "\x1b" not in err
+
+
+def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path, monkeypatch):
+    monkeypatch.setattr(record.time, "strftime", lambda form: "20261126_120000")
+    for n in range(2):
+        port, done = free_port(), threading.Event()
+
+        def stream(port=port, done=done):
+            while not done.is_set():
+                send_in_parts(port, EVENTS, n_parts=4, pause_s=0.01)
+
+        sender = threading.Thread(target=stream, daemon=True)
+        sender.start()
+        started = time.monotonic()
+        url = f"udp://127.0.0.1:{port}"
+        words = ["record", url, "--sensor", "64x48", "--class", "wave", "--seconds", 1.5, "--out", tmp_path]
+        code, *_ = program(*words)
+        done.set()
+        assert code == 0 and time.monotonic() - started > 1.5
+        assert len(list((tmp_path / "wave").glob("*.dat"))) == n + 1
+    assert [path.name for path in sorted((tmp_path / "wave").glob("*.dat"))] == [
+        "20261126_120000.dat",
+        "20261126_120000_2.dat",
+    ]
+
+
+def test_an_interrupted_recording_is_complete_up_to_then(program, tmp_path):
+    port = free_port()
+
+    def interrupt():
+        send_in_parts(port, EVENTS)  # once somebody listens
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    code, out, _ = program("record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "a", "--out", tmp_path)
+    (path,) = (tmp_path / "a").glob("*.dat")
+    assert code == 130 and "5,000 events" in out and open_recording(path).n_events == 5_000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["a.bin", "--class", "x"], "SOURCE must be a camera or udp://HOST:PORT, got a.bin"),
+        (["udp://127.0.0.1:PORT", "--class", "../x"], "--class must be the name of a folder, got '../x'"),
+        (["udp://127.0.0.1:PORT", "--class", "x"], "does not state its sensor; give --sensor WxH"),
+        (["udp://127.0.0.1:PORT", "--class", "x", "--seconds", "0"], "--seconds must be a positive number, got 0.0"),
+        (["udp://127.0.0.1:PORT", "--class", "x", "--sensor", "20000x9"], "DAT files hold 16384 pixels a side"),
+        (
+            ["udp://127.0.0.1:PORT?timeout_s=0.1", "--class", "x", "--sensor", "9x9", "--seconds", "0.3"],
+            "no event came",
+        ),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(words, message, program, tmp_path):
+    words = [word.replace("PORT", str(free_port())) for word in words]
+    code, out, err = program("record", *words, "--out", tmp_path / "new")
+    assert code == 2 and out == "" and message in err.splitlines()[-1]
+    assert not list(tmp_path.rglob("*.*"))
+
+
+def test_records_of_every_pixel_and_of_long_recordings_are_read_back(tmp_path):
+    """Times wrap after 71 minutes."""
+    events = random_events(1_000, seed=1, sensor=(16_384, 16_384))
+    events["t"] = np.linspace(0, 3 * (1 << 32), len(events)).astype(np.int64)
+    events["x"][:2], events["y"][:2] = (0, 16_383), (16_383, 0)
+    (tmp_path / "a.dat").write_bytes(dat_header((16_384, 16_384)) + dat_records(events, 0))
+    np.testing.assert_array_equal(open_recording(tmp_path / "a.dat").read(), events)
+
+
+def test_a_terminal_shows_the_last_events_and_their_rate(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr(record, "EVERY_S", 0.0)
+    picture = record._Picture((64, 40), "wave")
+    events = random_events(600, sensor=(64, 40))
+    events["x"], events["y"] = np.arange(600) % 32, 10
+    picture.show(events)
+    picture.show(events)
+    lines = terminal.getvalue().split("\n")
+    lit = [line for line in lines if "▀" in line or "▄" in line or "█" in line]
+    assert len(lit) == 2 and all(line.rstrip().endswith(("▀", "▄", "█")) for line in lit)
+    assert sum("events a second" in line for line in lines) == 2 and terminal.getvalue().count("\x1b[") == 1
