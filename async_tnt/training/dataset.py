@@ -187,7 +187,7 @@ class _Reader:
         except (ValueError, OSError) as error:
             raise _LeftOut(_message(error, file)) from None
         if len(events) == 0:
-            raise _LeftOut(f"{file.name}: no events")
+            raise _LeftOut(f"{file.name}: no events{_times_of(file)}")
         self._check_sensor(file, recording.stated_sensor, events)
         mine = label, file.name
         first = self.known.setdefault(fingerprint(events), mine)
@@ -237,6 +237,13 @@ class _Reader:
             self.n_outside += keep.counts.dropped_outside
             self.n_masked += keep.counts.dropped_masked
         return seen
+
+
+def _times_of(file: LabelledRecording) -> str:
+    """For a part without events: which times the file has. Often they count from another origin, or in another unit."""
+    if file.between_us is None or not (whole := open_recording(file.path)).n_events:
+        return ""
+    return f"; the file has {whole.earliest_us} to {whole.earliest_us + whole.duration_us} us"
 
 
 def from_first_event(events: np.ndarray) -> np.ndarray:

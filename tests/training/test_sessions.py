@@ -133,3 +133,13 @@ def test_tables_that_cannot_be_read_are_named(tmp_path):
         (tmp_path / "a_labels.csv").write_text(table)
         with pytest.raises(ValueError, match=f"a_labels.csv: {message}"):
             find_recordings(tmp_path)
+
+
+def test_times_that_the_file_does_not_have_are_answered_with_those_it_has(sessions):
+    """As from a table in another unit, or from another origin."""
+    table = sessions / "user02_led_labels.csv"
+    table.write_text(HEADER + "upright,20,80\n")
+    data = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3)
+    (reason,) = data.record["left_out"]
+    first, last = 5_000_000, int(part("flat", 22, 2)["t"][-1])
+    assert reason == f"user02_led.npz[20:80]: no events; the file has {first} to {last} us"
