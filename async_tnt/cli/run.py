@@ -6,6 +6,7 @@ import argparse
 import errno
 import time
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,6 +50,7 @@ the class of the highest mean probability over its closed windows.
   async-tnt run archive --out r.jsonl --workers 4    all recordings under a folder, resumable (docs/guide.md)
   async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
   async-tnt run --model digits.onnx          a file of `async-tnt export`, run by onnxruntime (extra `onnx`)
+  async-tnt run a.npz --model net.onnx --config net.json    any other ONNX network, compiled if it can be
 
 An .onnx file differs in the last digits of the probabilities and in latency, not in windows or counted events.
 """
@@ -70,6 +72,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="accept",
         help="what to do with an event older than the newest one (default: %(default)s)",
     )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="how events become the volumes of another program's .onnx network: a JSON file with `config` and "
+        "`classes`, as async-tnt info MODEL --json prints them",
+    )
     add_pixels(parser)
     add_latest(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
@@ -78,12 +87,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     if args.out is not None:
+        if args.config is not None:
+            raise ValueError("--config cannot be given with --out: results name a model that has its configuration")
         from async_tnt.cli.archives import run_archive  # here, so that other runs do not wait for its imports
 
         return run_archive(args)
     check_no_archive(args)
     check_latest(args)
-    engine = choose_engine(args.model, sensor_to_read(args))
+    engine = choose_engine(args.model, sensor_to_read(args), args.config)
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     processor = Processor(engine.model, classes=engine.classes, **engine.networks, **settings)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
@@ -37,20 +39,26 @@ class Engine:
         return self.model.config if isinstance(self.model, Model) else self.model
 
 
-def choose_engine(name_or_path: str | Path, map_sensor: tuple[int, int] | None = None) -> Engine:
+def choose_engine(
+    name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None
+) -> Engine:
     """A model, and the engine that runs its networks: `compiled` (Numba), or `onnx` for an .onnx file.
 
     Parameters
     ----------
     name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
     map_sensor : (width, height), what a map model is to be used for, see `Model.for_sensor`. Other models have theirs.
+    config : for an .onnx file of another program: a JSON file with the fields of a `TNTConfig` as `config`, and
+        optionally `classes`, as `async-tnt info MODEL --json` prints them.
 
     Raises
     ------
     ImportError : an .onnx file, and onnxruntime is not installed.
     FileNotFoundError : no such file.
-    ValueError : the file is damaged, or an .onnx file of another program, which lacks the configuration.
+    ValueError : the file is damaged; an .onnx file of another program without `config`, or `config` for another model.
     """
+    if config is not None:
+        return _of_other_program(Path(name_or_path), config)
     if is_onnx(name_or_path):
         return _of_file(Path(name_or_path))
     model = load_model(name_or_path)
@@ -69,6 +77,26 @@ def _of_file(path: Path) -> Engine:
     if classifier.exported is None:
         raise ValueError(
             f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
-            "volume; a Python program can provide one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
+            "volume; give one, `config`: a JSON file as `async-tnt info digits --json` prints it"
         )
     return Engine("onnx", classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
+
+
+def _of_other_program(path: Path, config: Path) -> Engine:
+    """The compiled form of another program's network, where it has one; else onnxruntime."""
+    if not is_onnx(path):
+        raise ValueError(f"`config` is for .onnx files of other programs; {path} has its own")
+    try:
+        given = json.loads(config.read_text(encoding="utf-8"))
+        volume = TNTConfig.from_dict(given["config"])
+        classes = tuple(map(str, given["classes"])) if given.get("classes") is not None else None
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
+        raise ValueError(f"{config}: expected a JSON object with `config`, and maybe `classes`: {what}") from None
+    try:
+        model = load_model(path, config=volume, classes=classes)
+    except NotImplementedError:
+        network = OnnxClassifier(path)
+        names = classes or tuple(map(str, range(network.n_classes)))
+        return Engine("onnx", volume, names, {"classifier": network})
+    return Engine("compiled", model, model.classes)

@@ -1,5 +1,6 @@
 """ONNX files of this and of other programs compute what they computed there, or are refused by name."""
 
+import json
 import re
 import sys
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import given
+from made import random_events
 from networks.foreign import network, onnx
 from networks.modules import CONFIG, EVEN_KERNEL, VOLUMES, branches, logits_of
 from networks.random_networks import random_models
@@ -14,6 +16,7 @@ from networks.small import SMALL
 
 from async_tnt import CompiledClassifier, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
+from async_tnt.networks.engines import choose_engine
 from async_tnt.networks.onnx_operations import RULES
 
 
@@ -129,3 +132,34 @@ def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, missing, None)
         with pytest.raises(ImportError, match=r"^ONNX networks are .*: pip install 'async_tnt\[onnx\]' \("):
             load_model(theirs, config=SMALL)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_path, program):
+    """Compiled if it can be, by onnxruntime if not."""
+    path, config = tmp_path / "net.onnx", tmp_path / "net.json"
+    torch.onnx.export(branches().eval(), torch.tensor(VOLUMES[:1]), str(path), dynamo=False)
+    config.write_text(json.dumps({"config": CONFIG.to_dict(), "classes": ["a", "b", "c", "d"]}))
+    engine = choose_engine(path, config=config)
+    assert (engine.name, engine.config, engine.classes) == ("compiled", CONFIG, ("a", "b", "c", "d"))
+    other = write_onnx(tmp_path / "sin.onnx", [node("Sin", "x", "s"), node("Flatten", "s")])
+    small = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2)
+    config.write_text(json.dumps({"config": small.to_dict()}))
+    engine = choose_engine(other, config=config)
+    assert (engine.name, engine.config, len(engine.classes)) == ("onnx", small, 60)
+
+    np.save(tmp_path / "a.npy", random_events(300, sensor=(5, 6)))
+    code, out, _ = program("run", tmp_path / "a.npy", "--model", other, "--config", config)
+    assert code == 0 and "a.npy: " in out
+    for content, message in (
+        ("{", "net.json: expected a JSON object with --config, and maybe `classes`: "),
+        ("{}", "expected a JSON object with --config, and maybe `classes`: no 'config'"),
+        ('{"config": {"bin": 5}}', "unknown configuration bin; known: "),
+    ):
+        config.write_text(content)
+        code, _, err = program("run", tmp_path / "a.npy", "--model", other, "--config", config)
+        assert code == 2 and err.count("\n") == 1 and message in err
+    code, _, err = program("run", "--config", config)
+    assert code == 2 and "--config is for .onnx files of other programs; digits has its own" in err
+    code, _, err = program("run", tmp_path / "a.npy", "--model", other)
+    assert code == 2 and "give one, --config: a JSON file as `async-tnt info digits --json` prints it" in err
