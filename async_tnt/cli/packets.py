@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,11 @@ from async_tnt.sources.opening import open_source
 from async_tnt.sources.pixel_selection import PixelSelector
 
 if TYPE_CHECKING:
+    from async_tnt.processor import Processor
     from async_tnt.sources.background_reader import BackgroundReader
+
+Queue = Callable[..., "BackgroundReader"]
+"""Of packets, and `on_close`."""
 
 
 def add_latest(parser: argparse.ArgumentParser) -> None:
@@ -28,10 +33,36 @@ def add_latest(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_keep_up(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--keep-up",
+        type=positive_int,
+        metavar="MS",
+        help="camera or network: where decisions are slower than events, decide less often (--every-us, "
+        "--every-events), then skip and count packets, so that none is more than MS milliseconds old",
+    )
+
+
 def check_latest(args: argparse.Namespace) -> None:
-    """Refuse --latest where all sources are recordings."""
-    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
+    """Refuse --latest and --keep-up where all sources are recordings, or both."""
+    given = [f"--{name.replace('_', '-')}" for name in ("latest", "keep_up") if getattr(args, name, None) is not None]
+    if given and all(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError(f"{given[0]} belongs to a camera or the network; a recording is never skipped")
+    if len(given) > 1:
+        raise ValueError("--latest and --keep-up are two ways to skip; give one of them")
+
+
+def queue_for(args: argparse.Namespace, processor: Processor | None = None) -> Queue | None:
+    """How packets wait, by --latest or --keep-up; None: they do not."""
+    if args.latest is None and getattr(args, "keep_up", None) is None:
+        return None
+    from async_tnt.sources.background_reader import BackgroundReader  # imports asyncio
+    from async_tnt.sources.keep_up import KeepUp
+
+    # copy=False: cameras and the network put each packet in new memory
+    if args.latest is not None or processor is None:
+        return functools.partial(BackgroundReader, latest=True, max_packets=args.latest, copy=False)
+    return functools.partial(KeepUp, processor=processor, max_delay_us=1_000 * args.keep_up, copy=False)
 
 
 def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
@@ -50,7 +81,7 @@ def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator
 def follow(
     name: str,
     pixels: PixelSelector,
-    latest: int | None,
+    queue: Queue | None,
     take: Callable[[Iterable[Any], BackgroundReader | None], object],
     end: Callable[[], str] = lambda: "",
 ) -> bool:
@@ -59,8 +90,7 @@ def follow(
     Parameters
     ----------
     name : of the source, as `open_source` knows it.
-    latest : largest number of waiting packets; None for no queue: nothing is skipped here, but the source's own buffer
-        may overflow.
+    queue : of `queue_for`; None: nothing is skipped here, but the source's own buffer may overflow.
     take : gets the packets without the pixels to leave out, and the queue in which they wait.
     end : what it returns is printed behind the counts.
     """
@@ -70,12 +100,8 @@ def follow(
         select = pixels.filter_of(name, pixels.sensor_of(name, source.sensor))
         packets: Iterable[Any] = map(select, source)
         reader = None
-        if latest is not None:
-            from async_tnt.sources.background_reader import BackgroundReader  # imports asyncio
-
-            # copy=False: cameras and the network put each packet in new memory
-            reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
-            packets = stack.enter_context(reader)
+        if queue is not None:
+            packets = reader = stack.enter_context(queue(packets, on_close=source.close))
         try:
             complain(f"listening at {name}; Ctrl-C stops")
             take(packets, reader)
@@ -84,8 +110,10 @@ def follow(
         finally:  # also if a camera was unplugged
             counts = source.summary()
             if reader is not None:
-                queue = reader.counters
-                waited_ms = queue.longest_wait_us / 1e3
-                counts += f"; {queue.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
+                found = reader.counters
+                waited_ms = found.longest_wait_us / 1e3
+                counts += f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
+                if (slowest := getattr(reader, "slowest", 1)) > 1:
+                    counts += f", decisions up to {slowest} times rarer"
             complain(f"{name}: {counts}{end()}")
     return False

@@ -22,7 +22,7 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import add_latest, check_latest, follow, open_selected
+from async_tnt.cli.packets import Queue, add_keep_up, add_latest, check_latest, follow, open_selected, queue_for
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
@@ -44,7 +44,7 @@ the class of the highest mean probability over its closed windows.
   async-tnt run --confidence 0.95            decide each window as soon as the class is certain
   async-tnt run --activity 60:4000           decide when 60 events arrive within about 4 ms
   async-tnt run udp://127.0.0.1:3333         events from the network, until Ctrl-C
-  async-tnt run camera --every-us 20000 --latest 64    a camera, without delay (extra `cameras`)
+  async-tnt run camera --every-us 2000 --keep-up 20    a camera, at most 20 ms behind (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
   async-tnt run archive --out r.jsonl --workers 4    all recordings under a folder, resumable (docs/guide.md)
@@ -81,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_pixels(parser)
     add_latest(parser)
+    add_keep_up(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
     add_archive(parser, needs_out=True)
 
@@ -106,7 +107,7 @@ def main(args: argparse.Namespace) -> int:
     for path in paths_of(args):
         try:
             if isinstance(path, str):
-                stopped = run_source(path, processor, pixels, line, latest=args.latest)
+                stopped = run_source(path, processor, pixels, line, queue_for(args, processor))
                 if stopped:
                     break
                 continue
@@ -179,19 +180,19 @@ def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tu
         yield decision, latency_us
 
 
-def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Line, *, latest: int | None) -> bool:
+def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Line, queue: Queue | None) -> bool:
     """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
     name : of the source, as `open_source` takes it.
-    latest : see `follow`.
+    queue : see `follow`.
     """
     processor.reset()
 
-    def print_all(packets: Iterable[Any], queue: BackgroundReader | None) -> None:
+    def print_all(packets: Iterable[Any], reader: BackgroundReader | None) -> None:
         for decision, latency_us in _timed_packets(packets, processor):
-            say(line(name, decision, latency_us, queue))
+            say(line(name, decision, latency_us, reader))
 
     def end() -> str:
         for decision in processor.finish():
@@ -202,7 +203,7 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
             f"{counts.dropped_late:,} too late for their window"
         )
 
-    return follow(name, pixels, latest, print_all, end)
+    return follow(name, pixels, queue, print_all, end)
 
 
 def _timed_packets(packets: Iterable[np.ndarray], processor: Processor) -> Iterator[tuple[Decision, float]]:

@@ -49,7 +49,7 @@ def choose_engine(
     name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
     map_sensor : (width, height), what a map model is to be used for, see `Model.for_sensor`. Other models have theirs.
     config : for an .onnx file of another program: a JSON file with the fields of a `TNTConfig` as `config`, and
-        optionally `classes`, as `async-tnt info MODEL --json` prints them.
+        optionally `classes`, as `async-tnt info` prints them of a model.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def _of_file(path: Path) -> Engine:
     if classifier.exported is None:
         raise ValueError(
             f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
-            "volume; give one, `config`: a JSON file as `async-tnt info digits --json` prints it"
+            "volume; give one, `config`: a file of what `async-tnt info` prints of a model as JSON"
         )
     return Engine("onnx", classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
 

@@ -6,6 +6,7 @@ open_camera         a camera of Prophesee or iniVation (extra `cameras`)
 open_udp            datagrams from the network; `encode` makes them
 replay              a recording at its own pace
 BackgroundReader    reads a source in a background thread; `PacketQueue` is the queue alone, for drivers with callbacks
+KeepUp              the same with bounded delay: decides less often, then skips, when events outrun decisions
 PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in recordings
 """
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
     from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
     from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
+    from async_tnt.sources.keep_up import KeepUp
     from async_tnt.sources.opening import open_source
     from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
     from async_tnt.sources.pixel_masks import PackedMask, count_pixels, hot_pixels, learn_mask, load_mask, save_mask
@@ -40,6 +42,7 @@ else:
             "files.nmnist": "read_nmnist write_nmnist",
             "files.recording": "READERS Recording open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording Source",
+            "keep_up": "KeepUp",
             "opening": "open_source",
             "pixel_filter": "PixelCounts PixelFilter",
             "pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
@@ -52,7 +55,7 @@ else:
 
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
-    "DamagedRecording", "Decoder", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
+    "DamagedRecording", "Decoder", "KeepUp", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
     "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
     "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
     "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",

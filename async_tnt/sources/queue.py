@@ -48,12 +48,13 @@ class PacketQueue:
     latest : what happens when the queue is full. False: `put` waits until there is room. True: `put` never waits; the
         oldest packets are discarded and their events counted, so that the reader skips ahead.
     max_events : events that wait at most, for packets of very different sizes. A single larger packet still passes.
+    max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest one.
     copy : whether `put` copies packets, as drivers often reuse the memory of one for the next. False is for sources
         that put each packet in new memory.
 
     Raises
     ------
-    TypeError, ValueError : a limit that is not a whole number, or below 1.
+    TypeError, ValueError : a limit that is not a whole number, or below 1; `max_delay_us` without `latest`.
 
     Example
     -------
@@ -66,10 +67,19 @@ class PacketQueue:
     """
 
     def __init__(
-        self, *, max_packets: int = 64, latest: bool = False, max_events: int | None = None, copy: bool = True
+        self,
+        *,
+        max_packets: int = 64,
+        latest: bool = False,
+        max_events: int | None = None,
+        max_delay_us: int | None = None,
+        copy: bool = True,
     ) -> None:
         self.max_packets = positive_int("max_packets", max_packets)
         self.max_events = math.inf if max_events is None else positive_int("max_events", max_events)
+        self.max_delay_us = math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)
+        if max_delay_us is not None and not latest:
+            raise ValueError("`max_delay_us` discards packets, which `latest=True` must allow")
         self.latest = bool(latest)
         self.copy = bool(copy)
         # One lock, re-entrant: a signal handler, which closes the queue, may run at any moment.
@@ -220,6 +230,9 @@ class PacketQueue:
         return len(self._waiting) > self.max_packets or self._backlog > self.max_events
 
     def _hand_out(self) -> Any:
+        oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
+        while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
+            self._skip_oldest()
         packet, n, arrived_ns = self._waiting.popleft()
         self._backlog -= n
         self._handed_out += n

@@ -1,0 +1,103 @@
+"""What to do when events outrun the network: decide less often, then skip whole packets, always counted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol
+
+from async_tnt.checks import positive_int
+from async_tnt.sources.background_reader import BackgroundReader
+
+MAX_PACKETS = 1 << 20
+"""That wait at most: the delay decides, and packets may be small."""
+SLOWER_FROM, FASTER_BELOW = 0.25, 0.05
+"""Shares of `max_delay_us`."""
+MOST_SLOWER = 1 << 10
+
+
+class Decider(Protocol):
+    """A `Processor`, as far as it is seen here."""
+
+    every_us: int | None
+    every_events: int | None
+    config: Any
+
+
+class KeepUp(BackgroundReader):
+    """A `BackgroundReader` whose packets are at most `max_delay_us` old when they are handed out.
+
+    While packets wait for more than a quarter of that, `every_us` and `every_events` of the processor that reads them
+    are doubled, again and again, up to a window's length and to 1,024 times; while they wait for less than a twentieth,
+    they are halved, down to what they were. Packets that waited for longer than `max_delay_us` all the same are
+    discarded, and their events counted: received = handed_out + skipped + backlog, see `counters`.
+
+    Parameters
+    ----------
+    source : any iterable of packets.
+    processor : that is given the packets; its `every_us` and `every_events` are set here.
+    max_delay_us : in microseconds.
+    copy, on_close : as for `BackgroundReader`.
+
+    Attributes
+    ----------
+    slower : by how much decisions are rarer now: 1, 2, 4, ...
+    slowest : the largest of these so far.
+
+    Example
+    -------
+    >>> from async_tnt import Processor, load_model, stream
+    >>> from async_tnt.sources import open_recording, sample_recordings
+    >>> processor = Processor(load_model("digits"), every_us=50_000)
+    >>> with KeepUp(open_recording(sample_recordings()[3]), processor, max_delay_us=1_000_000) as packets:
+    ...     decisions = list(stream(packets, processor))
+    >>> decisions[-1].label, packets.slower, packets.n_skipped
+    ('3', 1, 0)
+    """
+
+    def __init__(
+        self,
+        source: Iterable[Any],
+        processor: Decider,
+        *,
+        max_delay_us: int,
+        copy: bool = True,
+        on_close: Callable[[], Any] | None = None,
+    ) -> None:
+        self.slower = self.slowest = 1
+        self._processor = processor
+        self._every = {name: getattr(processor, name) for name in ("every_us", "every_events")}
+        self._changed_ns = 0
+        max_delay_us = positive_int("max_delay_us", max_delay_us)
+        super().__init__(
+            source, latest=True, max_packets=MAX_PACKETS, max_delay_us=max_delay_us, copy=copy, on_close=on_close
+        )
+
+    def __next__(self) -> Any:
+        packet = super().__next__()
+        self._adapt()
+        return packet
+
+    async def __anext__(self) -> Any:
+        packet = await super().__anext__()
+        self._adapt()
+        return packet
+
+    def _adapt(self) -> None:
+        """Set how often the processor decides, by how long the packet that was handed out has waited."""
+        waited, now_ns = self.delay_us, time.monotonic_ns()
+        if now_ns - self._changed_ns < 1000 * FASTER_BELOW * self.max_delay_us:
+            return  # what was changed shows after a while
+        if waited > SLOWER_FROM * self.max_delay_us and self.slower < MOST_SLOWER:
+            self._set(2 * self.slower, now_ns)
+        elif waited < FASTER_BELOW * self.max_delay_us and self.slower > 1:
+            self._set(self.slower // 2, now_ns)
+
+    def _set(self, slower: int, now_ns: int) -> None:
+        self.slower, self._changed_ns = slower, now_ns
+        self.slowest = max(self.slowest, slower)
+        every_us, every_events = self._every["every_us"], self._every["every_events"]
+        if every_us is not None:
+            self._processor.every_us = min(slower * every_us, max(every_us, self._processor.config.window_us))
+        if every_events is not None:
+            self._processor.every_events = slower * every_events

@@ -1,0 +1,117 @@
+"""Events that outrun decisions: fewer decisions, then packets skipped and counted; delay bounded; time is simulated."""
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made import events_of
+
+from async_tnt import Processor, TNTConfig
+from async_tnt.sources import KeepUp, PacketQueue
+
+PACKET_US = 1_000
+CONFIG = TNTConfig(window_us=100_000)
+
+
+class Clock:
+    """The time of the queue and of its policy, in microseconds."""
+
+    def __init__(self, monkeypatch):
+        self.now_us = 1_000_000
+        clock = SimpleNamespace(monotonic_ns=lambda: int(1000 * self.now_us))
+        for module in ("queue", "keep_up"):
+            monkeypatch.setattr(f"async_tnt.sources.{module}.time", clock)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    return Clock(monkeypatch)
+
+
+@pytest.fixture
+def reader_of():
+    """A KeepUp whose packets the test puts itself: its source waits until the end."""
+    done = threading.Event()
+
+    def source():
+        done.wait()
+        yield from ()
+
+    readers = []
+
+    def make(processor, **settings):
+        readers.append(KeepUp(source(), processor, **settings))
+        return readers[-1]
+
+    yield make
+    done.set()
+    for reader in readers:
+        reader.close()
+
+
+def packet(k, n=50):
+    t = k * PACKET_US + np.linspace(0, PACKET_US - 1, n).astype(np.int64)
+    return events_of(t, np.arange(n) % 34, np.arange(n) % 34, [1] * n)
+
+
+def consumed(reader, processor, clock, n_packets, decision_us, event_us=0.01):
+    """Stream packets that come every millisecond; decisions and events cost time. Returns the delays."""
+    delays, start_us, k = [], clock.now_us, 0
+    while k < n_packets or reader.backlog:
+        while k < n_packets and start_us + k * PACKET_US <= clock.now_us:
+            arrives_us, now_us = start_us + k * PACKET_US, clock.now_us
+            clock.now_us = arrives_us
+            reader.put(packet(k))
+            clock.now_us = now_us
+            k += 1
+        if not reader.backlog:
+            clock.now_us = start_us + k * PACKET_US
+            continue
+        events = next(reader)
+        delays.append(reader.delay_us)
+        clock.now_us += event_us * len(events) + decision_us * len(processor.push(events))
+    return np.array(delays)
+
+
+@pytest.mark.parametrize("trigger", [{"every_us": 1_000}, {"every_events": 50}], ids=["every_us", "every_events"])
+@pytest.mark.parametrize("overload", [2, 20])
+def test_decisions_become_rarer_before_packets_are_skipped(trigger, overload, clock, reader_of):
+    """A decision after each packet costs twice, or twenty times, what there is time for."""
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0], **trigger)
+    reader = reader_of(processor, max_delay_us=100_000)
+    delays = consumed(reader, processor, clock, 5_000, decision_us=overload * PACKET_US)
+    counters = reader.counters
+    assert counters.received == counters.handed_out + counters.skipped == 250_000
+    assert counters.handed_out == processor.counts.received and counters.skipped == 0
+    assert delays.max() < 100_000 and overload <= reader.slowest <= 8 * overload  # what waits must be made up for
+    delays = consumed(reader, processor, clock, 2_000, decision_us=1)
+    assert reader.slower == 1 and delays[-100:].max() < PACKET_US
+    assert (processor.every_us, processor.every_events) == (trigger.get("every_us"), trigger.get("every_events"))
+
+
+def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of):
+    """Twice as many events as the volume can take: no rarer decision helps."""
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0], every_us=1_000)
+    reader = reader_of(processor, max_delay_us=20_000)
+    delays = consumed(reader, processor, clock, 5_000, decision_us=10, event_us=2 * PACKET_US / 50)
+    counters = reader.counters
+    assert counters.received == counters.handed_out + counters.skipped == 250_000
+    assert counters.handed_out == processor.counts.received and 0.4 < counters.skipped / 250_000 < 0.6
+    assert delays.max() <= 20_000 and processor.every_us == CONFIG.window_us
+
+
+def test_the_newest_packet_is_handed_out_however_old_it_is(clock):
+    queue = PacketQueue(latest=True, max_delay_us=1_000)
+    for k in range(3):
+        queue.put(packet(k))
+    clock.now_us += 5_000
+    assert next(queue)["t"][0] == 2 * PACKET_US and queue.counters.skipped == 100
+
+
+def test_a_delay_that_cannot_be_kept_is_refused():
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0])
+    with pytest.raises(ValueError, match=r"^`max_delay_us` must be at least 1, got 0$"):
+        KeepUp([], processor, max_delay_us=0)
+    with pytest.raises(ValueError, match=r"^`max_delay_us` discards packets, which `latest=True` must allow$"):
+        PacketQueue(max_delay_us=5)
