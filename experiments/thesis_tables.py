@@ -114,10 +114,10 @@ def thesis_answers() -> str:
     lines = []
     for on, words in (("all", "all saccades"), ("1", "the first saccade")):
         for row in THESIS_ROWS[1:]:
-            signs: dict[str, list[str]] = {"gains": [], "loses": [], "shows no difference": []}
+            signs: dict[str, list[str]] = {"gains": [], "loses": [], "is not shown to differ": []}
             for name in (name for name in SETS if (row, f"{on}/{name}") in found):
                 d = found[row, f"{on}/{name}"]
-                sign = "shows no difference" if d["holm"] >= LEVEL else "gains" if d["mean"] > 0 else "loses"
+                sign = "is not shown to differ" if d["holm"] >= LEVEL else "gains" if d["mean"] > 0 else "loses"
                 signs[sign].append(f"*{name}* {signed(d['mean'])}")
             said = "; ".join(f"{sign} on {', '.join(sets)}" for sign, sets in signs.items() if sets)
             lines += [f"- Trained on {words}, *{ROWS[row].title}* against the Baseline {said}."] * bool(said)

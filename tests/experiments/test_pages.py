@@ -9,6 +9,7 @@ import pytest
 from experiments import accuracy_tables as tables
 from experiments import pages, thesis_tables
 from experiments.page_parts import RESULTS
+from experiments.table_factors import FACTORS
 from experiments.table_numbers import signed
 from experiments.table_rows import IMAGES, INPUTS, QUESTIONS, ROWS, SETS
 
@@ -92,10 +93,10 @@ def test_every_difference_that_a_page_claims_holds_and_none_that_holds_is_left_o
     assert len(said) == len({(row, column.split("/")[0]) for row, column in means if column.split("/")[1] in SETS})
     for trained_on, title, sentence in said:
         on, shown = "1" if trained_on == "the first saccade" else "all", set()
-        for verb, listed in re.findall(r"(gains|loses|shows no difference) on ([^;]+)", sentence):
+        for verb, listed in re.findall(r"(gains|loses|is not shown to differ) on ([^;]+)", sentence):
             for name, mean in re.findall(r"\*([^*]+)\* ([+-]\.\d{3})", listed):
                 d = means[titles[title], f"{on}/{name}"]
-                claims = "shows no difference" if d["holm"] >= 0.05 else "gains" if d["mean"] > 0 else "loses"
+                claims = "is not shown to differ" if d["holm"] >= 0.05 else "gains" if d["mean"] > 0 else "loses"
                 assert (verb, mean) == (claims, signed(d["mean"])), (title, name)
                 shown.add(name)
         assert shown == set(SETS)
@@ -144,6 +145,10 @@ def test_statements_of_the_results_page_hold():
             name: holm[f"{name}-translated", "raw-translated", column] for name in (*INPUTS, *IMAGES) if name != "raw"
         }
         assert {name for name, p in of.items() if p < 0.05} == {"mean_time", "time_surface"}
+    effects = {(e["trained_on"], e["row"], e["effect"]): e for e in tables.results("table")["effects"]}
+    for effect, mean in zip(list(FACTORS)[:2] + [list(FACTORS)[3]], (0.165, 0.120, 0.078), strict=True):
+        found = effects["all", "thesis-tnt", effect]
+        assert round(found["mean"], 3) == mean and found["holm"] < 0.05
     finder = tables.results("map_times")["models"]["digits-everywhere"]
     us = {case: of["median"] for case, of in finder["times_us"]["640x480"].items()}
     assert [round(us[case], -2) for case in ("1,000 events", "dense", "onnxruntime_run")] == [1600, 66_400, 54_700]
