@@ -146,7 +146,7 @@ def test_statements_of_the_results_page_hold():
         }
         assert {name for name, p in of.items() if p < 0.05} == {"mean_time", "time_surface"}
     effects = {(e["trained_on"], e["row"], e["effect"]): e for e in tables.results("table")["effects"]}
-    for effect, mean in zip(list(FACTORS)[:2] + [list(FACTORS)[3]], (0.165, 0.120, 0.078), strict=True):
+    for effect, mean in zip([*list(FACTORS)[:2], list(FACTORS)[3]], (0.165, 0.120, 0.078), strict=True):
         found = effects["all", "thesis-tnt", effect]
         assert round(found["mean"], 3) == mean and found["holm"] < 0.05
     finder = tables.results("map_times")["models"]["digits-everywhere"]
