@@ -261,6 +261,13 @@ SECTIONS = (
         {streams.threads: "How much faster", streams.threads_machine: "Machine"},
     ),
     Section(
+        "What a machine sustains",
+        "Streams in real time, in packets of a millisecond, through `KeepUp` with at most 50 ms: by load, the rate by "
+        "the one that takes a core. Delays from a packet's arrival to the end of its decisions.",
+        "experiments.sustained --json experiments/results/sustained.json",
+        {streams.sustained: "Delays under load"},
+    ),
+    Section(
         "Simulated and real recordings",
         SIMULATED,
         "experiments.moving_mnist --mnist MNIST --out moving --nmnist N-MNIST",

@@ -176,3 +176,20 @@ def threads(found: dict[str, Any]) -> str:
 @of_report("threads")
 def threads_machine(found: dict[str, Any]) -> str:
     return about_machine(found)
+
+
+@of_report("sustained")
+def sustained(report: dict[str, Any]) -> str:
+    """Delays under load, and what becomes of more than the machine can do."""
+    rows = []
+    for load, of in report["streams"].items():
+        delays = (f"{ms:.2f}" for ms in (*of["delay_ms"].values(), of["worst_ms"]))
+        rare = "" if of["slowest"] == 1 else f"up to {of['slowest']} times rarer"
+        counts = f"{of['decisions']:,}", rare, percent(of["skipped"] / of["received"]), f"{of['grown_mb']:.1f}"
+        rows.append([load, f"{of['rate']:,.0f}", *delays, *counts])
+    head = ["load", "events a second", "delay, ms: median", "99 %", "99.9 %", "worst"]
+    found = (
+        f"{report['model']}, a decision after every {report['every_events']} events, if need be rarer: "
+        f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us each."
+    )
+    return f"{found}\n\n{table([*head, 'decisions', 'rarer', 'skipped', 'MB more'], rows)}\n\n{about_machine(report)}"

@@ -11,8 +11,10 @@ from async_tnt.sources.background_reader import BackgroundReader
 
 MAX_PACKETS = 1 << 20
 """That wait at most: the delay decides, and packets may be small."""
-SLOWER_FROM, FASTER_BELOW = 0.25, 0.05
+SLOWER_FROM, URGENT_FROM, FASTER_BELOW = 0.25, 0.5, 0.05
 """Shares of `max_delay_us`."""
+PAUSE, URGENT_PAUSE = 0.25, 0.05
+"""Between two changes, as such shares: what was changed shows after a while."""
 MOST_SLOWER = 1 << 10
 
 
@@ -85,12 +87,13 @@ class KeepUp(BackgroundReader):
 
     def _adapt(self) -> None:
         """Set how often the processor decides, by how long the packet that was handed out has waited."""
-        waited, now_ns = self.delay_us, time.monotonic_ns()
-        if now_ns - self._changed_ns < 1000 * FASTER_BELOW * self.max_delay_us:
-            return  # what was changed shows after a while
-        if waited > SLOWER_FROM * self.max_delay_us and self.slower < MOST_SLOWER:
+        waited, now_ns = self.delay_us / self.max_delay_us, time.monotonic_ns()
+        pause = URGENT_PAUSE if waited > URGENT_FROM else PAUSE
+        if now_ns - self._changed_ns < 1000 * pause * self.max_delay_us:
+            return
+        if waited > SLOWER_FROM and self.slower < MOST_SLOWER:
             self._set(2 * self.slower, now_ns)
-        elif waited < FASTER_BELOW * self.max_delay_us and self.slower > 1:
+        elif waited < FASTER_BELOW and self.slower > 1:
             self._set(self.slower // 2, now_ns)
 
     def _set(self, slower: int, now_ns: int) -> None:

@@ -1,0 +1,136 @@
+"""What this machine sustains with a model: events a second, delays under load, and what becomes of twice the load.
+
+    python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20] [--picture FILE]
+
+First the processor time of a stream by its rate, in packets of a millisecond, with a decision after every few events;
+the sustained rate is where that takes one core. Then streams come in real time, at shares of that rate, through
+`KeepUp`, and each packet's delay is measured from its arrival to the end of its decisions. `max_delay_us` bounds how
+old a packet may be when it is handed out; above the sustained rate decisions become rarer, and packets are skipped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt import Processor, load_model, warmup
+from async_tnt.cli.options import positive_int
+from async_tnt.sources import KeepUp, open_recording, sample_recordings
+from async_tnt.views.figure_style import HIGHLIGHTS, axes_at, headline, new_figure
+from experiments.bench_timing import machine
+from experiments.memory import resident_mb
+from experiments.script_options import exit_with, run_script, script_parser
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RATES = (10_000, 20_000, 50_000, 100_000)
+LOADS = (0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 10.0)
+PERCENTILES = (50.0, 99.0, 99.9)
+PACKET_US, MAX_DELAY_US = 1_000, 50_000
+
+
+def packets(rate: float, seconds: float, *, in_real_time: bool = False) -> Iterator[np.ndarray]:
+    """Packets of a millisecond, of a bundled recording's events over and over, each in new memory."""
+    events = open_recording(sample_recordings()[3]).read()
+    n, before, started = max(1, round(rate * PACKET_US * 1e-6)), 0, time.monotonic()
+    for k in range(round(seconds * 1e6 / PACKET_US)):
+        packet = events[np.arange(before, before + n) % len(events)]
+        packet["t"] = k * PACKET_US + np.arange(n) * PACKET_US // n
+        before += n
+        if in_real_time and (ahead_s := started + (k + 1) * PACKET_US * 1e-6 - time.monotonic()) > 0:
+            time.sleep(ahead_s)
+        yield packet
+
+
+def share_of_core(processor: Processor, rate: float, seconds: float) -> float:
+    """Processor time of a stream, by the time that it covers."""
+    processor.reset()
+    made = list(packets(rate, seconds))
+    started = time.process_time()
+    for packet in made:
+        processor.push(packet)
+    return (time.process_time() - started) / seconds
+
+
+def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, Any]:
+    """A stream in real time: delays in milliseconds, what was decided, and what was skipped."""
+    processor.reset()
+    delays_us, n_decisions, before_mb = [], 0, resident_mb()
+    source = packets(rate, seconds, in_real_time=True)
+    reader = KeepUp(source, processor, max_delay_us=MAX_DELAY_US, copy=False)
+    with reader:
+        for packet in reader:
+            n_decisions += len(processor.push(packet))
+            delays_us.append(reader.delay_us)
+        counts = reader.counters
+    return {
+        "rate": rate,
+        "received": counts.received,
+        "decided_on": processor.counts.received,
+        "skipped": counts.skipped,
+        "decisions": n_decisions,
+        "slowest": reader.slowest,
+        "delay_ms": {f"{p:g}": float(np.percentile(delays_us, p)) / 1e3 for p in PERCENTILES},
+        "worst_ms": max(delays_us) / 1e3,
+        "grown_mb": resident_mb() - before_mb,
+    }
+
+
+def measure(name: str, every_events: int, seconds: float, loads: tuple[float, ...]) -> dict[str, Any]:
+    """All of it."""
+    model = load_model(name)
+    warmup(model)
+    processor = Processor(model, every_events=every_events)
+    share_of_core(processor, RATES[0], 1.0)  # warm
+    shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
+    an_event, at_rest = map(float, np.polyfit(RATES, shares, 1))
+    sustained = (1.0 - at_rest) / an_event
+    streams = {f"{load:g}": under_load(processor, load * sustained, seconds) for load in loads}
+    return {
+        "machine": machine(),
+        "model": name,
+        "every_events": every_events,
+        "seconds": seconds,
+        "max_delay_us": MAX_DELAY_US,
+        "share_of_core": dict(zip(map(str, RATES), shares, strict=True)),
+        "event_us": an_event * 1e6,
+        "sustained": sustained,
+        "streams": streams,
+    }
+
+
+def draw(report: dict[str, Any]) -> Figure:
+    """Delays by load."""
+    figure = new_figure(3.4, 6.0)
+    axes = axes_at(figure, 0.8, 0.8, 4.9, 2.0)
+    loads = list(map(float, report["streams"]))
+    for (colour, dashes), p in zip(HIGHLIGHTS, PERCENTILES, strict=False):
+        delays = [of["delay_ms"][f"{p:g}"] for of in report["streams"].values()]
+        axes.loglog(loads, delays, marker="o", ms=3, color=colour, ls=dashes, label=f"{p:g} %")
+    axes.set_xlabel("load, by the sustained rate")
+    axes.set_ylabel("delay of a packet, ms")
+    axes.legend()
+    headline(figure, f"{report['model']}: {report['sustained']:,.0f} events a second, less and more")
+    return figure
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print, and write what is asked for."""
+    parser = script_parser("sustained", __doc__, "a second for each of two loads", draws=True)
+    parser.add_argument("--model", default="digits", help="bundled, or a file (default: %(default)s)")
+    parser.add_argument("--every-events", type=positive_int, default=1, metavar="N", help="(default: %(default)s)")
+    parser.add_argument("--seconds", type=positive_int, default=20, help="of each load (default: %(default)s)")
+    args = parser.parse_args(argv)
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(args.model, args.every_events, 1.0 if quick else args.seconds, LOADS[::5] if quick else LOADS)
+
+    return run_script(parser, argv, measured, "sustained", draw)
+
+
+if __name__ == "__main__":
+    exit_with(main)
