@@ -31,7 +31,6 @@ README, GUIDE, REFERENCE, THEORY = (
 NEEDS = {  # packages of a section's snippets
     "Viewing": ("rerun",),
     "Other networks and engines": ("torch", "onnx", "onnxruntime"),
-    "Other representations": ("torch",),
 }
 
 
