@@ -14,7 +14,8 @@ author = "the async_tnt authors"
 release = __version__
 html_theme = "furo"
 html_title = f"async_tnt {release}"
-extensions = ["myst_parser", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc"]
+nb_execution_mode = "off"  # notebooks are kept with their output, and run by the tests
 
 # Pages: what GitHub renders from the same files.
 myst_heading_anchors = 3

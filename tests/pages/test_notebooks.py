@@ -1,11 +1,11 @@
-"""The notebooks of examples/notebooks run from the first cell to the last."""
+"""The notebooks of docs/notebooks run from the first cell to the last."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "examples" / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "docs" / "notebooks").glob("*.ipynb"))
 EXPECTED = {
     "classes_from_pictures": lambda names: (
         names["model"].exists() and names["decisions"][0][0] in ("bar", "ring", "cross")
