@@ -46,7 +46,7 @@ def heatmap_of(model: Model, raw: np.ndarray) -> np.ndarray:
     import torch
     from tnt_reference import LayerNetwork
 
-    *layers, _ = model.layers["regressor"]  # the last one is the centroid
+    *layers, _ = model.network["regressor"]  # the last one is the centroid
     with torch.inference_mode():
         exponent = LayerNetwork(layers, model.weights)(torch.tensor(raw)[None])[0, 0].double()
     return exponent.flatten().softmax(0).reshape(exponent.shape).numpy()

@@ -51,7 +51,7 @@ def random_model(
         weights[f"{layer}.bias"] = rng.uniform(-bound, bound, shape[0])
     if config.needs_regressor:
         weights |= _random_regressor(rng, channels, regressor_widths, sharpness)
-    return Model(config, weights, tuple(f"class {k}" for k in range(classes)), {"made": True})
+    return thesis_model(config, weights, tuple(f"class {k}" for k in range(classes)), {"made": True})
 
 
 def random_regressor_model(config: TNTConfig = TNTConfig(landmark="regressor"), **settings) -> Model:  # noqa: B008
@@ -93,3 +93,45 @@ def nasty_streams(draw, sensor, window_us: int, start_us: int, max_events: int =
         x, y = [x[0]] * n, [y[0]] * n
     p = draw(st.lists(st.integers(0, 1), min_size=n, max_size=n))
     return events_of([start_us + t for t in times], x, y, p)
+
+
+def thesis_model(config: TNTConfig, *arguments, **named) -> Model:
+    """A `Model` of the thesis' networks, whose widths are those of its weights."""
+    return Model(config, *arguments, **named, network=thesis_network(config))
+
+
+def thesis_network(config: TNTConfig) -> dict[str, list[dict]]:
+    """The thesis' two networks as layers (Wang 2019).
+
+    The classifier: two convolutions with ReLU, each followed by average pooling, then two dense layers. The landmark
+    regressor, where the configuration needs one: three convolutions with ReLU, then one 1x1, the heatmap's centroid.
+    """
+    pool = {"kernel": [2, 2], "stride": [2, 2], "padding": [0, 0, 0, 0]}
+    halves = [s for k in (1, 2) for s in (_conv(f"conv{k}"), _relu(k), (f"pool{k}", "average_pool", pool))]
+    dense = [("flatten", "flatten", {}), _dense("fc1"), _relu(3), _dense("fc2")]
+    network = {"classifier": _chain(*halves, *dense)}
+    if config.needs_regressor:
+        steps = [s for k in (1, 2, 3) for s in (_conv(f"conv{k}", "regressor."), _relu(k))]
+        heatmap = _conv("heatmap", "regressor.", side=1, roles=("weight",))  # a bias would not move the centroid
+        network["regressor"] = _chain(*steps, heatmap, ("landmark", "heatmap_centroid", {}))
+    return network
+
+
+def _chain(*steps):
+    names = ["volume", *(name for name, _, _ in steps)]
+    return [{"op": op, "name": name, "inputs": [names[k]], **more} for k, (name, op, more) in enumerate(steps)]
+
+
+def _conv(name, prefix="", side=3, roles=("weight", "bias")):
+    """A convolution that keeps the size."""
+    weights = {role: f"{prefix}{name}.{role}" for role in roles}
+    sides = {"kernel": [side, side], "stride": [1, 1], "padding": [side // 2] * 4, "dilation": [1, 1]}
+    return name, "conv", {"weights": weights, **sides, "groups": 1}
+
+
+def _relu(k):
+    return f"relu{k}", "relu", {}
+
+
+def _dense(name):
+    return name, "dense", {"weights": {role: f"{name}.{role}" for role in ("weight", "bias")}}

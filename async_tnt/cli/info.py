@@ -151,7 +151,7 @@ def _of_model(model: Model) -> dict[str, Any]:
         "classes": model.classes,
         "config": model.config.to_dict(),
         "volume": model.config.shape,
-        "layers": {name: [layer["op"] for layer in layers] for name, layers in model.layers.items()},
+        "layers": {name: [layer["op"] for layer in layers] for name, layers in model.network.items()},
         "weights": sum(weights.size for weights in model.weights.values()),
         "multiplications": model.multiplications,
         "map": None if model.places is None else model.logits_shape[1:],

@@ -113,7 +113,7 @@ def sha256_of(engine: Engine, path: str) -> str:
     """Of what the decisions depend on: configuration, classes, layers and weights; of an .onnx model, its file."""
     sha256 = hashlib.sha256()
     if isinstance(engine.model, Model):
-        about = [engine.config.to_dict(), list(engine.classes), engine.model.layers]
+        about = [engine.config.to_dict(), list(engine.classes), engine.model.network]
         sha256.update(json.dumps(about, sort_keys=True).encode())
         for name, weights in sorted(engine.model.weights.items()):
             sha256.update(f"{name} {weights.shape} {weights.dtype}".encode())

@@ -58,7 +58,7 @@ class CompiledClassifier:
         self.n_classes = len(model.classes)
         self.places, self.sensor = model.places, model.config.sensor
         self._running = Running("CompiledClassifier")
-        self._program = make_program(model.layers[CLASSIFIER], self.shape, model.weights)
+        self._program = make_program(model.network[CLASSIFIER], self.shape, model.weights)
         self.network = self._program.arrays
         self._input = VolumeInput(self.shape)
         self.logits_shape = model.logits_shape
@@ -179,7 +179,7 @@ class CompiledRegressor:
             )
         self.shape = config.shape
         self._running = Running("CompiledRegressor")
-        self._program = make_program(model.layers[REGRESSOR], self.shape, model.weights)
+        self._program = make_program(model.network[REGRESSOR], self.shape, model.weights)
         self._input = VolumeInput(self.shape)
 
     @one_at_a_time

@@ -53,7 +53,7 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
             )
         weights = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in proto.graph.initializer}
         used = {name: weights[name] for name in sorted(tensors_of(exported.layers)) if name in weights}
-        return Model(exported.config, used, exported.classes, exported.record, {CLASSIFIER: exported.layers})
+        return Model(exported.config, used, exported.classes, exported.record, network={CLASSIFIER: exported.layers})
     if config is None:
         raise TypeError(
             f"{path} does not say how events become its volume: load_model(path, config=TNTConfig(...), classes=[...])"
@@ -68,7 +68,7 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
         shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
         read = logits_shape(list(shapes.values())[-1]) or (0,)
         classes = [str(k) for k in range(read[0] - (len(read) == 3))]
-    model = Model(config, weights, tuple(classes), {}, {CLASSIFIER: layers})
+    model = Model(config, weights, tuple(classes), network={CLASSIFIER: layers})
     try:
         _compare_with_onnxruntime(path, proto, model)
     except ValueError as error:

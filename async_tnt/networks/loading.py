@@ -81,4 +81,4 @@ def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) ->
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-    return Model(config, weights, classes, record, json.loads(metadata["network"]))
+    return Model(config, weights, classes, record, network=json.loads(metadata["network"]))

@@ -17,7 +17,6 @@ from async_tnt.files import replacing
 from async_tnt.networks.graph import (
     CLASSIFIER,
     REGRESSOR,
-    VOLUME,
     Network,
     Shape,
     layer_shapes,
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 FORMAT = "async_tnt 2"
 CENTROID = "heatmap_centroid"
-LayerRow = tuple[str, str, dict[str, Any]]  # name, op, parameters
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
@@ -47,11 +45,7 @@ class Model:
         R, C) of more than one place, finds objects of these classes; the last channel is nothing.
     record : how it was trained: data, seed, accuracy, what was tried.
     network : its layers, see `networks.graph`: {"classifier": [...]}, volume (C, H, W) -> logits, and with landmark
-        "regressor" (and transform "tnt"), and then only, {"regressor": [...]}, raw volume -> landmark. By default the
-        thesis' networks, with weights `conv1.weight` (F1, C, 3, 3), `conv2.weight` (F2, F1, 3, 3), `fc1.weight`
-        (F3, F2 * (H // 4) * (W // 4)), `fc2.weight` (n_classes, F3), and a `.bias` for each; of the regressor
-        `regressor.conv1.weight` (G1, C, 3, 3), `regressor.conv2.weight` (G2, G1, 3, 3), `regressor.conv3.weight`
-        (G3, G2, 3, 3), a `.bias` for each, and `regressor.heatmap.weight` (1, G3, 1, 1).
+        "regressor" (and transform "tnt"), and then only, {"regressor": [...]}, raw volume -> landmark.
 
     Raises
     ------
@@ -65,7 +59,7 @@ class Model:
     weights: Mapping[str, np.ndarray]
     classes: tuple[str, ...]
     record: Mapping[str, Any] = field(default_factory=dict)
-    network: Network | None = None
+    network: Network = field(kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.classes, (tuple, list)):
@@ -75,13 +69,11 @@ class Model:
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
         weights = {name: _float32(name, w) for name, w in self.weights.items()}
         object.__setattr__(self, "weights", weights)
-        if self.network is None:
-            object.__setattr__(self, "network", thesis_network(self.config))
         if not self.classes:
             raise ValueError("`classes` must hold at least one name")
         if len(set(self.classes)) < len(self.classes):
             raise ValueError(f"`classes` must have different names, got {short(self.classes)}")
-        _check_network(self.layers, weights, self.config, len(self.classes))
+        _check_network(self.network, weights, self.config, len(self.classes))
 
     @classmethod
     def from_torch(
@@ -129,7 +121,7 @@ class Model:
                     part, config.shape, prefix="" if name == CLASSIFIER else f"{name}."
                 )
                 weights |= tensors
-            model = cls(config, weights, tuple(classes), record or {}, network)
+            model = cls(config, weights, tuple(classes), record or {}, network=network)
             for name, part in parts.items():
                 check_torch_layers(part, network[name], weights, config.shape)
         except NotImplementedError as error:
@@ -137,23 +129,17 @@ class Model:
         return model
 
     @property
-    def layers(self) -> Network:
-        """`network`, which is never None once the model is made."""
-        assert self.network is not None
-        return self.network
-
-    @property
     def logits_shape(self) -> Shape:
         """(n_classes,), or (n_classes, 1, 1); of a map model (n_classes + 1, R, C)."""
-        shapes = layer_shapes(self.layers[CLASSIFIER], self.config.shape, self._tensors)
-        return shapes[self.layers[CLASSIFIER][-1]["name"]]
+        shapes = layer_shapes(self.network[CLASSIFIER], self.config.shape, self._tensors)
+        return shapes[self.network[CLASSIFIER][-1]["name"]]
 
     @property
     def places(self) -> Places | None:
         """Of a map model: where on the sensor the places of its map lie. None of any other."""
         if self.logits_shape[0] == len(self.classes):
             return None
-        return places_of(self.layers[CLASSIFIER], self.config)
+        return places_of(self.network[CLASSIFIER], self.config)
 
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
         """The same network for another sensor, (width, height), at the scale that it was trained at.
@@ -174,14 +160,14 @@ class Model:
     @property
     def multiplications(self) -> int:
         """Of the classifier's convolutions and dense layers, computed as a whole."""
-        return multiplications(self.layers[CLASSIFIER], self.config.shape, self._tensors)
+        return multiplications(self.network[CLASSIFIER], self.config.shape, self._tensors)
 
     @property
     def _tensors(self) -> dict[str, Shape]:
         return {name: w.shape for name, w in self.weights.items()}
 
     def __repr__(self) -> str:
-        ops = Counter(layer["op"] for layers in self.layers.values() for layer in layers if layer.get("weights"))
+        ops = Counter(layer["op"] for layers in self.network.values() for layer in layers if layer.get("weights"))
         volume = f"{'x'.join(map(str, self.config.sensor))} -> {'x'.join(map(str, self.config.shape))}"
         network = [*(f"{n} {op}" for op, n in ops.items()), f"{sum(w.size for w in self.weights.values()):,} weights"]
         return f"Model({len(self.classes)} classes, {', '.join([volume, *network])})"
@@ -268,47 +254,3 @@ def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray])
         for layer in layers:
             if layer["op"] == "batch_norm" and not (weights[layer["weights"]["variance"]] + layer["epsilon"] > 0).all():
                 raise ValueError(f"layer {layer['name']!r} (batch_norm): variance + epsilon must be positive")
-
-
-# -- the network of a model for which none is given ---------------------------------------------------------
-
-
-def thesis_network(config: TNTConfig) -> dict[str, list[dict[str, Any]]]:
-    """The thesis' two networks as layers: what a model has whose network is not given.
-
-    The classifier: two convolutions with ReLU, each followed by average pooling, then two dense layers. The landmark
-    regressor, where the configuration needs one: three convolutions with ReLU, then one 1x1, and the heatmap's centroid
-    (Wang 2019; widths are the weights').
-    """
-    pool = {"kernel": [2, 2], "stride": [2, 2], "padding": [0, 0, 0, 0]}
-    halves = [s for k in (1, 2) for s in (_conv(f"conv{k}"), _relu(k), (f"pool{k}", "average_pool", pool))]
-    dense = [("flatten", "flatten", {}), _dense("fc1"), _relu(3), _dense("fc2")]
-    network = {CLASSIFIER: _chain(*halves, *dense)}
-    if config.needs_regressor:
-        steps = [s for k in (1, 2, 3) for s in (_conv(f"conv{k}", "regressor."), _relu(k))]
-        heatmap = _conv("heatmap", "regressor.", side=1, roles=("weight",))  # a bias would not move the centroid
-        network[REGRESSOR] = _chain(*steps, heatmap, ("landmark", "heatmap_centroid", {}))
-    return network
-
-
-def _chain(*steps: LayerRow) -> list[dict[str, Any]]:
-    names = [VOLUME, *(name for name, _, _ in steps)]
-    return [
-        {"op": op, "name": name, "inputs": [before], **parameters}
-        for before, (name, op, parameters) in zip(names, steps, strict=False)
-    ]
-
-
-def _conv(name: str, prefix: str = "", side: int = 3, roles: tuple[str, ...] = ("weight", "bias")) -> LayerRow:
-    """A convolution that keeps the size."""
-    weights = {role: f"{prefix}{name}.{role}" for role in roles}
-    sides = {"kernel": [side, side], "stride": [1, 1], "padding": [side // 2] * 4, "dilation": [1, 1]}
-    return name, "conv", {"weights": weights, **sides, "groups": 1}
-
-
-def _relu(k: int) -> LayerRow:
-    return f"relu{k}", "relu", {}
-
-
-def _dense(name: str) -> LayerRow:
-    return name, "dense", {"weights": {role: f"{name}.{role}" for role in ("weight", "bias")}}

@@ -75,7 +75,7 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         producer_name="async_tnt",
         producer_version=__version__,
     )
-    network = json.dumps(model.layers[CLASSIFIER])  # nodes show what they compute, but not of which layer they are
+    network = json.dumps(model.network[CLASSIFIER])  # nodes show what they compute, but not of which layer they are
     make.set_model_props(made, model.description() | {"network": network, "sha256": BLANK})
     seal(made)
     onnx.checker.check_model(made, full_check=True)
@@ -91,7 +91,7 @@ class _Nodes:
     def __init__(self, model: Model, make_node: Callable[..., onnx.NodeProto]) -> None:
         self._make = make_node
         self.nodes: list[Any] = []
-        layers = model.layers[CLASSIFIER]
+        layers = model.network[CLASSIFIER]
         self.weights = {name: model.weights[name] for name in sorted(tensors_of(layers))}
         self._shapes = layer_shapes(layers, model.config.shape, {name: w.shape for name, w in model.weights.items()})
         self._names = {VOLUME: VOLUME}

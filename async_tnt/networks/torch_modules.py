@@ -35,7 +35,7 @@ def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
 def _network(model: Model, name: str) -> tnt_reference.LayerNetwork:
     from tnt_reference import LayerNetwork
 
-    return LayerNetwork(model.layers[name], model.weights).eval()
+    return LayerNetwork(model.network[name], model.weights).eval()
 
 
 def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:

@@ -215,7 +215,7 @@ def export(
     """
     config = config or pipeline.config
     model = Model.from_torch(pipeline.classifier, config, classes, record=record, regressor=pipeline.regressor)
-    weights, network = dict(model.weights), dict(model.layers)
+    weights, network = dict(model.weights), dict(model.network)
     for name, scale in ((CLASSIFIER, pipeline.scale), (REGRESSOR, pipeline.raw_scale)):
         if name not in network or scale == 1:
             continue

@@ -78,7 +78,7 @@ def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
     A network that ends in neither a dense layer nor a convolution, or whose last layer shares its weights with another,
     stays as it is: 1.
     """
-    *others, last = model.layers[CLASSIFIER]
+    *others, last = model.network[CLASSIFIER]
     shared = {name for layer in others for name in layer.get("weights", {}).values()}
     if last["op"] not in ("dense", "conv") or shared & {*last["weights"].values()}:
         return model, 1.0

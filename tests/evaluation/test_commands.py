@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made import thesis_model
 from processes import started
 from waiting import until
 
@@ -82,16 +83,16 @@ def test_a_moment_knows_the_events_before_it_and_no_others():
 
 
 def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
-    from async_tnt import Model, load_model
+    from async_tnt import load_model
 
     model = load_model("digits")
     model.save(tmp_path / "m.safetensors")
     words = "run", samples / "3", "--model", tmp_path / "m.safetensors", "--out", tmp_path / "r.jsonl"
     assert program(*words)[0] == 0
-    Model(model.config, model.weights, model.classes, {"other": "record"}).save(tmp_path / "m.safetensors")
+    thesis_model(model.config, model.weights, model.classes, {"other": "record"}).save(tmp_path / "m.safetensors")
     assert program(*words)[0] == 0  # the training record changes no decision
     weights = {**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(1)}
-    Model(model.config, weights, model.classes).save(tmp_path / "m.safetensors")
+    thesis_model(model.config, weights, model.classes).save(tmp_path / "m.safetensors")
     code, _, message = program(*words)
     assert code == 2 and "was made with another model, window, trigger, engine" in message
     assert program(*words, "--restart")[0] == 0

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from made import random_model
+from made import random_model, thesis_model
 from training.gestures import bar, write, write_set
 
-from async_tnt import Model, Processor, TNTConfig
+from async_tnt import Processor, TNTConfig
 from async_tnt.sources.files.recording import open_recording
 
 CLASSES = ("flat", "slanted", "upright")
@@ -18,7 +18,7 @@ def model():
     """A random network whose decisions vary."""
     made = random_model(TNTConfig(sensor=(128, 128), window_us=60_000), classes=3, seed=3)
     weights = {name: w * (60 if name == "fc2.weight" else 1) for name, w in made.weights.items()}
-    return Model(made.config, weights, CLASSES)
+    return thesis_model(made.config, weights, CLASSES)
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_early_decisions_are_those_of_an_independent_count(saved, dataset, windo
 
 def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(model, program, tmp_path):
     """Two may begin at the same moment."""
-    of_events = Model(model.config.replace(window_events=10), model.weights, CLASSES)
+    of_events = thesis_model(model.config.replace(window_events=10), model.weights, CLASSES)
     events = bar("flat", 0)[:200]
     events["t"][80:120] = events["t"][80]
     write(tmp_path / "set" / "Test" / "flat" / "a.npy", events)

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made import random_model
+from made import random_model, thesis_model
 
-from async_tnt import EVENT_DTYPE, Model, Processor, TNTConfig, TNTVolume
+from async_tnt import EVENT_DTYPE, Processor, TNTConfig, TNTVolume
 from async_tnt.events import EventDecoder, as_events
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.simulation.simulator import simulate
@@ -222,7 +222,7 @@ def test_no_mask_of_events_is_ignored():
 def test_no_mask_of_any_other_array_is_ignored():
     model = random_model()
     for name, take, shape in (
-        ("fc2.bias", lambda bias: Model(model.config, model.weights | {"fc2.bias": bias}, model.classes), 10),
+        ("fc2.bias", lambda bias: thesis_model(model.config, model.weights | {"fc2.bias": bias}, model.classes), 10),
         ("volume", CompiledClassifier(model), model.config.shape),
         ("mask", lambda mask: PixelFilter((34, 34), mask=mask), (34, 34)),
         ("log_frames", lambda frames: simulate(frames, [0, 1], np.random.default_rng(0)), (2, 3, 3)),

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import torch
-from made import random_model
+from made import random_model, thesis_model
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, TNTVolume
 from async_tnt.training.networks import build_network
@@ -38,7 +38,9 @@ class Network:
         if self.widths > (1, 1, 1):
             return model
         alive = {name: np.abs(w) for name, w in model.weights.items() if not name.startswith("fc2")}
-        return Model(model.config, model.weights | alive, model.classes)  # otherwise one ReLU may hide all changes
+        return thesis_model(
+            model.config, model.weights | alive, model.classes
+        )  # otherwise one ReLU may hide all changes
 
     def classifier(self, seed: int = 0) -> CompiledClassifier:
         return CompiledClassifier(self.model(seed))

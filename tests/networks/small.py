@@ -2,10 +2,10 @@
 
 import json
 
-from made import random_model
+from made import random_model, thesis_network
 
 from async_tnt import TNTConfig
-from async_tnt.networks.model import FORMAT, thesis_network
+from async_tnt.networks.model import FORMAT
 from async_tnt.networks.model_file import checksum, tensor_bytes
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)

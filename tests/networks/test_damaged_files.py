@@ -8,13 +8,14 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import thesis_network
 from networks.foreign import network, onnx
 from networks.small import SMALL, changed, small_model, write_file
 from safetensors.torch import save_file as save_tensors
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
-from async_tnt.networks.model import FORMAT, thesis_network
+from async_tnt.networks.model import FORMAT
 from async_tnt.networks.onnx_export import seal
 
 ONNX = to_onnx(small_model()).SerializeToString()

@@ -37,9 +37,9 @@ def test_a_torch_module_computes_what_it_did(tmp_path):
     for one in (model, load_model(model.save(tmp_path / "m.safetensors"))):
         found = [CompiledClassifier(one)(volume) for volume in VOLUMES]
         assert np.abs(found - expected).max() <= 1e-5
-    again = model_of(LayerNetwork(model.layers["classifier"], model.weights))
+    again = model_of(LayerNetwork(model.network["classifier"], model.weights))
     assert_same(again, model)
-    assert again.layers == model.layers
+    assert again.network == model.network
 
 
 class Written(nn.Module):

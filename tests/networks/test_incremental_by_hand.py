@@ -5,7 +5,7 @@ from pkgutil import iter_modules
 
 import numpy as np
 import pytest
-from made import events_of, random_events, random_model
+from made import events_of, random_events, random_model, thesis_model
 from networks.cases import NETWORKS
 from numba.core.registry import CPUDispatcher
 from oracles import forward
@@ -52,7 +52,7 @@ def by_hand() -> Model:
     weights["fc1.bias"][:] = 0.5
     weights["fc2.weight"][:, 0] = 2, -1
     weights["fc2.bias"][:] = 0, 1
-    return Model(CONFIG, weights, ("a", "b"))
+    return thesis_model(CONFIG, weights, ("a", "b"))
 
 
 def test_one_small_network_event_by_event():
@@ -80,7 +80,9 @@ def test_probabilities_of_logits_beyond_the_range_of_exp():
     weights = dict(by_hand().weights)
     weights["fc1.weight"] = np.zeros((1, 4))
     for biases, expected in (([2000, 1999], 1 / (1 + np.exp(-1))), ([-2000, -1999], 1 / (1 + np.exp(1)))):
-        model = Model(CONFIG, weights | {"fc2.weight": np.zeros((2, 1)), "fc2.bias": np.array(biases)}, ("a", "b"))
+        model = thesis_model(
+            CONFIG, weights | {"fc2.weight": np.zeros((2, 1)), "fc2.bias": np.array(biases)}, ("a", "b")
+        )
         for classifier in (None, lambda volume, biases=biases: biases):
             decision = Processor(model, classifier=classifier).fire()
             assert decision.probabilities.tolist() == pytest.approx([expected, 1 - expected], rel=1e-12)
@@ -97,7 +99,7 @@ def overflowing(**settings) -> list[Processor]:
     weights = dict(by_hand().weights)
     weights["fc1.weight"] = np.array([[0.001, 0, 0, 3e38]])
     weights["fc2.weight"] = np.array([[20], [-1]])
-    model = Model(CONFIG, weights, ("a", "b"))
+    model = thesis_model(CONFIG, weights, ("a", "b"))
     general = Processor(CONFIG, classifier=CompiledClassifier(model).__call__, classes=["a", "b"], **settings)
     return [Processor(model, **settings), general]
 

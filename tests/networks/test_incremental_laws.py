@@ -147,7 +147,7 @@ def test_a_volume_of_another_shape_is_refused():
 @given(random_models(), st.integers(0, 10_000), st.lists(st.sampled_from([1, 1, 2, 10, 100]), min_size=3, max_size=12))
 def test_at_every_packet(model, seed, sizes):
     dense, incremental = CompiledClassifier(model), CompiledClassifier(model)
-    reference = LayerNetwork(model.layers["classifier"], model.weights).double().eval()
+    reference = LayerNetwork(model.network["classifier"], model.weights).double().eval()
     volume, first = TNTVolume(model.config), 0
     events = random_events(sum(sizes), seed=seed, duration_us=2500, sensor=CONFIG.sensor)
     for size in sizes:

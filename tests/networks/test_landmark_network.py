@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from made import random_regressor_model
+from made import random_regressor_model, thesis_model
 
-from async_tnt import CompiledRegressor, Model, TNTConfig
+from async_tnt import CompiledRegressor, TNTConfig
 from async_tnt.kernels.heatmap import centroid
 
 
@@ -24,7 +24,9 @@ def middle_taps(config: TNTConfig, heatmap: float) -> CompiledRegressor:
     for layer in ("conv1", "conv2", "conv3"):
         weights |= {f"regressor.{layer}.weight": kernel, f"regressor.{layer}.bias": np.zeros(1)}
     return CompiledRegressor(
-        Model(config, weights | {"regressor.heatmap.weight": np.full((1, 1, 1, 1), heatmap)}, tuple("abcdefghij"))
+        thesis_model(
+            config, weights | {"regressor.heatmap.weight": np.full((1, 1, 1, 1), heatmap)}, tuple("abcdefghij")
+        )
     )
 
 

@@ -6,13 +6,13 @@ import re
 
 import numpy as np
 import pytest
+from made import thesis_network
 from networks.small import SMALL, WITH_REGRESSOR, changed, small_model, write_file
 from tnt_reference import Classifier, LandmarkRegressor, LayerNetwork
 
 from async_tnt import CompiledClassifier, Model, load_model
 from async_tnt.networks import graph
 from async_tnt.networks.graph import layer_shapes
-from async_tnt.networks.model import thesis_network
 
 
 def test_the_thesis_layers_are_those_of_the_references_modules():
@@ -25,11 +25,11 @@ def test_the_thesis_layers_are_those_of_the_references_modules():
         {name: torch.tensor(w) for name, w in model.weights.items() if not name.startswith("regressor.")}
     )
     volume = torch.randn(2, channels, height, width, generator=torch.Generator().manual_seed(0))
-    layers = {name: LayerNetwork(part, model.weights) for name, part in model.layers.items()}
+    layers = {name: LayerNetwork(part, model.weights) for name, part in model.network.items()}
     assert torch.equal(layers["classifier"](volume), classifier(volume))
     even = LandmarkRegressor(channels, (width, height), 5)
     weights = {f"regressor.{name}": w.detach().numpy() for name, w in even.state_dict().items()}
-    landmarks = LayerNetwork(model.layers["regressor"], weights)(volume)
+    landmarks = LayerNetwork(model.network["regressor"], weights)(volume)
     assert torch.allclose(landmarks, even(volume), atol=1e-12)
 
 

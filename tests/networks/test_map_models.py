@@ -285,9 +285,9 @@ def test_the_same_network_for_another_sensor():
 def test_what_a_map_model_refuses():
     model = map_model()
     with pytest.raises(ValueError, match="needs transform='none'"):
-        Model(CONFIG.replace(transform="tnt"), model.weights, model.classes, {}, model.layers)
+        Model(CONFIG.replace(transform="tnt"), model.weights, model.classes, network=model.network)
     with pytest.raises(ValueError, match=r"4 logits, one for each class, or a map of 5 channels.*got \(4, 20, 35\)"):
-        Model(CONFIG, model.weights, (*model.classes, "one more"), {}, model.layers)
+        Model(CONFIG, model.weights, (*model.classes, "one more"), network=model.network)
     with pytest.raises(ValueError, match="`confidence` needs one answer for the window"):
         Processor(model, confidence=0.9)
     processor = Processor(model, every_us=100)

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
+from made import thesis_model
 from networks.random_networks import random_models
 from networks.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_file
 from safetensors import safe_open
 
-from async_tnt import CompiledClassifier, Model, bundled_models, load_model
+from async_tnt import CompiledClassifier, bundled_models, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 
 
@@ -27,15 +28,15 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
     for loaded in (load_model(path), load_model(str(path))):
         assert_same(loaded, model)
         assert list(loaded.weights) == sorted(model.weights)  # as what is made of them depends on their order
-        assert loaded.layers == model.layers
+        assert loaded.network == model.network
         assert CompiledClassifier(loaded)(volume).tobytes() == CompiledClassifier(model)(volume).tobytes()
 
 
 def test_extreme_weights_names_and_records_come_back_from_a_plain_safetensors_file(tmp_path):
     special = np.array([np.finfo("f4").max, np.finfo("f4").tiny, 1e-45, -0.0], np.float32)
     record = {"data": "N-MNIST", "Genauigkeit": [0.5, 1, None, True], "nested": {"猫": "\n\"'\\\0"}}
-    assert Model(SMALL, changed(), [0, 1, 2]).classes == ("0", "1", "2")
-    model = Model(SMALL, changed(fc1__bias=special), ["Ölbaum", "", "猫 🐈"], record)
+    assert thesis_model(SMALL, changed(), [0, 1, 2]).classes == ("0", "1", "2")
+    model = thesis_model(SMALL, changed(fc1__bias=special), ["Ölbaum", "", "猫 🐈"], record)
     assert model.classes == ("Ölbaum", "", "猫 🐈")
     assert repr(model) == "Model(3 classes, 9x8 -> 2x6x5, 2 conv, 2 dense, 126 weights)"
     path = model.save(tmp_path / "ein Modell")
@@ -58,7 +59,7 @@ def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
     weights = {name: np.asfortranarray(np.ceil(np.abs(w)), dtype) for name, w in changed().items()}
     weights["fc2.weight"] = np.repeat(weights["fc2.weight"], 2, axis=1)[:, ::2]
     weights["fc1.bias"].flags.writeable = False
-    for name, values in Model(SMALL, weights, CLASSES).weights.items():
+    for name, values in thesis_model(SMALL, weights, CLASSES).weights.items():
         assert (
             values.dtype == np.float32 and values.flags.c_contiguous and not np.may_share_memory(values, weights[name])
         )
@@ -70,7 +71,7 @@ def test_what_cannot_be_saved_leaves_nothing(tmp_path):
     with pytest.raises(OSError, match="folder"):
         small_model().save(tmp_path / "folder")
     with pytest.raises(TypeError, match="float32 is not JSON serializable"):
-        Model(SMALL, changed(), CLASSES, {"accuracy": np.float32(0.5)}).save(tmp_path / "m")
+        thesis_model(SMALL, changed(), CLASSES, {"accuracy": np.float32(0.5)}).save(tmp_path / "m")
     assert os.listdir(tmp_path) == ["folder"] and os.listdir(tmp_path / "folder") == []
 
 
@@ -91,7 +92,7 @@ SHAPES = {name: w.shape for name, w in small_model(config=WITH_REGRESSOR).weight
 def assert_refused(message, path, weights, config=WITH_REGRESSOR):
     """By Model, and by `load_model` as a damaged file; `message` is a regular expression."""
     with pytest.raises(ValueError, match=f"^{message}$"):
-        Model(config, weights, CLASSES)
+        thesis_model(config, weights, CLASSES)
     with np.errstate(over="ignore"):
         write_file(path, {name: np.asarray(w, np.float32) for name, w in weights.items()}, config)
     with pytest.raises(ValueError, match=f"^{re.escape(f'{path} holds a damaged model: ')}{message}$"):
@@ -148,4 +149,4 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
 )
 def test_wrong_classes_records_and_weights(changes, error, message):
     with pytest.raises(error, match=f"^{re.escape(message)}"):
-        Model(**{"config": SMALL, "weights": changed(), "classes": CLASSES, **changes})
+        thesis_model(**{"config": SMALL, "weights": changed(), "classes": CLASSES, **changes})

@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 from deciding import summary
-from made import random_model
+from made import random_model, thesis_model
 
-from async_tnt import CompiledClassifier, LeakyIntegrator, Model, Processor, TNTConfig
+from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, TNTConfig
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none", polarity="unsigned")
 
@@ -28,7 +28,7 @@ def compiled_number_of_events() -> CompiledClassifier:
     weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
     weights["fc1.weight"][:] = 16
     weights["fc2.weight"][0] = 1
-    return CompiledClassifier(Model(CONFIG, weights, ("many", "few")))
+    return CompiledClassifier(thesis_model(CONFIG, weights, ("many", "few")))
 
 
 @pytest.fixture(params=["callable", "compiled"])
@@ -203,7 +203,7 @@ def test_a_level_that_is_just_reached(way, n_classes, probability):
     """Classes that are all alike: exactly 1 / n each."""
     model = random_model(CONFIG, classes=n_classes, widths=(1, 1, 1))
     alike = {name: np.zeros_like(w) for name, w in model.weights.items()}
-    compiled = CompiledClassifier(Model(CONFIG, alike, model.classes))
+    compiled = CompiledClassifier(thesis_model(CONFIG, alike, model.classes))
     classifier = compiled if way == "compiled" else lambda volume: [0.0] * n_classes
     for confidence, closes in ((probability, True), (min(1.0, np.nextafter(probability, 2)), n_classes == 1)):
         for push in (lambda p: p.push_one(0, 1, 1, 1), lambda p: p.push(at(0))):

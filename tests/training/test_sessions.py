@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from made import random_model
+from made import random_model, thesis_model
 from sources.files.written import aedat3
 from training.gestures import bar, write
 
-from async_tnt import Model, TNTConfig
+from async_tnt import TNTConfig
 from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
@@ -66,7 +66,7 @@ def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
 
 def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_path, program):
     random = random_model(TNTConfig(sensor=(128, 128), window_us=60_000), classes=2, seed=3)
-    model = Model(random.config, random.weights, ("flat", "upright")).save(tmp_path / "m.safetensors")
+    model = thesis_model(random.config, random.weights, ("flat", "upright")).save(tmp_path / "m.safetensors")
     for s, name in enumerate(("user01_lab", "user02_lab", "user02_led")):
         for k, kind in enumerate(("flat", "upright", "flat")):
             write(tmp_path / "files" / kind / f"{name}{k}.npz", cut(part(kind, 10 * s + k, k)))
