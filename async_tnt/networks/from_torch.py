@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from torch import fx, nn
 from async_tnt.checks import one_line
 from async_tnt.networks.conversion_check import Function, compare
 from async_tnt.networks.graph import VOLUME
-from async_tnt.networks.torch_layers import IN_PLACE, Call, LayerList, float_array
-from async_tnt.networks.torch_operations import ELEMENTWISE, FUNCTIONS, METHODS, MODULES, Operation
+from async_tnt.networks.torch_layers import Call, LayerList, float_array
+from async_tnt.networks.torch_operations import FUNCTIONS, METHODS, MODULES, Operation
 
 Layers = list[dict[str, Any]]
 WAY_OUT = (
@@ -113,38 +112,22 @@ def own_copy(module: nn.Module) -> nn.Module:
         raise NotImplementedError(f"the module cannot be copied: {one_line(error)}") from None
 
 
-class _Proxy(fx.Proxy):
-    """A value of the trace that also records `x += y`, where fx would record `x + y`."""
-
-
-for _function in IN_PLACE - {operator.setitem, operator.delitem}:
-
-    def _record(self: fx.Proxy, other: Any, function: Any = _function) -> fx.Proxy:
-        return self.tracer.create_proxy("call_function", function, (self, other), {})
-
-    setattr(_Proxy, f"__{_function.__name__}__", _record)
-
-
 class _Tracer(fx.Tracer):
     proxy_buffer_attributes = True  # a change of a buffer is recorded, too
 
     def is_leaf_module(self, m: nn.Module, module_qualified_name: str) -> bool:
         return super().is_leaf_module(m, module_qualified_name) or type(m) in MODULES
 
-    def proxy(self, node: fx.Node) -> fx.Proxy:
-        return _Proxy(node, self)
-
 
 class _Conversion:
     """Reads the nodes of a trace in their order.
 
-    In-place operations are read as copies, so it also keeps which nodes share memory: after one of them has been
-    written to, the others stand for the new value, or for none that a layer has.
+    An in-place operation is read as one whose result takes its input's place. Where other values lie in the same
+    memory, that differs from what the module computes, and `check_torch_layers` refuses it.
     """
 
     def __init__(self, module: nn.Module, made: LayerList) -> None:
         self._module, self._made = module, made
-        self._memory: dict[fx.Node, fx.Node] = {}  # node -> the first one in the same memory
 
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
@@ -185,18 +168,16 @@ class _Conversion:
         """Add a node's layer, if it is one, and keep the name of the layer whose value it has."""
         kind, module, operation = self._operation(node)
         where = f"layer {node.target!r} ({kind})" if module is not None else f"operation {node.name!r} ({kind})"
-        if operation is None and node.users:
+        if operation is None:
+            if not node.users:
+                return
             instead = ": a decision has the softmax of its logits, leave it out" if "softmax" in kind.lower() else ""
             raise NotImplementedError(f"{where} has no compiled form{instead}")
-        nothing_to_read = not node.users and not self._made.overwritten.keys().isdisjoint(node.all_input_nodes)
         try:
-            if operation is None or nothing_to_read:
-                for source in [] if _is_pure(node, module, kind) else node.all_input_nodes:
-                    self._write(source, {}, where)
-                return
             call = Call(node, self._with_tensors(operation.arguments(node, module)), module)
             if node.users or call.written is not None:
-                self._add(call, operation, where)
+                name = operation.rule(self._made, call)
+                self._made.names |= {node: name, **({} if call.written is None else {call.written: name})}
         except NotImplementedError as error:
             raise NotImplementedError(f"{where}: {error}") from None
 
@@ -210,36 +191,6 @@ class _Conversion:
 
         return {name: value(argument) for name, argument in arguments.items()}
 
-    def _add(self, call: Call, operation: Operation, where: str) -> None:
-        made, written = self._made, call.written
-        name = operation.rule(made, call)
-        if written is not None:
-            values = {made.source(written): name}
-            if operation.rule in ELEMENTWISE and written is call["input"]:  # the same for what has another shape
-                for other in {made.names[node] for node in self._sharing(written)} - values.keys():
-                    values[other] = operation.rule(made, replace(call, arguments={**call.arguments, "input": other}))
-            self._write(written, values, where)
-        shared = call.arguments["input"] if operation.is_view else written
-        if shared is not None:
-            self._memory[call.node] = self._memory.get(shared, shared)
-        self._made.names[call.node] = name
-
-    def _sharing(self, source: fx.Node) -> list[fx.Node]:
-        """The nodes in the memory of `source` whose value a layer has."""
-        memory = self._memory.get(source, source)
-        return [node for node in self._made.names if self._memory.get(node, node) is memory]
-
-    def _write(self, source: Any, values: Mapping[str, str], where: str) -> None:
-        """The memory of `source` has changed. `values` : the layer of a value before -> the layer of it now."""
-        if source not in self._made.overwritten:
-            self._made.source(source)  # refuses weights and buffers
-        for node in self._sharing(source):
-            before = self._made.names.pop(node)
-            if before in values:
-                self._made.names[node] = values[before]
-            else:
-                self._made.overwritten[node] = where
-
     def _operation(self, node: fx.Node) -> tuple[str, nn.Module | None, Operation | None]:
         """The name of what a node calls, the module if it is one, and what is known of it."""
         if node.op == "call_module":
@@ -248,12 +199,3 @@ class _Conversion:
         name = node.target if isinstance(node.target, str) else getattr(node.target, "__name__", str(node.target))
         known = {"call_method": METHODS, "call_function": FUNCTIONS}.get(node.op, {})
         return name, None, known.get(node.target)
-
-
-def _is_pure(node: fx.Node, module: nn.Module | None, name: str) -> bool:
-    """Whether an operation without a compiled form is torch's or Python's own, and changes nothing in place."""
-    if node.op == "call_function":
-        theirs = str(getattr(node.target, "__module__", "")).partition(".")[0] in ("torch", "_operator", "builtins")
-        if not theirs or node.target in IN_PLACE or "out" in node.kwargs:
-            return False
-    return not (name.endswith("_") or node.kwargs.get("inplace") or getattr(module, "inplace", False))

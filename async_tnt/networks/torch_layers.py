@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,13 +12,6 @@ from torch import fx
 
 from async_tnt.networks.conversion_check import expect_form
 from async_tnt.networks.graph import VOLUME, layer_shapes
-
-IN_PLACE = (
-    {operator.setitem, operator.delitem}
-    | {  # and those that have a twin: iadd has add
-        value for name, value in vars(operator).items() if name.startswith("__i") and f"__{name[3:]}" in vars(operator)
-    }
-)
 
 
 @dataclass(frozen=True)
@@ -36,10 +28,10 @@ class Call:
 
     @property
     def written(self) -> Any:
-        """The node whose memory holds its result, too, as of in-place operations; or None."""
+        """The node whose value its result replaces, as of in-place operations; or None."""
         target = self.node.target
         name = target if self.node.op == "call_method" else getattr(target, "__name__", "")
-        in_place = target in IN_PLACE or str(name).endswith("_") or bool(self.arguments.get("inplace"))
+        in_place = str(name).endswith("_") or bool(self.arguments.get("inplace"))
         return self.arguments["input"] if in_place else self.arguments.get("out")
 
 
@@ -52,8 +44,6 @@ class LayerList:
         self.weights: dict[str, np.ndarray] = {}
         self.names: dict[fx.Node, str] = {}
         """Of the layer whose value a node has."""
-        self.overwritten: dict[fx.Node, str] = {}
-        """What changed a node's value to one that no layer has."""
 
     def add(self, op: str, call: Call, sources: Iterable[Any] | None = None, **parameters: Any) -> str:
         """Add a layer of a call; returns its name. `sources` are by default its only input."""
@@ -73,9 +63,7 @@ class LayerList:
         if isinstance(node, torch.Tensor):
             raise NotImplementedError(f"a constant of shape {tuple(node.shape)} here has no compiled form")
         if not isinstance(node, fx.Node) or node not in self.names:
-            by = self.overwritten.get(node) if isinstance(node, fx.Node) else None
-            why = "not computed from the volume" if by is None else f"changed in place by {by}"
-            raise NotImplementedError(f"the value {node} is {why}")
+            raise NotImplementedError(f"the value {node} is not computed from the volume")
         return self.names[node]
 
     def shape(self, node: Any) -> tuple[int, ...]:

@@ -205,8 +205,6 @@ class Operation:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """After the inputs, in torch's order: name -> default. A module has them as attributes."""
     inputs: tuple[str, ...] = ("input",)
-    is_view: bool = False
-    """Its value may lie in its input's memory."""
 
     def arguments(self, node: fx.Node, module: nn.Module | None) -> dict[str, Any]:
         if self.rule is _view:
@@ -238,15 +236,10 @@ GELU = Operation(_gelu, {"approximate": "none"})
 SIGMOID, TANH, LOG1P = map(_function, ("sigmoid", "tanh", "log1p"))
 SILU, HARDSWISH, HARDSIGMOID = map(_function, ("silu", "hardswish", "hardsigmoid"))
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
-FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1}, is_view=True)
-VIEW = Operation(_view, is_view=True)
-DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_FLAG}, is_view=True)
+FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1})
+VIEW = Operation(_view)
+DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_FLAG})
 
-ELEMENTWISE = (
-    *(_relu, _relu6, _hardtanh, _clamp, _leaky_relu, _gelu),
-    *(operation.rule for operation in (SIGMOID, TANH, LOG1P, SILU, HARDSWISH, HARDSIGMOID)),
-)
-"""Rules that are the same for a value in any shape."""
 MODULES: dict[type, Operation] = {
     nn.Conv2d: Operation(_conv),
     nn.Linear: Operation(_linear),
@@ -266,7 +259,7 @@ MODULES: dict[type, Operation] = {
     nn.AdaptiveAvgPool2d: ADAPTIVE_POOL,
     nn.Flatten: FLATTEN,
     **dict.fromkeys((nn.Dropout, nn.Dropout1d, nn.Dropout2d), DROPOUT),
-    nn.Identity: Operation(_same, is_view=True),
+    nn.Identity: Operation(_same),
     HeatmapCentroid: Operation(_centroid),
 }
 """By the very type: a subclass may compute anything."""
@@ -280,10 +273,10 @@ FUNCTIONS: dict[Any, Operation] = {
     F.avg_pool2d: AVERAGE_POOL,
     F.adaptive_avg_pool2d: ADAPTIVE_POOL,
     torch.mean: MEAN,
-    **dict.fromkeys((torch.add, operator.add, operator.iadd), ADD),
-    **dict.fromkeys((torch.sub, torch.subtract, operator.sub, operator.isub), SUB),
-    **dict.fromkeys((torch.mul, torch.multiply, operator.mul, operator.imul), MUL),
-    **dict.fromkeys((torch.div, torch.divide, operator.truediv, operator.itruediv), DIV),
+    **dict.fromkeys((torch.add, operator.add), ADD),
+    **dict.fromkeys((torch.sub, torch.subtract, operator.sub), SUB),
+    **dict.fromkeys((torch.mul, torch.multiply, operator.mul), MUL),
+    **dict.fromkeys((torch.div, torch.divide, operator.truediv), DIV),
     **dict.fromkeys((torch.sigmoid, torch.sigmoid_, F.sigmoid), SIGMOID),
     **dict.fromkeys((torch.tanh, torch.tanh_, F.tanh), TANH),
     **dict.fromkeys((torch.log1p, torch.log1p_), LOG1P),
@@ -309,5 +302,5 @@ METHODS: dict[Any, Operation] = {
     **dict.fromkeys(("log1p", "log1p_"), LOG1P),
     "flatten": FLATTEN,
     **dict.fromkeys(("view", "reshape"), VIEW),
-    "contiguous": Operation(_same, {"memory_format": None}, is_view=True),
+    "contiguous": Operation(_same, {"memory_format": None}),
 }
