@@ -134,9 +134,9 @@ def run_archive(args: argparse.Namespace) -> int:
 
 
 def _check_run(args: argparse.Namespace) -> None:
-    for name in ("json", "latest"):
-        if getattr(args, name, None):
-            raise ValueError(f"--{name} does not go with --out")
+    for name in ("json", "keep_up"):
+        if getattr(args, name):
+            raise ValueError(f"--{name.replace('_', '-')} does not go with --out")
     for path in paths_of(args):
         if not isinstance(path, Path):
             raise ValueError(f"--out takes recordings and folders of them, got {path}")

@@ -17,20 +17,10 @@ from async_tnt.sources.pixel_selection import PixelSelector
 
 if TYPE_CHECKING:
     from async_tnt.processor import Processor
-    from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.sources.keep_up import KeepUp
 
-Queue = Callable[..., "BackgroundReader"]
+Queue = Callable[..., "KeepUp"]
 """Of packets, and `on_close`."""
-
-
-def add_latest(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--latest",
-        type=positive_int,
-        metavar="PACKETS",
-        help="camera or network: read in the background and keep at most this many packets waiting; if decisions are "
-        "slower than events, the oldest packets are skipped and counted",
-    )
 
 
 def add_keep_up(parser: argparse.ArgumentParser) -> None:
@@ -43,25 +33,19 @@ def add_keep_up(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_latest(args: argparse.Namespace) -> None:
-    """Refuse --latest and --keep-up where all sources are recordings, or both."""
-    given = [f"--{name.replace('_', '-')}" for name in ("latest", "keep_up") if getattr(args, name, None) is not None]
-    if given and all(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError(f"{given[0]} belongs to a camera or the network; a recording is never skipped")
-    if len(given) > 1:
-        raise ValueError("--latest and --keep-up are two ways to skip; give one of them")
+def check_keep_up(args: argparse.Namespace) -> None:
+    """Refuse --keep-up where all sources are recordings."""
+    if args.keep_up is not None and all(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError("--keep-up belongs to a camera or the network; a recording is never skipped")
 
 
-def queue_for(args: argparse.Namespace, processor: Processor | None = None) -> Queue | None:
-    """How packets wait, by --latest or --keep-up; None: they do not."""
-    if args.latest is None and getattr(args, "keep_up", None) is None:
+def queue_for(args: argparse.Namespace, processor: Processor) -> Queue | None:
+    """How packets wait, by --keep-up; None: they do not."""
+    if args.keep_up is None:
         return None
-    from async_tnt.sources.background_reader import BackgroundReader  # imports asyncio
-    from async_tnt.sources.keep_up import KeepUp
+    from async_tnt.sources.keep_up import KeepUp  # imports asyncio
 
     # copy=False: cameras and the network put each packet in new memory
-    if args.latest is not None or processor is None:
-        return functools.partial(BackgroundReader, latest=True, max_packets=args.latest, copy=False)
     return functools.partial(KeepUp, processor=processor, max_delay_us=1_000 * args.keep_up, copy=False)
 
 
@@ -82,7 +66,7 @@ def follow(
     name: str,
     pixels: PixelSelector,
     queue: Queue | None,
-    take: Callable[[Iterable[Any], BackgroundReader | None], object],
+    take: Callable[[Iterable[Any], KeepUp | None], object],
     end: Callable[[], str] = lambda: "",
 ) -> bool:
     """Let `take` read a source until that ends or Ctrl-C; then print its counts. Returns whether Ctrl-C ended it.
@@ -113,7 +97,7 @@ def follow(
                 found = reader.counters
                 waited_ms = found.longest_wait_us / 1e3
                 counts += f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
-                if (slowest := getattr(reader, "slowest", 1)) > 1:
-                    counts += f", decisions up to {slowest} times rarer"
+                if reader.slowest > 1:
+                    counts += f", decisions up to {reader.slowest} times rarer"
             complain(f"{name}: {counts}{end()}")
     return False

@@ -22,7 +22,7 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import Queue, add_keep_up, add_latest, check_latest, follow, open_selected, queue_for
+from async_tnt.cli.packets import Queue, add_keep_up, check_keep_up, follow, open_selected, queue_for
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
@@ -80,7 +80,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "`classes`, as async-tnt info MODEL --json prints them",
     )
     add_pixels(parser)
-    add_latest(parser)
     add_keep_up(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
     add_archive(parser, needs_out=True)
@@ -94,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
 
         return run_archive(args)
     check_no_archive(args)
-    check_latest(args)
+    check_keep_up(args)
     engine = choose_engine(args.model, sensor_to_read(args), args.config)
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}

@@ -11,7 +11,7 @@ from typing import Any
 from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.packets import add_latest, check_latest, follow, open_selected, queue_for
+from async_tnt.cli.packets import add_keep_up, check_keep_up, follow, open_selected, queue_for
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
@@ -30,7 +30,7 @@ that of the recording, in microseconds, and can be played, stopped and scrubbed.
   async-tnt view a.bin --out a.rrd                 write a file as fast as possible; needs no display
   rerun a.rrd                                      open that file, here or elsewhere
   async-tnt view a.bin --every-us 5000 --every-ms 5    decisions and pictures every 5 ms
-  async-tnt view udp://127.0.0.1:3333 --latest 64  events from the network, until Ctrl-C
+  async-tnt view udp://127.0.0.1:3333 --keep-up 50 events from the network, until Ctrl-C
   async-tnt view camera --roi 400,200,34,34 --crop a part of a camera's image (extra `cameras`)
   async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy    a viewer that is running elsewhere
 
@@ -61,11 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         help="recorded milliseconds between pictures (default: 20)",
     )
-    add_latest(parser)
+    add_keep_up(parser)
 
 
 def main(args: argparse.Namespace) -> int:
-    check_latest(args)
+    check_keep_up(args)
     path = paths_of(args)[0]
     live = isinstance(path, str)
     if args.speed is not None and live:
@@ -93,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
     stopped = False
     with view:
         if opened is None:
-            stopped = follow(path, pixels, queue_for(args), lambda packets, _: _push_all(packets, view))
+            stopped = follow(path, pixels, queue_for(args, view.processor), lambda packets, _: _push_all(packets, view))
         else:
             _show(*opened, view, speed)
     if not view.n_events and not stopped:

@@ -6,7 +6,7 @@ import asyncio
 import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from async_tnt.sources.queue import PacketQueue
 
@@ -86,7 +86,7 @@ class BackgroundReader(PacketQueue):
             if self._thread is not threading.current_thread():
                 self._thread.join(timeout_s)
 
-    def __enter__(self) -> BackgroundReader:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -96,7 +96,7 @@ class BackgroundReader(PacketQueue):
         """`close`, while asyncio's other tasks run."""
         await asyncio.to_thread(self.close, timeout_s)
 
-    async def __aenter__(self) -> BackgroundReader:
+    async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *error: object) -> None:

@@ -80,7 +80,7 @@ def test_bad_usage_refers_to_help(words, message, refused):
     [
         ("view udp://127.0.0.1:3333 --speed 2", "--speed belongs to recordings; a camera or the network has a"),
         ("run --every-events 1" + "0" * 400, "must be below 2**62, got 1"),
-        ("run SAMPLE --latest 5", "--latest belongs to a camera or the network"),
+        ("run SAMPLE --keep-up 5", "--keep-up belongs to a camera or the network"),
         ("run SAMPLE --crop", "--crop belongs to --roi"),
         ("run SAMPLE --sensor 36x34", "--sensor says 36x34 pixels, but the model is for 34x34; train one for this"),
         ("run SAMPLE --roi 0,0,20,20 --crop", "for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34"),

@@ -278,7 +278,7 @@ def labels(out):
 
 @pytest.mark.parametrize(
     ("flags", "lost"),
-    [([], "(lost: unknown); "), (["--latest", "1000"], "0 skipped to stay fresh")],
+    [([], "(lost: unknown); "), (["--keep-up", "60000"], "0 skipped to stay fresh")],
     ids=["read when it is due", "read in the background"],
 )
 def test_decisions_until_the_cable_is_pulled(flags, lost, plug_in, program):
