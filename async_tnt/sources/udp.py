@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import errno
 import logging
@@ -11,7 +10,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -54,10 +53,10 @@ class NetworkCounts:
 class UdpSource:
     """Listens for datagrams of events.
 
-    Iterating (`for` or `async for`) yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of all
-    datagrams that were waiting, or of the one that ended a wait. It ends when `close` is called, from any thread, or
-    after `timeout_s` of silence. Invalid events never raise; they are dropped, see `counts`. One thread or one task
-    iterates at a time.
+    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of all datagrams that were waiting,
+    or of the one that ended a wait. It ends when `close` is called, from any thread, or after `timeout_s` of silence.
+    Invalid events never raise; they are dropped, see `counts`. One thread iterates at a time; asyncio reads it through
+    a `BackgroundReader`.
 
     Parameters
     ----------
@@ -184,15 +183,6 @@ class UdpSource:
         while (events := self.receive(self.timeout_s)) is not None:
             yield events
 
-    async def __aiter__(self) -> AsyncIterator[np.ndarray]:
-        """Packets, waited for in a thread. Cancelling the task that waits here closes the source."""
-        try:
-            while (events := await asyncio.to_thread(self.receive, self.timeout_s)) is not None:
-                yield events
-        except asyncio.CancelledError:
-            self.close()
-            raise
-
     def _drain(self, most: int) -> np.ndarray | None:
         """Up to `most` waiting datagrams as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
@@ -248,12 +238,6 @@ class UdpSource:
         return self
 
     def __exit__(self, *error: Any) -> None:
-        self.close()
-
-    async def __aenter__(self) -> UdpSource:
-        return self
-
-    async def __aexit__(self, *error: Any) -> None:
         self.close()
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from listening import send
 from made import events_of, random_events
-from waiting import in_both_ways
 
 from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp
 from async_tnt.sources.udp import WARN_AFTER
@@ -52,11 +51,10 @@ def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
     assert format == "spif" or counts.late == decoder.clock.late
 
 
-@in_both_ways
-def test_many_datagrams_become_one_packet_up_to_the_limit(read):
+def test_many_datagrams_become_one_packet_up_to_the_limit():
     source = listening(max_datagrams=8, sensor=(34, 34))
     assert send(source.port, EVENTS[:2000]) == 20
-    packets = read(source)
+    packets = list(source)
     source.close()
     assert [len(packet) for packet in packets] == [800, 800, 400]
     assert np.concatenate(packets).tobytes() == EVENTS[:2000].tobytes()  # none was overwritten by the next
@@ -66,15 +64,14 @@ def test_many_datagrams_become_one_packet_up_to_the_limit(read):
 # -- waiting, and the end --------------------------------------------------------------------------------
 
 
-@in_both_ways
-def test_closed_by_a_thread_at_any_moment(read):
+def test_closed_by_a_thread_at_any_moment():
     """No hang, no error, and the socket is closed."""
     chance = random.Random(0)
     for _ in range(50):
         source = UdpSource(port=0, buffer_bytes=4096)
         closing = threading.Timer(chance.random() * 1e-3, source.close)
         closing.start()
-        assert read(source) == []
+        assert list(source) == []
         closing.join()
         assert source._socket.fileno() == -1 and source.receive(0) is None and source.closed
 
