@@ -10,18 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.archives import how_to_run, stream_archive
+from async_tnt.cli.archives import add_archive, how_to_run, stream_archive
 from async_tnt.cli.evaluate_objects import evaluate_objects
-from async_tnt.cli.options import add_archive, model_of
+from async_tnt.cli.options import model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
-from async_tnt.evaluation.early import early_report, every_us
+from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.records import Record, evaluate_recording
 from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.scores import score_recordings
-from async_tnt.networks.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.sources.labelled_recordings import LabelledRecording, file_of, find_recordings
@@ -60,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
     add_pixels(parser)
-    add_archive(parser, needs_out=False)
+    add_archive(parser)
     parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
 
 
@@ -72,8 +71,7 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(args, model)
     recordings, labels = labelled_recordings(args.dataset, model)
     fill_cache()
-    engine = Engine("compiled", model, model.classes)
-    job = job_of("evaluate", args.model, engine, pixels.selection, every_us=every_us(model.config))
+    job = job_of(args.model, model, pixels.selection)
     tasks = [
         task_of(
             one.name_as(one.path.relative_to(args.dataset).as_posix()),

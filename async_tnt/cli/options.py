@@ -100,16 +100,11 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
 
 def of_windows(model: Model, name: str | Path) -> Model:
     """The model, if it has one answer for a window; a ValueError for a map model, whose answers are objects."""
-    check_of_windows(model.places is not None, name)
-    return model
-
-
-def check_of_windows(finds_objects: bool, name: str | Path) -> None:
-    """Refuse what finds objects, where a class for each window is needed."""
-    if finds_objects:
+    if model.places is not None:
         raise ValueError(
             f"{name} finds objects, and has no class for a window; run, view, plot, evaluate, check and bench take it"
         )
+    return model
 
 
 def model_of(args: argparse.Namespace) -> Model:
@@ -119,36 +114,6 @@ def model_of(args: argparse.Namespace) -> Model:
             f"({', '.join(bundled_models())}) or a .safetensors file is needed"
         )
     return load_model(args.model)
-
-
-def add_archive(parser: argparse.ArgumentParser, *, needs_out: bool) -> None:
-    """--workers, --dask, --out, --restart; `needs_out`: the others require --out."""
-    with_out = "with --out: " if needs_out else ""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="stream into this result file, .jsonl, one record per recording; after an interruption or a kill the same "
-        "command resumes",
-    )
-    parser.add_argument(
-        "--workers", type=positive_int, metavar="N", help=f"{with_out}processes that stream recordings (default: 1)"
-    )
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help=f"{with_out}stream on the workers of a Dask cluster with its scheduler at this address (extra `cluster`)",
-    )
-    parser.add_argument(
-        "--restart", action="store_true", help="with --out: discard the results of an earlier run and start over"
-    )
-
-
-def check_no_archive(args: argparse.Namespace) -> None:
-    """Refuse options that require --out where it is missing."""
-    for name in ("workers", "dask", "restart"):
-        if getattr(args, name):
-            raise ValueError(f"--{name} requires --out: streaming many recordings into a result file")
 
 
 def positive_int(text: str) -> int:

@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.cli.options import (
-    add_archive,
     add_files,
     add_start,
     add_triggers,
-    check_no_archive,
     paths_of,
     positive_int,
     triggers_of,
@@ -47,8 +45,6 @@ the class of the highest mean probability over its closed windows.
   async-tnt run camera --every-us 2000 --keep-up 20    a camera, at most 20 ms behind (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
-  async-tnt run archive --out r.jsonl --workers 4    all recordings under a folder, resumable (docs/guide.md)
-  async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
   async-tnt run --model digits.onnx          a file of `async-tnt export`, run by onnxruntime (extra `onnx`)
   async-tnt run a.npz --model net.onnx --config net.json    any other ONNX network, compiled if it can be
 
@@ -82,17 +78,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pixels(parser)
     add_keep_up(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
-    add_archive(parser, needs_out=True)
 
 
 def main(args: argparse.Namespace) -> int:
-    if args.out is not None:
-        if args.config is not None:
-            raise ValueError("--config cannot be given with --out: results name a model that has its configuration")
-        from async_tnt.cli.archives import run_archive  # here, so that other runs do not wait for its imports
-
-        return run_archive(args)
-    check_no_archive(args)
     check_keep_up(args)
     engine = choose_engine(args.model, sensor_to_read(args), args.config)
     fill_cache()

@@ -8,11 +8,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from async_tnt.networks.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.package import __version__
@@ -25,19 +24,13 @@ class Job:
 
     Parameters
     ----------
-    kind : "evaluate" or "run".
     model : a bundled name, or an absolute path.
-    engine : its name, see `choose_engine`.
-    settings : arguments of `Processor`.
     model_sha256 : of the model's content, without its training record.
     version : of this package.
     pixels : what the model sees of a recording; with the mask itself, so that workers need no file of it.
     """
 
-    kind: str
     model: str
-    engine: str
-    settings: dict[str, Any] = field(default_factory=dict)
     model_sha256: str = ""
     version: str = __version__
     pixels: PixelSelection = field(default_factory=PixelSelection)
@@ -45,15 +38,7 @@ class Job:
     @property
     def metadata(self) -> dict[str, Any]:
         """Everything that the records depend on, by name, as plain values for JSON."""
-        settings = {name: asdict(v) if is_dataclass(v) else v for name, v in sorted(self.settings.items())}  # type: ignore[arg-type]
-        return {
-            "command": self.kind,
-            "version": self.version,
-            "engine": self.engine,
-            **settings,
-            **self.pixels.about,  # {} if all events are used, as in results older than selections
-            "model_sha256": self.model_sha256,
-        }
+        return {"version": self.version, **self.pixels.about, "model_sha256": self.model_sha256}
 
     @property
     def id(self) -> str:
@@ -86,10 +71,10 @@ class Task:
     between_us: tuple[int, int] | None = None
 
 
-def job_of(kind: str, name_or_path: str, engine: Engine, pixels: PixelSelection | None = None, **settings: Any) -> Job:
-    """The job of a model that `choose_engine` has loaded; `settings` are arguments of `Processor`."""
-    model = name_or_path if name_or_path in bundled_models() else os.path.abspath(name_or_path)
-    return Job(kind, model, engine.name, settings, sha256_of(engine, model), pixels=pixels or PixelSelection())
+def job_of(name_or_path: str, model: Model, pixels: PixelSelection | None = None) -> Job:
+    """The job of a model that `load_model` has loaded under this name."""
+    where = name_or_path if name_or_path in bundled_models() else os.path.abspath(name_or_path)
+    return Job(where, sha256_of(model), pixels=pixels or PixelSelection())
 
 
 def task_of(
@@ -109,15 +94,12 @@ def task_of(
     return Task(name, absolute, job, job.id, status.st_size, status.st_mtime_ns, label, between_us)
 
 
-def sha256_of(engine: Engine, path: str) -> str:
-    """Of what the decisions depend on: configuration, classes, layers and weights; of an .onnx model, its file."""
+def sha256_of(model: Model) -> str:
+    """Of what the decisions depend on: configuration, classes, layers and weights."""
     sha256 = hashlib.sha256()
-    if isinstance(engine.model, Model):
-        about = [engine.config.to_dict(), list(engine.classes), engine.model.network]
-        sha256.update(json.dumps(about, sort_keys=True).encode())
-        for name, weights in sorted(engine.model.weights.items()):
-            sha256.update(f"{name} {weights.shape} {weights.dtype}".encode())
-            sha256.update(weights.tobytes())
-        return sha256.hexdigest()
-    sha256.update(Path(path).read_bytes())
+    about = [model.config.to_dict(), list(model.classes), model.network]
+    sha256.update(json.dumps(about, sort_keys=True).encode())
+    for name, weights in sorted(model.weights.items()):
+        sha256.update(f"{name} {weights.shape} {weights.dtype}".encode())
+        sha256.update(weights.tobytes())
     return sha256.hexdigest()

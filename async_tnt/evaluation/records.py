@@ -3,38 +3,31 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from async_tnt.decision import Decision
 from async_tnt.evaluation.early import FIELDS as EARLY
-from async_tnt.evaluation.early import early_fields
+from async_tnt.evaluation.early import early_fields, every_us
 from async_tnt.evaluation.job import Job, Task, sha256_of
-from async_tnt.networks.engines import Engine, choose_engine
+from async_tnt.networks.loading import load_model
 from async_tnt.package import __version__
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selection import PixelSelector
 
 Record = dict[str, Any]
 
-_OF_FILE = ("error", "bytes", "modified_ns", "settings")
-FIELDS = {
-    "evaluate": (
-        *("recording", "class", "label", "probabilities", "window_start_us", "window_probabilities", *EARLY),
-        *("decisions", "events", "late", *_OF_FILE),
-    ),
-    "run": (
-        *("recording", "label", "probability", "probabilities", "windows", "events", "late", "decisions"),
-        *_OF_FILE,
-    ),
-}
-"""Of a record, by the kind of its job. With an `error`, only `recording`, `class` and the last four have values."""
+FIELDS = (
+    *("recording", "class", "label", "probabilities", "window_start_us", "window_probabilities", *EARLY),
+    *("decisions", "events", "late", "error", "bytes", "modified_ns", "settings"),
+)
+"""Of a record. With an `error`, only `recording`, `class` and the last four have values."""
 
 
-def run_recording(task: Task) -> Record:
-    """All decisions of one recording, as `async-tnt run` prints them as JSON, and the class of the mean probability.
+def evaluate_recording(task: Task) -> Record:
+    """What is decided in each window of one labelled recording, early and at its end, and the class of the mean.
 
     Whatever is wrong with the file becomes the record's `error`.
 
@@ -43,50 +36,26 @@ def run_recording(task: Task) -> Record:
     ImportError : its format needs a library that is not installed.
     ValueError : the model is not the one that the task was made for.
     """
-
-    def fields_of(made: Iterator[Decision], engine: Engine) -> Record:
-        decisions = list(made)
-        closed = [d.probabilities for d in decisions if d.complete or d.trigger == "end"]
-        mean = np.mean(closed, axis=0)
-        best = int(mean.argmax())
-        return {
-            "label": engine.classes[best],
-            "probability": round(float(mean[best]), 6),
-            "probabilities": [round(float(p), 6) for p in mean],
-            "windows": len(closed),
-            "decisions": [decision.to_dict() for decision in decisions],
-        }
-
-    return _stream(task, fields_of)
-
-
-def evaluate_recording(task: Task) -> Record:
-    """What is decided in each window of one labelled recording, early and at its end.
-
-    The job's Processor must decide as often as `early.every_us` says. Errors are those of `run_recording`.
-    """
-
-    def fields_of(decisions: Iterator[Decision], engine: Engine) -> Record:
-        fields: Record = {name: [] for name in ("window_start_us", "window_probabilities", *EARLY)}
-        n_decisions = 0
-        window: list[Decision] = []
-        for decision in decisions:
+    processor, classes, pixels = processor_of(task.job)
+    fields: Record = {name: [] for name in ("window_start_us", "window_probabilities", *EARLY)}
+    n_decisions = 0
+    window: list[Decision] = []
+    try:
+        for decision in _decisions(task, processor, pixels):
             window.append(decision)
             if decision.trigger in ("window", "end"):  # keep what is needed of it: a long recording has many
                 fields["window_start_us"].append(decision.window_start_us)
                 fields["window_probabilities"].append(decision.probabilities.tolist())
-                for name, value in early_fields(window, engine.config).items():
+                for name, value in early_fields(window, processor.config).items():
                     fields[name].append(value)
                 n_decisions += len(window)
                 window = []
-        mean = np.mean(fields["window_probabilities"], axis=0)
-        return fields | {
-            "label": engine.classes[int(mean.argmax())],
-            "probabilities": mean.tolist(),
-            "decisions": n_decisions,
-        }
-
-    return _stream(task, fields_of)
+    except (ValueError, TypeError, OSError, MemoryError) as error:
+        return failed(task, _error_line(error, task))
+    mean = np.mean(fields["window_probabilities"], axis=0)
+    fields |= {"label": classes[int(mean.argmax())], "probabilities": mean.tolist(), "decisions": n_decisions}
+    counts = {"events": processor.counts.received, "late": processor.counts.dropped_late}
+    return _record(task, fields | counts, None)
 
 
 def failed(task: Task, error: str) -> Record:
@@ -99,53 +68,40 @@ def lost(task: Task) -> Record:
     return failed(task, f"{task.recording}: its worker ended: killed, out of memory, or crashed by the recording")
 
 
-def _stream(task: Task, fields_of: Callable[[Iterator[Decision], Engine], Record]) -> Record:
-    processor, engine, pixels = processor_of(task.job)
-    try:
-        fields = fields_of(_decisions(task, processor, pixels), engine)
-    except (ValueError, TypeError, OSError, MemoryError) as error:
-        return failed(task, _error_line(error, task))
-    counts = {"events": processor.counts.received, "late": processor.counts.dropped_late}
-    return _record(task, fields | counts, None)
-
-
 def _record(task: Task, fields: Record, error: str | None) -> Record:
-    record = dict.fromkeys(FIELDS[task.job.kind]) | {"recording": task.recording, **fields, "error": error}
-    if task.job.kind == "evaluate":
-        record["class"] = task.label
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
-    return record | about_file
+    record = dict.fromkeys(FIELDS) | {"recording": task.recording, "class": task.label}
+    return record | fields | {"error": error} | about_file
 
 
 _kept = threading.local()  # a Processor has one stream; workers of a cluster may have several threads
 
 
-def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
-    """The compiled Processor of a job, reset, and its selector of pixels: the same for all recordings of a thread.
+def processor_of(job: Job) -> tuple[Processor, tuple[str, ...], PixelSelector]:
+    """The Processor of a job, reset, its classes, and its selector of pixels: the same for all recordings of a thread.
 
-    The selector is not reset: its counts go on.
+    It decides as often as `early.every_us` says. The selector is not reset: its counts go on.
 
     Raises
     ------
     ValueError : the model or this package are not those that the job was made for, or its pixels do not fit the model.
     """
-    kept: tuple[Job, Processor, Engine, PixelSelector] | None = getattr(_kept, "of_job", None)
+    kept: tuple[Job, Processor, tuple[str, ...], PixelSelector] | None = getattr(_kept, "of_job", None)
     if kept is None or kept[0] != job:
         if job.version != __version__:
             raise ValueError(
                 f"a worker has async_tnt {__version__}, but this program is {job.version}: install the same"
             )
-        engine = choose_engine(job.model)
-        if sha256_of(engine, job.model) != job.model_sha256:
+        model = load_model(job.model)
+        if sha256_of(model) != job.model_sha256:
             raise ValueError(
                 f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"
             )
-        processor = Processor(engine.model, classes=engine.classes, **engine.networks, **job.settings)
-        processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
-        kept = _kept.of_job = job, processor, engine, PixelSelector(job.pixels, engine.config.sensor)
-    _, processor, engine, pixels = kept
+        processor = Processor(model, every_us=every_us(model.config))
+        kept = _kept.of_job = job, processor, model.classes, PixelSelector(job.pixels, model.config.sensor)
+    _, processor, classes, pixels = kept
     processor.reset()
-    return processor, engine, pixels
+    return processor, classes, pixels
 
 
 def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Iterator[Decision]:

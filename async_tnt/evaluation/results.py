@@ -217,12 +217,12 @@ def _record_of(line: bytes, job: Job, out: Path) -> Record:
         record = json.loads(line)
     except (ValueError, RecursionError):
         record = None
-    if not isinstance(record, dict) or record.keys() != set(FIELDS[job.kind]):
-        raise ValueError(f"{_not_ours(out)}, or of another command, or damaged")
+    if not isinstance(record, dict) or record.keys() != set(FIELDS):
+        raise ValueError(f"{_not_ours(out)}, or damaged")
     if record["settings"] != job.id:
         raise ValueError(
-            f"{out} was made with another model, window, trigger, engine, version or selection of pixels, settings "
-            f"{record['settings']} (now {job.id}): give the same again, name another file, or discard it by a restart"
+            f"{out} was made with another model, version or selection of pixels, settings {record['settings']} (now "
+            f"{job.id}): give the same again, name another file, or discard it by a restart"
         )
     return record
 

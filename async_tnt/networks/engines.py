@@ -19,24 +19,11 @@ from async_tnt.networks.onnx_network import OnnxClassifier
 class Engine:
     """A model's configuration and classes, and what runs its networks."""
 
-    name: str
     model: Model | TNTConfig
     classes: Sequence[str]
     networks: dict[str, Any] = field(default_factory=dict)
     """Arguments of a `Processor`: `classifier` and, where the configuration needs one, `regressor`; none for a Model
     that runs its own."""
-
-    @property
-    def finds_objects(self) -> bool:
-        """Whether its answers are objects, and not a class of a window."""
-        if isinstance(self.model, Model):
-            return self.model.places is not None
-        return len(self.networks["classifier"].logits_shape) == 3
-
-    @property
-    def config(self) -> TNTConfig:
-        """How events become the volumes that the networks read."""
-        return self.model.config if isinstance(self.model, Model) else self.model
 
 
 def choose_engine(
@@ -64,7 +51,7 @@ def choose_engine(
     model = load_model(name_or_path)
     if map_sensor is not None and model.places is not None:
         model = model.for_sensor(map_sensor)
-    return Engine("compiled", model, model.classes)
+    return Engine(model, model.classes)
 
 
 def is_onnx(name_or_path: str | Path) -> bool:
@@ -79,7 +66,7 @@ def _of_file(path: Path) -> Engine:
             f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
             "volume; give one, `config`: a file of what `async-tnt info` prints of a model as JSON"
         )
-    return Engine("onnx", classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
+    return Engine(classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
 
 
 def _of_other_program(path: Path, config: Path) -> Engine:
@@ -98,5 +85,5 @@ def _of_other_program(path: Path, config: Path) -> Engine:
     except NotImplementedError:
         network = OnnxClassifier(path)
         names = classes or tuple(map(str, range(network.n_classes)))
-        return Engine("onnx", volume, names, {"classifier": network})
-    return Engine("compiled", model, model.classes)
+        return Engine(volume, names, {"classifier": network})
+    return Engine(model, model.classes)

@@ -7,7 +7,7 @@ import time
 from async_tnt.evaluation.job import Job, task_of
 from async_tnt.evaluation.records import evaluate_recording, failed
 
-JOB = Job("run", "digits", "compiled", {"every_us": 5000}, model_sha256="a" * 64)
+JOB = Job("digits", model_sha256="a" * 64)
 
 
 def make_tasks(folder, names, job=JOB):

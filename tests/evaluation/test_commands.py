@@ -1,4 +1,4 @@
-"""`async-tnt run --out` and `evaluate --out`: what they write and print, also after an interruption."""
+"""`async-tnt evaluate --out`: what it writes and prints, also after an interruption."""
 
 import json
 import os
@@ -39,39 +39,20 @@ def test_ended_in_the_middle_the_same_command_resumes(samples, tmp_path, program
     assert out.read_bytes() == (tmp_path / "plain.jsonl").read_bytes()
 
 
-def test_run_writes_the_decisions_that_run_prints(samples, tmp_path, program):
-    settings = "--every-us", 5000, "--hop-us", 40_000, "--confidence", 0.9
-    code, printed, message = program("run", samples, "--out", tmp_path / "r.jsonl", "--workers", 2, *settings)
-    assert code == 0 and message == "" and "20 recordings" in printed
-    records = [json.loads(line) for line in (tmp_path / "r.jsonl").read_text().splitlines()]
-    _, lines, _ = program("run", *sorted(samples.glob("*/*")), "--json", *settings)
-    expected = {}
-    for line in map(json.loads, lines.splitlines()):
-        del line["latency_us"]
-        expected.setdefault(line.pop("recording"), []).append(line)
-    assert {record["recording"]: record["decisions"] for record in records} == expected and len(expected) == 20
-    for record in records:
-        closed = [d["probabilities"] for d in record["decisions"] if d["complete"] or d["trigger"] == "end"]
-        np.testing.assert_allclose(record["probabilities"], np.mean(closed, axis=0), atol=2e-6)
-        assert record["windows"] == len(closed) and record["label"] == str(np.argmax(record["probabilities"]))
-
-
 def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(samples, tmp_path, program):
     folder, out = shutil.copytree(samples, tmp_path / "set"), tmp_path / "r.jsonl"
     torn, empty = folder / "3" / "torn.npz", folder / "4" / "empty.bin"
     torn.write_bytes(b"PK torn")
     empty.write_bytes(b"")
-    code, printed, message = program("run", folder, "--out", out)
-    assert code == 2 and message.count("\n") == 2 and "torn.npz" in message and "empty.bin" in message
-    first, second, _ = printed.splitlines()
-    assert first.startswith(f"{out}: 22 recordings (2 of them with an error), 60 decisions, ")
-    assert second.startswith("22 recordings streamed now, ")
+    code, printed, message = program("evaluate", "digits", folder, "--out", out)
+    assert code == 0 and message.count("\n") == 2 and "torn.npz" in message and "empty.bin" in message
+    assert "on 20 recordings" in printed
     errors = {r["recording"]: r["error"] for r in map(json.loads, out.read_text().splitlines()) if r["error"]}
-    assert errors.keys() == {str(torn), str(empty)} and "not a readable NumPy file" in errors[str(torn)]
+    assert errors.keys() == {"3/torn.npz", "4/empty.bin"} and "not a readable NumPy file" in errors["3/torn.npz"]
     torn.unlink()
     shutil.copy(samples / "4" / "00.bin", empty)
-    code, printed, message = program("run", folder, "--out", out)
-    assert code == 0 and "1 recording no longer exists and is left out" in message and "21 recordings, " in printed
+    code, printed, message = program("evaluate", "digits", folder, "--out", out)
+    assert code == 0 and "1 recording no longer exists and is left out" in message and "on 21 recordings" in printed
 
 
 def test_a_moment_knows_the_events_before_it_and_no_others():
@@ -87,30 +68,30 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
 
     model = load_model("digits")
     model.save(tmp_path / "m.safetensors")
-    words = "run", samples / "3", "--model", tmp_path / "m.safetensors", "--out", tmp_path / "r.jsonl"
+    words = "evaluate", tmp_path / "m.safetensors", samples, "--out", tmp_path / "r.jsonl"
     assert program(*words)[0] == 0
     thesis_model(model.config, model.weights, model.classes, {"other": "record"}).save(tmp_path / "m.safetensors")
     assert program(*words)[0] == 0  # the training record changes no decision
     weights = {**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(1)}
     thesis_model(model.config, weights, model.classes).save(tmp_path / "m.safetensors")
     code, _, message = program(*words)
-    assert code == 2 and "was made with another model, window, trigger, engine" in message
+    assert code == 2 and "was made with another model, version or" in message
     assert program(*words, "--restart")[0] == 0
 
 
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ("run SET --workers 2", "--workers requires --out"),
-        ("run SET --out r.jsonl --workers 2 --dask tcp://a:1", "give one of them"),
-        ("run SET --out r.csv", "r.csv: its name must end in .jsonl"),
-        ("run SET --out nowhere/r.jsonl", "no folder nowhere to write r.jsonl to"),
-        ("run SET --out r.jsonl --json", "--json does not go with --out"),
-        ("run udp://127.0.0.1:1 --out r.jsonl", "--out takes recordings and folders of them, got udp"),
-        ("run none --out r.jsonl", "no file or folder none"),
-        ("run EMPTY --out r.jsonl", "no recordings in this folder"),
+        ("evaluate digits SET --out r.jsonl --workers 2 --dask tcp://a:1", "give one of them"),
+        ("evaluate digits SET --out r.csv", "r.csv: its name must end in .jsonl"),
+        ("evaluate digits SET --out nowhere/r.jsonl", "no folder nowhere to write r.jsonl to"),
+        ("evaluate digits none --out r.jsonl", "no folder none"),
+        ("evaluate digits EMPTY --out r.jsonl", "no class folders"),
         ("evaluate digits SET --restart", "--restart requires --out"),
-        ("run SET --out r.jsonl --dask tcp://127.0.0.1:9", "pip install 'async_tnt[cluster]'"),  # without Dask
+        (
+            "evaluate digits SET --out r.jsonl --dask tcp://127.0.0.1:9",
+            "pip install 'async_tnt[cluster]'",
+        ),  # without Dask
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_exit_code_2(words, text, samples, tmp_path, program, monkeypatch):

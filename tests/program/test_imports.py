@@ -48,7 +48,7 @@ def test_import_brings_only_what_is_used():
     engine = {"numpy", "numba", "typing", "signal"}
     used = brought("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files")
     assert "numba" in used <= engine
-    assert brought("import async_tnt.cli.run") <= engine | {"argparse"}  # of a recording, without --out
+    assert brought("import async_tnt.cli.run") <= engine | {"argparse"}
     assert not brought("import async_tnt.networks, async_tnt.cli.export") & {"torch", "onnx", "onnxruntime"}
 
 

@@ -12,11 +12,11 @@ from made import random_events, random_model
 from async_tnt.cli import main
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
-from async_tnt.evaluation.records import run_recording
+from async_tnt.evaluation.records import evaluate_recording
 from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.results import collect as collect_results
 from async_tnt.files import Replacement, locked_folder, write_text
-from async_tnt.networks.engines import choose_engine
+from async_tnt.networks.loading import load_model
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixel_masks import save_mask
@@ -39,8 +39,8 @@ def view(path):
 
 def collect(path):
     sample = sample_recordings()[1]
-    task = task_of("1.bin", sample, job_of("run", "digits", choose_engine("digits"), None))
-    list(collect_results(run_recording, [task], partial(run_all, workers=1), path, Progress()))
+    task = task_of("1.bin", sample, job_of("digits", load_model("digits")))
+    list(collect_results(evaluate_recording, [task], partial(run_all, workers=1), path, Progress()))
 
 
 WRITERS = {
@@ -52,9 +52,7 @@ WRITERS = {
     "results.jsonl": collect,
     "numbers.json": lambda path: write_text(path, "{}"),
 }
-SAMPLE = str(sample_recordings()[3])
 COMMANDS = {  # nothing that they would read is there: to name it in an error, work must have begun
-    "run.jsonl": ["run", SAMPLE, "--model", "nowhere", "--out", "OUT"],
     "evaluate.jsonl": ["evaluate", "nowhere", "nowhere", "--out", "OUT"],
     "export.onnx": ["export", "nowhere", "--out", "OUT"],
     "mask.npy": ["mask", "nowhere.npy", "--out", "OUT"],

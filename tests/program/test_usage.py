@@ -112,7 +112,6 @@ def test_what_cannot_be_done_is_one_line(words, message, refused, tmp_path):
         "view --out v.rrd",
         "bench --model",
         "run --late",
-        "run samples --out",
     ],
 )
 def test_an_error_is_one_line_whatever_the_name(words, refused, tmp_path, monkeypatch):

@@ -252,10 +252,7 @@ def open_recording(
     if sensor is not None:
         sensor = checked_sensor(sensor)
     if path.is_dir():
-        raise IsADirectoryError(
-            f"{path} is a folder, expected a recording; "
-            f"`async-tnt run` streams all recordings in it to a file of results"
-        )
+        raise IsADirectoryError(f"{path} is a folder, expected a recording")
     if suffix not in READERS:
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
