@@ -30,7 +30,7 @@ Times are those of the file, in microseconds. The bars show events a second over
 event to its latest; where something moves, they are high. Exit code 2 if something cannot be read; the rest is shown.
 """
 BARS = " ▁▂▃▄▅▆▇█"
-N_PARTS, N_HOT = 60, 5
+N_HOT = 5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,7 +87,7 @@ def _of_recording(found: RecordingSummary) -> dict[str, Any]:
         "unsorted": found.n_unsorted,
         "first_us": found.first_us,
         "last_us": found.last_us,
-        "events_a_second": [round(rate) for rate in found.rates(N_PARTS)] if found.n_events else [],
+        "events_a_second": [round(rate) for rate in found.rates] if found.n_events else [],
         "hot_pixels": [{"x": x, "y": y, "events": n} for x, y, n in found.hot],
     }
 
@@ -108,8 +108,8 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
     yield f"  events     {found.n_events:,}{rate}; {found.n_on / found.n_events:.0%} ON"
     if found.n_unsorted:
         yield f"  unsorted   {found.n_unsorted:,} are earlier than the event before them"
-    rates = found.rates(N_PARTS)
-    yield f"  rate       {''.join(_bar(rate / rates.max()) for rate in rates)} up to {rates.max():,.0f} a second"
+    most = found.rates.max()
+    yield f"  rate       {''.join(_bar(rate / most) for rate in found.rates)} up to {most:,.0f} a second"
     if found.hot:
         share = sum(n for *_, n in found.hot) / found.n_events
         shown = ", ".join(f"({x}, {y})" for x, y, _ in found.hot[:N_HOT])

@@ -1,4 +1,4 @@
-"""What a recording holds, found in one pass over its file."""
+"""What a recording holds: one pass over its file finds its times, another all else."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from async_tnt.sources.pixel_masks import hot_pixels
 from async_tnt.sources.sensor import Sensor
 
 PACKET_EVENTS = 1 << 16
-MOST_PARTS, FIRST_PART_US = 4_096, 1_000
+N_PARTS = 60
+"""Of a recording, whose events are counted apart."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class RecordingSummary:
     extent : the smallest (width, height) that holds all events; (0, 0) without events.
     n_events, n_on, n_unsorted : events, those that are ON, and those earlier than the one before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
-    part_us, counts : int64, (n,): events of each part of `part_us` since the earliest event of the file's first packet.
+    rates : float64, (N_PARTS,): events a second in each of so many equal parts of the recording.
     hot : (x, y, events) of each hot pixel, busiest first, see `pixel_masks`; empty where the sensor is not known.
     """
 
@@ -43,19 +44,12 @@ class RecordingSummary:
     n_unsorted: int
     first_us: int
     last_us: int
-    part_us: int
-    counts: np.ndarray
+    rates: np.ndarray
     hot: list[tuple[int, int, int]]
-
-    def rates(self, n_parts: int) -> np.ndarray:
-        """Events a second in each of so many equal parts of the recording, float64, (n_parts,)."""
-        edges = np.linspace(0, max(1, self.last_us - self.first_us + 1) / self.part_us, n_parts + 1)
-        so_far = np.interp(edges, np.arange(len(self.counts) + 1), np.concatenate([[0], np.cumsum(self.counts)]))
-        return np.asarray(np.diff(so_far) / (np.diff(edges) * self.part_us * 1e-6))
 
 
 def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> RecordingSummary:
-    """Read a recording once, in little memory.
+    """Read a recording, in little memory.
 
     Parameters
     ----------
@@ -69,7 +63,9 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
     recording = open_recording(path, PACKET_EVENTS, sensor=sensor)
     known = recording.sensor
     pixels = np.zeros(0 if known is None else known[0] * known[1], np.int64)
-    parts = _Parts()
+    first_us, duration_us = recording.earliest_us, recording.duration_us
+    edges = np.linspace(first_us, first_us + duration_us + 1, N_PARTS + 1)
+    counts = np.zeros(N_PARTS, np.int64)
     extent, n_on, n_unsorted, newest_us = (0, 0), 0, 0, -1
     for packet in recording:
         t, x, y = (packet[name].astype(np.int64) for name in "txy")
@@ -81,12 +77,11 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         n_on += int((packet["p"] > 0).sum())
         n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())
         newest_us = int(t[-1])
-        parts.add(t)
+        counts += np.histogram(t, edges)[0]
     found = []
     if known is not None and recording.n_events:
-        counts = pixels.reshape(known[1], known[0])
-        found = [(int(x), int(y), int(counts[y, x])) for y, x in np.argwhere(hot_pixels(counts))]
-    first_us = recording.earliest_us
+        image = pixels.reshape(known[1], known[0])
+        found = [(int(x), int(y), int(image[y, x])) for y, x in np.argwhere(hot_pixels(image))]
     return RecordingSummary(
         path=recording.path,
         format=recording.format,
@@ -98,27 +93,7 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         n_on=n_on,
         n_unsorted=n_unsorted,
         first_us=first_us,
-        last_us=first_us + recording.duration_us,
-        part_us=parts.part_us,
-        counts=parts.counts,
+        last_us=first_us + duration_us,
+        rates=counts / (np.diff(edges) * 1e-6),
         hot=sorted(found, key=lambda pixel: -pixel[2]),
     )
-
-
-class _Parts:
-    """Counts of equal parts of a recording, whose length is not known: when they are too many, each two become one."""
-
-    def __init__(self) -> None:
-        self.part_us, self.start_us = FIRST_PART_US, 0
-        self.counts = np.zeros(0, np.int64)
-
-    def add(self, t: np.ndarray) -> None:
-        if not len(self.counts):
-            self.start_us = int(t.min())
-        since = np.maximum(t - self.start_us, 0)  # unsorted events before the first packet's count as its first
-        while since.max() >= self.part_us * MOST_PARTS:
-            self.part_us *= 2
-            self.counts = np.pad(self.counts, (0, len(self.counts) % 2)).reshape(-1, 2).sum(1)
-        found = np.bincount(since // self.part_us)
-        longer = max(len(found), len(self.counts))
-        self.counts = np.pad(self.counts, (0, longer - len(self.counts))) + np.pad(found, (0, longer - len(found)))
