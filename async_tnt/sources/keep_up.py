@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from typing import Any
 
 from async_tnt.checks import positive_int
 from async_tnt.sources.background_reader import BackgroundReader
@@ -18,14 +18,6 @@ PAUSE, URGENT_PAUSE = 0.25, 0.05
 MOST_SLOWER = 1 << 10
 
 
-class Decider(Protocol):
-    """A `Processor`, as far as it is seen here."""
-
-    every_us: int | None
-    every_events: int | None
-    config: Any
-
-
 class KeepUp(BackgroundReader):
     """A `BackgroundReader` whose packets are at most `max_delay_us` old when they are handed out.
 
@@ -37,7 +29,7 @@ class KeepUp(BackgroundReader):
     Parameters
     ----------
     source : any iterable of packets.
-    processor : that is given the packets; its `every_us` and `every_events` are set here.
+    processor : the `Processor` that is given the packets; its `every_us` and `every_events` are set here.
     max_delay_us : in microseconds.
     copy, on_close : as for `BackgroundReader`.
 
@@ -60,7 +52,7 @@ class KeepUp(BackgroundReader):
     def __init__(
         self,
         source: Iterable[Any],
-        processor: Decider,
+        processor: Any,
         *,
         max_delay_us: int,
         copy: bool = True,

@@ -20,7 +20,7 @@ from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
-from async_tnt.training.objectives import ClassOfWindows, Objective, ObjectsInScenes
+from async_tnt.training.objectives import ClassOfWindows, ObjectsInScenes
 from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
@@ -82,7 +82,7 @@ def train(
     if settings.everywhere and (start is not None or motions is not None or teachers):
         raise ValueError("`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on scenes")
     windowed = ClassOfWindows(config, validation, settings, len(classes), teachers)
-    objective: Objective = ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
+    objective = ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     pipeline = (
         new_pipeline(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -33,26 +32,12 @@ class BatchLoss:
     n: int
 
 
-class Objective(Protocol):
-    """What a training minimizes.
-
-    config : of the volumes that the finished model takes.
-    """
-
-    config: TNTConfig
-
-    def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
-        """Of a batch of windows, augmented by `draws`."""
-
-    def validate(self, pipeline: Pipeline) -> dict[str, float]:
-        """What the history has of an epoch; empty where nothing is held out."""
-
-
 class ClassOfWindows:
     """Cross-entropy of each window's class.
 
     Parameters
     ----------
+    config : of the volumes that the finished model takes.
     validation : windows that are held out; may be empty.
     teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
     """
@@ -70,6 +55,7 @@ class ClassOfWindows:
         self._masters = [pipeline_of(teacher) for teacher in teachers]
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
+        """Of a batch of windows, augmented by `draws`."""
         target = self._targets(windows, draws).to(pipeline.scale.device)
         logits = pipeline(windows, draws)
         loss = F.cross_entropy(logits, target, label_smoothing=self._settings.label_smoothing)
@@ -92,6 +78,7 @@ class ClassOfWindows:
         return torch.where(torch.from_numpy(nothing)[:, None], target, (target + said) / 2)
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
+        """What the history has of an epoch; empty where nothing is held out."""
         return self.of_windows(pipeline, self._validation)
 
     def of_windows(self, pipeline: Pipeline, windows: Windows) -> dict[str, float]:
@@ -143,6 +130,7 @@ class ObjectsInScenes:
         self._scores = SceneScores(config, model, validation) if len(validation) else None
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
+        """Of scenes of a batch of windows, augmented by `draws`."""
         rng = np.random.default_rng([*windows.recording.tolist()] if draws is None else draws.seed[:1])
         scenes = self._maker(windows, unchanged(len(windows), self._maker.crops) if draws is None else draws, rng)
         logits = pipeline.classify(torch.from_numpy(scenes.volumes))
@@ -172,4 +160,5 @@ class ObjectsInScenes:
         return target, weight
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
+        """What the history has of an epoch; empty where nothing is held out."""
         return {} if self._scores is None else {"f1": self._scores.f1(pipeline)}
