@@ -6,18 +6,18 @@ import argparse
 import contextlib
 import functools
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from async_tnt.cli.options import positive_int
-from async_tnt.cli.output import complain, counted
+from async_tnt.cli.output import complain
 from async_tnt.evaluation.job import Task
 from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import Record
-from async_tnt.evaluation.results import SUFFIXES, Progress, Run, collect
+from async_tnt.evaluation.results import SUFFIXES, Run, collect
 from async_tnt.files import check_writable
-from async_tnt.progress import progress as progress_bar
+from async_tnt.progress import progress
 
 
 def add_archive(parser: argparse.ArgumentParser) -> None:
@@ -65,40 +65,20 @@ def stream_archive(
     function: Callable[[Task], Record],
     tasks: Sequence[Task],
     run: Run,
-    progress: Progress,
     is_gone: Callable[[str], bool],
-) -> Iterable[Record]:
+) -> list[Record]:
     """All records in order of the recordings' names, with a progress bar; written to the file of --out, if given.
 
     Raises
     ------
     KeyboardInterrupt : with what is done by then. Others : as `collect`.
     """
-    bar: Any = None
-
-    def watch() -> None:
-        nonlocal bar
-        if bar is not None:
-            bar.update()
-            return
-        n = progress.total - progress.kept
-        if progress.kept and n:
-            total = counted(progress.total, "recording")
-            complain(f"{args.out}: {progress.kept:,} of {total} are done, resuming")
-        bar = stack.enter_context(progress_bar(n, "streaming"))
-
+    how: dict[str, Any] = {"restart": args.restart, "is_gone": is_gone, "progress": progress, "report": complain}
     try:
         with contextlib.ExitStack() as stack:
             out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")
-            how = {"restart": args.restart, "is_gone": is_gone, "watch": watch}
-            records = collect(function, tasks, run, out, progress, **how)
-            return records if args.out else list(records)  # while the temporary file is there
-    except KeyboardInterrupt:
-        n_done = progress.kept + progress.done
+            return collect(function, tasks, run, out, **how)
+    except KeyboardInterrupt as error:
+        n_done = f": {error}" if str(error) else ""
         kept = "the same command resumes" if args.out else "nothing is kept without --out"
-        total = counted(progress.total, "recording")
-        raise KeyboardInterrupt(f"interrupted: {n_done:,} of {total} are done; {kept}") from None
-    finally:
-        if progress.gone:
-            are = "no longer exists and is" if progress.gone == 1 else "no longer exist and are"
-            complain(f"{args.out}: {counted(progress.gone, 'recording')} {are} left out")
+        raise KeyboardInterrupt(f"interrupted{n_done}; {kept}") from None

@@ -19,7 +19,6 @@ from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.records import Record, evaluate_recording
-from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.scores import score_recordings
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
@@ -89,7 +88,7 @@ def main(args: argparse.Namespace) -> int:
     def is_gone(name: str) -> bool:
         return file_of(name) in sessions or not (args.dataset / file_of(name)).exists()  # its table names it no more
 
-    records = list(stream_archive(args, evaluate_recording, tasks, run, Progress(), is_gone))
+    records = stream_archive(args, evaluate_recording, tasks, run, is_gone)
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:

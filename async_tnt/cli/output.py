@@ -76,14 +76,3 @@ def json_line(name: str, decision: Decision, latency_us: float, queue: Backgroun
     if queue is not None:
         queued = {"delay_us": queue.delay_us, "backlog": queue.backlog, "n_skipped": queue.n_skipped}
     return json.dumps({"recording": name, **decision.to_dict(), "latency_us": round(latency_us, 3), **queued})
-
-
-def counted(n: int, noun: str) -> str:
-    """For messages.
-
-    Examples
-    --------
-    >>> counted(1, "recording"), counted(1000, "recording")
-    ('1 recording', '1,000 recordings')
-    """
-    return f"{n:,} {noun}{'' if n == 1 else 's'}"

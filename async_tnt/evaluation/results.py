@@ -10,14 +10,14 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Generator, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from async_tnt.evaluation.job import Job, Task
 from async_tnt.evaluation.records import FIELDS, Record, lost
 from async_tnt.files import check_writable, naming, open_locked, replacing
+from async_tnt.progress import Bar, no_progress
 
 SUFFIXES = (".jsonl",)
 START = b'{"recording": '
@@ -31,35 +31,17 @@ class Run(Protocol):
     ) -> Generator[Record]: ...
 
 
-@dataclass
-class Progress:
-    """How far `collect` has come; valid also after an interruption.
-
-    Parameters
-    ----------
-    total : recordings asked for.
-    kept : of these, done by an earlier run.
-    done : of these, done by this one.
-    gone : recordings of an earlier run that no longer exist and are left out of the result.
-    """
-
-    total: int = 0
-    kept: int = 0
-    done: int = 0
-    gone: int = 0
-
-
 def collect(
     function: Callable[[Task], Record],
     tasks: Sequence[Task],
     run: Run,
     out: Path,
-    progress: Progress,
     *,
     restart: bool = False,
     is_gone: Callable[[str], bool] = lambda recording: True,
-    watch: Callable[[], object] = lambda: None,
-) -> Iterator[Record]:
+    progress: Callable[..., Bar] = no_progress,
+    report: Callable[[str], object] = lambda line: None,
+) -> list[Record]:
     """Do what is not done yet, write the result file, and return its records in order of the recordings' names.
 
     A recording is done again if its record has an error, or if its size, time of change or class differs.
@@ -69,12 +51,14 @@ def collect(
     tasks : at least one, all of one job, no two of one recording.
     restart : True discards the results of an earlier run.
     is_gone : whether a recording of an earlier run that is not in `tasks` no longer exists.
-    watch : called before the first recording, when `progress` is complete, and after each one.
+    progress : makes the progress bar, which counts recordings.
+    report : called with a line on what is kept of an earlier run, and what is left out.
 
     Raises
     ------
     ValueError : this program has not written the file, or with other settings; or it holds recordings that exist but
         are not in `tasks`, or only others. OSError : another program is writing it, or it cannot be written.
+    KeyboardInterrupt : with how many are done.
     """
     out = check_writable(out)
     job = tasks[0].job
@@ -96,27 +80,24 @@ def collect(
                 f"{out} holds results ({n_good:,}), but none of a recording as it is here: of another folder? "
                 "Name another file, or discard it by a restart"
             )
-        progress.total, progress.kept, progress.gone = len(wanted), len(wanted) - len(to_do), len(others)
-        watch()
-        with contextlib.closing(run(function, to_do, lost=lost)) as records:
-            for record in records:
-                file.append(record)
-                progress.done += 1
-                watch()
+        n_all, n_kept = len(wanted), len(wanted) - len(to_do)
+        if n_kept and to_do:
+            report(f"{out}: {n_kept:,} of {n_all:,} recordings are done, resuming")
+        if others:
+            report(f"{out}: recordings that no longer exist are left out ({len(others):,})")
+        with (
+            progress(n_all, "streaming", done=n_kept) as bar,
+            contextlib.closing(run(function, to_do, lost=lost)) as records,
+        ):
+            try:
+                for record in records:
+                    file.append(record)
+                    bar.update()
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(f"{bar.done:,} of {n_all:,} recordings are done") from None
         file.finish(wanted)
-    return read_results(out, job)
-
-
-def read_results(out: Path, job: Job) -> Iterator[Record]:
-    """The records of a result file, one by one.
-
-    Raises
-    ------
-    ValueError : this program has not written the file, or with other settings; or it is damaged.
-    """
-    with out.open("rb") as file:
-        for line in file:
-            yield _record_of(line, job, out)
+    with out.open("rb") as lines:
+        return [_record_of(line, job, out) for line in lines]
 
 
 class ResultFile:

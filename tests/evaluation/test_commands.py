@@ -52,7 +52,7 @@ def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(s
     torn.unlink()
     shutil.copy(samples / "4" / "00.bin", empty)
     code, printed, message = program("evaluate", "digits", folder, "--out", out)
-    assert code == 0 and "1 recording no longer exists and is left out" in message and "on 21 recordings" in printed
+    assert code == 0 and "recordings that no longer exist are left out (1)" in message and "on 21 recordings" in printed
 
 
 def test_a_moment_knows_the_events_before_it_and_no_others():

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt.evaluation.processes import run_all
-from async_tnt.evaluation.results import Progress, ResultFile, collect
+from async_tnt.evaluation.results import ResultFile, collect
+from async_tnt.progress import Bar, no_progress
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]
@@ -22,20 +23,31 @@ class Stopped(BaseException):
 
 
 def stopping_after(n):
-    """Stops collecting after n records."""
-    n_calls = iter(range(n + 1))
+    """A bar that stops collecting after n records."""
 
-    def watch():
-        if next(n_calls) == n:
-            raise Stopped
+    class StoppingBar(Bar):
+        def __enter__(self):
+            self.left = n + 1
+            self.update(0)
+            return self
 
-    return watch
+        def update(self, n=1, title=None):
+            self.left -= 1
+            if self.left == 0:
+                raise Stopped
+
+    return StoppingBar
 
 
-def collected_to(out, tasks, function=record_of, run=HERE, **words):
-    """The records, and what was counted."""
-    progress = Progress()
-    return list(collect(function, tasks, run, out, progress, **words)), progress
+def collected_to(out, tasks, function=record_of, run=HERE, progress=no_progress, **words):
+    """The records, how many of them were kept, and what was reported."""
+    kept, said = [], []
+
+    def noted(total, title, *, done):
+        kept.append(done)
+        return progress(total, title, done=done)
+
+    return collect(function, tasks, run, out, progress=noted, report=said.append, **words), *kept, said
 
 
 def noting(done):
@@ -69,11 +81,11 @@ def unfinished(tmp_path):
 
 def test_interrupted_in_any_way_to_run_it_resumes_to_the_same_file(run, tasks, tmp_path):
     plain, out = tmp_path / "plain.jsonl", tmp_path / "r.jsonl"
-    records, _ = collected_to(plain, tasks)
+    records, *_ = collected_to(plain, tasks)
     with pytest.raises(Stopped):
-        collected_to(out, tasks, run=run, watch=stopping_after(2))
-    resumed, progress = collected_to(out, tasks[::-1], run=run)
-    assert (progress.kept, progress.done) == (2, len(NAMES) - 2)
+        collected_to(out, tasks, run=run, progress=stopping_after(2))
+    resumed, kept, said = collected_to(out, tasks[::-1], run=run)
+    assert kept == 2 and said == [f"{out}: 2 of 5 recordings are done, resuming"]
     assert out.read_bytes() == plain.read_bytes() and sum(path.is_file() for path in tmp_path.iterdir()) == 2
     assert resumed == records
 
@@ -87,7 +99,7 @@ def test_orders_stops_and_torn_ends_give_the_same_file(tmp_path_factory, order, 
     out = folder / "r.jsonl"
     for n in stops:
         try:
-            collected_to(out, tasks, watch=stopping_after(n))
+            collected_to(out, tasks, progress=stopping_after(n))
         except Stopped:
             if out.exists():
                 out.write_bytes(out.read_bytes()[:-torn] if torn else out.read_bytes())
@@ -100,8 +112,8 @@ def test_new_and_changed_recordings_are_done_and_no_others(finished, tmp_path):
     os.utime(tmp_path / "set" / "a", ns=(1, 10**18))
     tasks = make_tasks(tmp_path / "set", [*NAMES, "new"])
     done = []
-    records, progress = collected_to(finished, tasks, noting(done))
-    assert sorted(done) == ["a", "dd", "new"] and progress.kept == len(NAMES) - 2
+    records, kept, _ = collected_to(finished, tasks, noting(done))
+    assert sorted(done) == ["a", "dd", "new"] and kept == len(NAMES) - 2
     assert {r["recording"]: r["label"] for r in records} == {**{n: n for n in [*NAMES, "new"]}, "dd": "longer"}
     fresh = finished.with_stem("fresh")
     collected_to(fresh, tasks)
@@ -113,14 +125,15 @@ def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished
     with pytest.raises(ValueError, match=r"holds recordings that this command does not name \(2\), such as a"):
         collected_to(finished, tasks[2:], is_gone=lambda name: False)
     assert finished.read_bytes() == before
-    records, progress = collected_to(finished, tasks[2:], is_gone=lambda name: True)
-    assert progress.gone == 2 and [r["recording"] for r in records] == sorted(NAMES[2:])
+    records, _, said = collected_to(finished, tasks[2:], is_gone=lambda name: True)
+    assert said == [f"{finished}: recordings that no longer exist are left out (2)"]
+    assert [r["recording"] for r in records] == sorted(NAMES[2:])
 
 
 def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp_path):
     unfinished = finished.with_stem("unfinished")
     with pytest.raises(Stopped):
-        collected_to(unfinished, tasks, watch=stopping_after(3))
+        collected_to(unfinished, tasks, progress=stopping_after(3))
     for theirs in make_tasks(tmp_path / "other", ["x", "y"]), [replace(task, modified_ns=1) for task in tasks]:
         for out, n in (finished, 5), (unfinished, 3):
             before = out.read_bytes()

@@ -13,7 +13,6 @@ from async_tnt.cli import main
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import evaluate_recording
-from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.results import collect as collect_results
 from async_tnt.files import Replacement, locked_folder, write_text
 from async_tnt.networks.loading import load_model
@@ -40,7 +39,7 @@ def view(path):
 def collect(path):
     sample = sample_recordings()[1]
     task = task_of("1.bin", sample, job_of("digits", load_model("digits")))
-    list(collect_results(evaluate_recording, [task], partial(run_all, workers=1), path, Progress()))
+    collect_results(evaluate_recording, [task], partial(run_all, workers=1), path)
 
 
 WRITERS = {
