@@ -65,7 +65,6 @@ def stream_archive(
     function: Callable[[Task], Record],
     tasks: Sequence[Task],
     run: Run,
-    is_gone: Callable[[str], bool],
 ) -> list[Record]:
     """All records in order of the recordings' names, with a progress bar; written to the file of --out, if given.
 
@@ -73,7 +72,7 @@ def stream_archive(
     ------
     KeyboardInterrupt : with what is done by then. Others : as `collect`.
     """
-    how: dict[str, Any] = {"restart": args.restart, "is_gone": is_gone, "progress": progress, "report": complain}
+    how: dict[str, Any] = {"restart": args.restart, "progress": progress, "report": complain}
     try:
         with contextlib.ExitStack() as stack:
             out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")

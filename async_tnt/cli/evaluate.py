@@ -22,7 +22,7 @@ from async_tnt.evaluation.records import Record, evaluate_recording
 from async_tnt.evaluation.scores import score_recordings
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
-from async_tnt.sources.labelled_recordings import LabelledRecording, file_of, find_recordings
+from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 
 SHOWN = 10  # classes that an error names
 
@@ -82,13 +82,7 @@ def main(args: argparse.Namespace) -> int:
         for one, label in zip(recordings, labels, strict=True)
     ]
     label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
-
-    sessions = {file_of(name) for name in label_of if file_of(name) != name}
-
-    def is_gone(name: str) -> bool:
-        return file_of(name) in sessions or not (args.dataset / file_of(name)).exists()  # its table names it no more
-
-    records = stream_archive(args, evaluate_recording, tasks, run, is_gone)
+    records = stream_archive(args, evaluate_recording, tasks, run)
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:

@@ -38,7 +38,6 @@ def collect(
     out: Path,
     *,
     restart: bool = False,
-    is_gone: Callable[[str], bool] = lambda recording: True,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[str], object] = lambda line: None,
 ) -> list[Record]:
@@ -50,14 +49,13 @@ def collect(
     ----------
     tasks : at least one, all of one job, no two of one recording.
     restart : True discards the results of an earlier run.
-    is_gone : whether a recording of an earlier run that is not in `tasks` no longer exists.
     progress : makes the progress bar, which counts recordings.
     report : called with a line on what is kept of an earlier run, and what is left out.
 
     Raises
     ------
-    ValueError : this program has not written the file, or with other settings; or it holds recordings that exist but
-        are not in `tasks`, or only others. OSError : another program is writing it, or it cannot be written.
+    ValueError : this program has not written the file, or with other settings; or it holds only other recordings.
+    OSError : another program is writing it, or it cannot be written.
     KeyboardInterrupt : with how many are done.
     """
     out = check_writable(out)
@@ -67,13 +65,7 @@ def collect(
         to_do = [
             task for task in tasks if file.versions.get(task.recording) != (task.bytes, task.modified_ns, task.label)
         ]
-        others = [name for name in file.versions if name not in wanted]
-        existing = [name for name in others if not is_gone(name)]
-        if existing:
-            raise ValueError(
-                f"{out} holds recordings that this command does not name ({len(existing):,}), such as {existing[0]}: "
-                "name them too, or another file, or discard it by a restart"
-            )
+        n_gone = len(file.versions.keys() - wanted.keys())
         n_good = sum(version is not None for version in file.versions.values())
         if n_good and len(to_do) == len(wanted):
             raise ValueError(
@@ -83,8 +75,8 @@ def collect(
         n_all, n_kept = len(wanted), len(wanted) - len(to_do)
         if n_kept and to_do:
             report(f"{out}: {n_kept:,} of {n_all:,} recordings are done, resuming")
-        if others:
-            report(f"{out}: recordings that no longer exist are left out ({len(others):,})")
+        if n_gone:
+            report(f"{out}: recordings that no longer exist are left out ({n_gone:,})")
         with (
             progress(n_all, "streaming", done=n_kept) as bar,
             contextlib.closing(run(function, to_do, lost=lost)) as records,
