@@ -112,7 +112,7 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
         )
         rows[name] = _share(processor, windows)
     for name, folder in folders.items():
-        files = [path for path in recordings_under([folder]) if path.parent.name not in (processor.classes or ())]
+        files = [path for path in recordings_under(folder) if path.parent.name not in (processor.classes or ())]
         objects = _objects(files, config.sensor[0], config.window_us, n_windows)
         rows[f"{name} (tested only)"] = _share(processor, objects)
     return {"machine": machine(), "model": Path(model).name, "sure": SURE, "rows": rows}

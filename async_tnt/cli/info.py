@@ -124,7 +124,7 @@ def _bar(share: float) -> str:
 
 def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], list[str]]:
     """All recordings below it, and how many each folder has: in a data set, each class."""
-    paths = recordings_under([folder])
+    paths = recordings_under(folder)
     folders = Counter(str(path.parent.relative_to(folder)) for path in paths)
     reports, lines, n_events = [], [], 0
     with progress(len(paths), "reading") as bar:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,31 +138,22 @@ def is_recording(path: Path) -> bool:
     return path.suffix.lower() in READERS and not path.name.startswith(".") and not path.name.endswith(TABLE)
 
 
-def recordings_under(paths: Iterable[Path]) -> list[Path]:
-    """The files, and all recordings below the folders, by suffix (`READERS`); each once.
+def recordings_under(folder: Path) -> list[Path]:
+    """All recordings below a folder, by suffix (`READERS`), sorted.
 
     Hidden files and folders are left out, and links to folders are not followed.
 
     Raises
     ------
-    FileNotFoundError : no such file or folder. ValueError : a folder without recordings.
+    ValueError : there are none. OSError : a folder cannot be read.
     """
-    found: dict[str, Path] = {}  # by absolute path
-    for path in paths:
-        if not path.is_dir():
-            if not path.exists():
-                raise FileNotFoundError(f"no file or folder {path}")
-            found.setdefault(os.path.abspath(path), path)
-            continue
-        inside = []
-        for folder, names, files in os.walk(path, onerror=_raise):
-            names[:] = sorted(name for name in names if not name.startswith("."))
-            inside += [Path(folder, name) for name in files if is_recording(Path(name))]
-        if not inside:
-            raise ValueError(f"{path}: no recordings in this folder; expected files in {', '.join(sorted(READERS))}")
-        for file in sorted(inside):
-            found.setdefault(os.path.abspath(file), file)
-    return list(found.values())
+    found = []
+    for inside, names, files in os.walk(folder, onerror=_raise):
+        names[:] = [name for name in names if not name.startswith(".")]
+        found += [Path(inside, name) for name in files if is_recording(Path(name))]
+    if not found:
+        raise ValueError(f"{folder}: no recordings in this folder; expected files in {', '.join(sorted(READERS))}")
+    return sorted(found)
 
 
 def _raise(error: OSError) -> None:
