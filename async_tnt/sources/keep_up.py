@@ -43,7 +43,7 @@ class KeepUp(BackgroundReader):
     >>> from async_tnt import Processor, load_model, stream
     >>> from async_tnt.sources import open_recording, sample_recordings
     >>> processor = Processor(load_model("digits"), every_us=50_000)
-    >>> with KeepUp(open_recording(sample_recordings()[3]), processor, max_delay_us=1_000_000) as packets:
+    >>> with KeepUp(open_recording(sample_recordings()[3]), processor, max_delay_us=60_000_000) as packets:
     ...     decisions = list(stream(packets, processor))
     >>> decisions[-1].label, packets.slower, packets.n_skipped
     ('3', 1, 0)
