@@ -1,6 +1,7 @@
 """Which decisions fall when: Processor against a plain oracle, for any cut of any stream."""
 
 import copy
+from dataclasses import replace
 from functools import cache
 from unittest import mock
 
@@ -27,7 +28,7 @@ def compiled(config: TNTConfig) -> CompiledClassifier:
     """A network with large logits, so that confidence rises and falls."""
     model = random_model(config, classes=3, widths=(3, 5, 7), seed=4)
     loud = {name: w * 12 for name, w in model.weights.items() if name.startswith("fc2") or name == "fc1.weight"}
-    return CompiledClassifier(type(model)(config, model.weights | loud, model.classes))
+    return CompiledClassifier(replace(model, weights=model.weights | loud))
 
 
 integrators = st.builds(

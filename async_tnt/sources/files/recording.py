@@ -252,7 +252,7 @@ def open_recording(
     if sensor is not None:
         sensor = checked_sensor(sensor)
     if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder, expected a recording")
+        raise IsADirectoryError(f"{path} is a folder, expected a recording; `async-tnt info` says what is in it")
     if suffix not in READERS:
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
