@@ -20,7 +20,8 @@ LIMITS = [0, 2**62, *(sign * 2**bits for bits in (7, 8, 15, 16, 31, 32, 63, 64) 
 
 def oracle(rows, kinds, sensor):
     """What the rules say of these rows (t, x, y, p), in Python's integers. None: refused."""
-    if any(kind not in ("iub" if field == "p" else "iu") for field, kind in kinds.items()):
+    allowed = {"t": "iuM", "x": "iu", "y": "iu", "p": "iub"}  # M: dates with a unit
+    if any(kind not in allowed[field] for field, kind in kinds.items()):
         return None
     width, height = sensor
     polarities = {p for _, _, _, p in rows}
