@@ -102,10 +102,9 @@ class Motion:
             "back": [(dx, dy), (-dx, -dy)],
             "loop": [(dx, dy), (-dy, dx), (-dx, -dy), (dy, -dx)],
         }[self.shape]
-        moves = []
-        for k, side in enumerate(sides):  # those of a loop overlap by half, which rounds its corners
-            step_us = self.duration_us / (len(sides) + (self.shape == "loop"))
-            moves.append(Saccade(k * step_us, step_us * (1 + (self.shape == "loop")), *side))
+        lasts = 2 if self.shape == "loop" else 1  # steps: those of a loop overlap by half, which rounds its corners
+        step_us = self.duration_us / (len(sides) + lasts - 1)
+        moves = (Saccade(k * step_us, lasts * step_us, *side) for k, side in enumerate(sides))
         return Saccades(start, tuple(moves), self.duration_us)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import shutil
 import sys
@@ -70,6 +71,8 @@ def main(args: argparse.Namespace) -> int:
         return _record(args, source, _free_name(folder))
     finally:
         source.close()
+        with contextlib.suppress(OSError):  # a class without recordings would be an error of `train`
+            folder.rmdir()
 
 
 def _free_name(folder: Path) -> Path:
@@ -84,7 +87,7 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
     picture, started = _Picture(source.sensor, args.label), time.strftime("%Y-%m-%dT%H:%M:%S%z")
     lost: OSError | None = None
     ending = threading.Timer(args.seconds, source.close) if args.seconds is not None else None
-    first_us, n_events, n_on = -1, 0, 0
+    first_us, n_events, n_on, n_early = -1, 0, 0, 0
     with replacing(path) as part:
         with part.open("wb") as file:
             file.write(dat_header(source.sensor))
@@ -95,6 +98,7 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
             try:
                 for events in _checked(source):
                     first_us = int(events["t"].min()) if first_us < 0 else first_us
+                    n_early += int((events["t"] < first_us).sum())
                     events = events[events["t"] >= first_us]
                     file.write(dat_records(events, first_us))
                     n_events, n_on = n_events + len(events), n_on + int(events["p"].sum())
@@ -116,11 +120,14 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
         "started": started,
         "first_us": first_us,
         "events": n_events,
+        "left_out_as_earlier": n_early,
         "counts": source.summary(),
         "async_tnt": __version__,
     }
     write_text(path.with_suffix(".json"), json.dumps(about, indent=1) + "\n")
     say(f"{path}: {n_events:,} events, {n_on / n_events:.0%} ON; {source.summary()}")
+    if n_early:
+        complain(f"{path}: {n_early:,} events were earlier than the first packet, and are left out")
     if lost is not None:
         complain(lost)
     return 0 if lost is None else 2

@@ -23,8 +23,9 @@ class KeepUp(BackgroundReader):
 
     While packets wait for more than a quarter of that, `every_us` and `every_events` of the processor that reads them
     are doubled, again and again, up to a window's length and to 1,024 times; while they wait for less than a twentieth,
-    they are halved, down to what they were. Packets that waited for longer than `max_delay_us` all the same are
-    discarded, and their events counted: received = handed_out + skipped + backlog, see `counters`.
+    they are halved, down to what they were, and what they were they are again behind the `with` block. Packets that
+    waited for longer than `max_delay_us` all the same are discarded, and their events counted: received = handed_out +
+    skipped + backlog, see `counters`.
 
     Parameters
     ----------
@@ -76,6 +77,14 @@ class KeepUp(BackgroundReader):
         packet = await super().__anext__()
         self._adapt()
         return packet
+
+    def __exit__(self, *error: object) -> None:
+        super().__exit__(*error)
+        self._set(1, 0)
+
+    async def __aexit__(self, *error: object) -> None:
+        await super().__aexit__(*error)
+        self._set(1, 0)
 
     def _adapt(self) -> None:
         """Set how often the processor decides, by how long the packet that was handed out has waited."""

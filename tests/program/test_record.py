@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -45,40 +44,54 @@ def test_a_stream_is_recorded_whole_until_it_ends(sent, program, tmp_path):
     assert about["first_us"] == EVENTS["t"][0] and "\x1b" not in err
 
 
-def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path, monkeypatch):
+@pytest.fixture
+def when_recorded(monkeypatch):
+    """Call a function once so many events are recorded."""
+
+    def arrange(n_events, function):
+        seen = []
+
+        def show(picture, events):
+            seen.append(len(events))
+            if sum(seen) >= n_events:
+                function()
+
+        monkeypatch.setattr(record._Picture, "show", show)
+
+    return arrange
+
+
+def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path, monkeypatch, when_recorded):
+    """The timer closes the source, here as soon as events have come."""
+    timers = []
+
+    class Timer:
+        def __init__(self, seconds, function):
+            timers.append((seconds, function))
+
+        def start(self):
+            pass
+
+        def cancel(self):
+            pass
+
+    monkeypatch.setattr(record.threading, "Timer", Timer)
     monkeypatch.setattr(record.time, "strftime", lambda form: "20261126_120000")
+    when_recorded(1, lambda: timers[-1][1]())
     for n in range(2):
-        port, done = free_port(), threading.Event()
-
-        def stream(port=port, done=done):
-            while not done.is_set():
-                send_in_parts(port, EVENTS, n_parts=4, pause_s=0.01)
-
-        sender = threading.Thread(target=stream, daemon=True)
-        sender.start()
-        started = time.monotonic()
-        url = f"udp://127.0.0.1:{port}"
-        words = ["record", url, "--sensor", "64x48", "--class", "wave", "--seconds", 1.5, "--out", tmp_path]
-        code, *_ = program(*words)
-        done.set()
-        assert code == 0 and time.monotonic() - started > 1.5
-        assert len(list((tmp_path / "wave").glob("*.dat"))) == n + 1
+        port = free_port()
+        threading.Thread(target=send_in_parts, args=(port, EVENTS), daemon=True).start()
+        words = ["record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "wave", "--seconds", 1.5]
+        assert program(*words, "--out", tmp_path)[0] == 0 and timers[n][0] == 1.5
     assert [path.name for path in sorted((tmp_path / "wave").glob("*.dat"))] == [
         "20261126_120000.dat",
         "20261126_120000_2.dat",
     ]
 
 
-def test_an_interrupted_recording_is_complete_up_to_then(program, tmp_path):
-    port = free_port()
-
-    def interrupt():
-        send_in_parts(port, EVENTS)  # once somebody listens
-        time.sleep(0.5)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=interrupt, daemon=True).start()
-    code, out, _ = program("record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "a", "--out", tmp_path)
+def test_an_interrupted_recording_is_complete_up_to_then(sent, program, tmp_path, when_recorded):
+    when_recorded(5_000, lambda: os.kill(os.getpid(), signal.SIGINT))
+    code, out, _ = program("record", f"udp://127.0.0.1:{sent}", "--sensor", "64x48", "--class", "a", "--out", tmp_path)
     (path,) = (tmp_path / "a").glob("*.dat")
     assert code == 130 and "5,000 events" in out and open_recording(path).n_events == 5_000
 
@@ -101,7 +114,7 @@ def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(words
     words = [word.replace("PORT", str(free_port())) for word in words]
     code, out, err = program("record", *words, "--out", tmp_path / "new")
     assert code == 2 and out == "" and message in err.splitlines()[-1]
-    assert not list(tmp_path.rglob("*.*"))
+    assert not [path for path in tmp_path.rglob("*") if path.name != "new"]
 
 
 def test_records_of_every_pixel_and_of_long_recordings_are_read_back(tmp_path):

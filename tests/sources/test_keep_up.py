@@ -99,6 +99,9 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     assert counters.received == counters.handed_out + counters.skipped == 250_000
     assert counters.handed_out == processor.counts.received and 0.4 < counters.skipped / 250_000 < 0.6
     assert delays.max() <= 20_000 and processor.every_us == CONFIG.window_us
+    with reader:
+        pass
+    assert processor.every_us == 1_000  # as it was
 
 
 def test_the_newest_packet_is_handed_out_however_old_it_is(clock):
