@@ -54,13 +54,7 @@ def about_machine(*reports: dict[str, Any]) -> str:
     about = reports[0]["machine"]
     loads = sorted({report["machine"]["load_1min"] for report in reports})
     load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"
-    names = {
-        "torch": "torch",
-        "onnxruntime": "onnxruntime",
-        "openvino": "OpenVINO",
-        "eventcv": "eventcv",
-        "tonic": "tonic",
-    }
+    names = {"torch": "torch", "onnxruntime": "onnxruntime", "openvino": "OpenVINO", "eventcv": "eventcv"}
     versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
     return (
         f"{about['cpu']}, one thread, load {load}; Python {about['python']}, NumPy {about['numpy']}, "

@@ -88,14 +88,9 @@ SECTIONS = (
     ),
     Section(
         "Events into a volume",
-        "Landmark `running`, 8 cells, transform included. eventcv and tonic fill 2 cells of whole pixels; only ours "
-        "and `scatter_add_` transform. The peers build a volume from one packet; ours adds the packet to the window so "
-        "far. Volumes that should be equal are checked to be equal. On an Intel Xeon (family 6, model 167).",
-        "experiments.peers --json experiments/results/peers.json",
-        {
-            streams.splat: "Beside the peers",
-            streams.volumes: "By the size of a packet (`experiments.volumes`)",
-        },
+        "Landmark `running`, 8 cells, transform included; random events.",
+        "experiments.volumes --json experiments/results/bench.json",
+        {streams.volumes: "By the size of a packet"},
     ),
     Section(
         "Memory",

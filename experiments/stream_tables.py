@@ -1,17 +1,10 @@
-"""The tables of event volumes (bench.json, peers.json), memory, network and archives."""
+"""The tables of event volumes (bench.json), memory, network and archives."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from experiments.page_parts import about_machine, of_report, percent, results, short, table
-
-PEERS = {
-    "eventcv": "eventcv",
-    "tonic": "tonic",
-    "dsec_torch": "DSEC's method in torch",
-    "torch_scatter": "torch with the transform, one `scatter_add_`",
-}
 
 WAYS = {
     "plain_socket": "plain blocking socket, `recv`",
@@ -92,30 +85,7 @@ def volumes(found: dict[str, Any]) -> str:
         [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
         for way, words in ways.items()
     ]
-    return table(["", *("{} x {}".format(*v["grid"]) for v in grids)], rows)
-
-
-@of_report("peers")
-def splat(report: dict[str, Any]) -> str:
-    """Events into a volume, beside the peers: packets of 1300 and whole windows."""
-    found = {
-        "{} x {}".format(*r["grid"]) + f", packets of {r['events_a_packet']:,}": r["rows"] for r in report["results"]
-    }
-    head = ["", *found]
-    ours = {"ours_update": "async_tnt", "ours_update_read": "async_tnt, volume read after each packet"}
-    rows = [
-        [f"{words}, ns an event", *(short(rows[name]["ns_per_event"]["median"]) for rows in found.values())]
-        for name, words in ours.items()
-    ]
-    installed = [name for name in PEERS if name in report["results"][0]["rows"]]
-    for name in installed:
-        cells = []
-        for rows_of in found.values():
-            theirs = rows_of[name]
-            to_update = theirs["ns_per_event"]["median"] / rows_of["ours_update"]["ns_per_event"]["median"]
-            cells.append(f"{short(to_update)} / {short(theirs['times_ours_update_read'])}")
-        rows.append([f"{PEERS[name]}: ratio / ratio to the volume read", *cells])
-    return table(head, rows)
+    return f"{table(['', *('{} x {}'.format(*v['grid']) for v in grids)], rows)}\n\n{about_machine(found)}"
 
 
 def memory() -> str:
