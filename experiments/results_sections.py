@@ -270,14 +270,12 @@ SECTIONS = (
     Section(
         "Network",
         "Two processes, UDP on loopback, datagrams of 100 events, 1300 bytes. Latency from just before `send`; the "
-        "plain socket's time is the system's. Delays count from the time an event was due at the sender. Received = "
-        "pushed + skipped.",
+        "plain socket's time is the system's. Delays count from the time an event was due at the sender.",
         "experiments.network --seconds 60 > experiments/results/network.json",
         {
             streams.udp_machine: "Machine",
             streams.udp_latency: "Latency",
             streams.udp_load: "A million events a second for a minute, a decision every 5 ms",
-            streams.udp_overload: "Ten times that, through `BackgroundReader(source, latest=True, max_events=50_000)`",
         },
     ),
 )

@@ -29,46 +29,13 @@ def udp_latency() -> str:
 
 
 def udp_load() -> str:
-    return table(_HEAD, [["steady", *_row(results("network")["load"])]])
-
-
-def udp_overload() -> str:
-    rows = []
-    for run in results("network")["overload"]:
-        words = f"datagrams of {run['datagram_events']:,} events"
-        if run["slow_s"]:
-            words += f", and a consumer that sleeps {run['slow_s'] * 1e3:.0f} ms after each packet"
-        rows.append([words, *_row(run)])
-    return table(_HEAD, rows)
-
-
-_HEAD = [
-    "",
-    "events sent",
-    "received",
-    "lost by the system",
-    "skipped",
-    "decisions",
-    "delay, ms: median",
-    "99 %",
-    "at most",
-]
-
-
-def _row(run: dict[str, Any]) -> list[str]:
-    late = run["delay_us"]
-    events, received = run["sent"]["events"], run["received"]["events"]
-    lost = run["datagrams_missing"] * run["datagram_events"]
-    skipped = run["events_skipped"] / received
-    share = f"{100 * skipped:.3f} %" if 0 < skipped < 1e-3 else percent(skipped)
-    return [
-        f"{events:,}",
-        f"{received:,}",
-        f"{lost:,}",
-        share if skipped else "0",
-        f"{run['decisions']:,}",
-        *(f"{late[name] / 1e3:.1f}" for name in ("median", "p99", "max")),
-    ]
+    """A minute of events, and how late the decisions are."""
+    run = results("network")["load"]
+    events, received, late = run["sent"]["events"], run["received"]["events"], run["delay_us"]
+    counts = (events, received, run["datagrams_missing"] * run["datagram_events"], run["decisions"])
+    delays = (f"{late[name] / 1e3:.1f}" for name in ("median", "p99", "max"))
+    head = ["events sent", "received", "lost by the system", "decisions", "delay, ms: median", "99 %", "at most"]
+    return table(head, [[*(f"{n:,}" for n in counts), *delays]])
 
 
 @of_report("bench")
