@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import load_model
-from experiments.page_parts import of_report, percent, results, short, table
+from experiments.page_parts import of_report, percent, results, table
 from experiments.unseen_motions import share_closed
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
@@ -16,21 +16,16 @@ WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first ev
 
 def accuracy() -> str:
     """`digits` in short: how often it is right, and how soon."""
-    found = results("early")["results"]
-    rows = []
-    for group, key, values, words in (
-        ("moment", "every_us", (30_000, 50_000), "at {:.0f} ms"),
-        ("confidence", "confidence", (0.9, 0.95, 0.99), "once its probability reaches {:g}"),
-    ):
-        for r in found[group]:
-            value = r["settings"].get(key)
-            if value in values:
-                shown = words.format(value / 1000 if key == "every_us" else value)
-                rows.append([f"a window, {shown}", f"{r['mean_ms']:.0f} ms", percent(r["accuracy"])])
-    end = found["moment"][-1]
-    rows.append(["a window, at its end", f"{end['mean_ms']:.0f} ms", percent(end["accuracy"])])
-    rows.append(["a recording, by the mean of its three windows", "", percent(_record()["test"]["per_recording"])])
-    return table(["decided", "mean time", "right"], rows)
+    found, rows = results("early"), []
+    for row in found["accuracy_against_time"]:
+        if row["time_us"] in (31_500, 52_500, 105_000):
+            rows.append([f"a window, after {row['time_us'] / 1000:g} ms", "", percent(row["accuracy"])])
+    for row in found["confidence"]:
+        if row["level"] >= 0.9:
+            words = f"a window, once a class has {row['level']:g}"
+            rows.append([words, f"{row['median_ms']:.0f} ms", percent(row["window_accuracy"])])
+    rows.append(["a recording, by the mean of its windows", "", percent(found["accuracy"])])
+    return table(["decided", "median time", "right"], rows)
 
 
 def digits_against_time() -> str:
@@ -179,49 +174,12 @@ def nothing(found: dict[str, Any]) -> str:
     return table(head, rows)
 
 
-@of_report("early")
-def early(found: dict[str, Any]) -> str:
-    """A choice of settings."""
-    moments = {r["settings"].get("every_us", found["window_us"]): r for r in found["results"]["moment"]}
-    chosen = [(f"at {us / 1000:g} ms", moments[us]) for us in (20_000, 30_000, 40_000, 50_000, found["window_us"])]
-    for group, words in (("confidence", ""), ("confidence_every_ms", ", checked every 1 ms")):
-        for r in found["results"][group]:
-            if r["settings"]["confidence"] in (0.8, 0.9, 0.95, 0.98, 0.99):
-                chosen.append((f"confidence {r['settings']['confidence']:g}{words}", r))
-    head = [
-        "decided",
-        "right",
-        "mean ms",
-        "median ms",
-        "fixed time of the same accuracy, ms",
-        "evaluations before it",
-        "decisions a window",
-        "only at the end",
-    ]
-    rows = []
-    for words, r in chosen:
-        moment = same_moment_ms(found, r["accuracy"]) if words.startswith("confidence") else ""
-        rows.append(
-            [
-                words,
-                percent(r["accuracy"]),
-                short(r["mean_ms"]),
-                short(r["median_ms"]),
-                moment,
-                short(r["evaluations_until"]),
-                short(r["emitted"]),
-                percent(r["at_end"]),
-            ]
-        )
-    return table(head, rows)
-
-
-def same_moment_ms(found: dict[str, Any], accuracy: float) -> str:
-    """The first fixed time with this accuracy, interpolated linearly between those measured; "" if there is none."""
-    last_ms, last = 0.0, 0.0
-    for r in found["results"]["moment"]:
-        ms = r["settings"].get("every_us", found["window_us"]) / 1000
-        if r["accuracy"] >= accuracy:
-            return short(last_ms + (ms - last_ms) * (accuracy - last) / (r["accuracy"] - last))
-        last_ms, last = ms, r["accuracy"]
-    return ""
+def early() -> str:
+    """By time, and by confidence."""
+    found = results("early")
+    rows = [[f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])] for row in found["accuracy_against_time"]]
+    for row in found["confidence"]:
+        shares = (percent(row[name]) for name in ("window_accuracy", "decided", "accuracy"))
+        rows.append([f"once a class has {row['level']:g}", *shares, f"{row['median_ms']:.0f}", f"{row['p90_ms']:.0f}"])
+    head = ["decided", "windows right", "that reach it", "of these right", "median ms", "90 % by, ms"]
+    return table(head, [row + [""] * (len(head) - len(row)) for row in rows])
