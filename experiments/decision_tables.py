@@ -91,27 +91,6 @@ def end_to_end_call_by_call(found: dict[str, Any]) -> str:
 
 
 @of_report("decisions")
-def touched(report: dict[str, Any]) -> str:
-    """What new events change, and what is computed because of it."""
-    found = report["touched"]
-    columns = [*(n for n in found if n != "whole"), "whole"]
-    head = [
-        "mean of",
-        *("the whole network" if n == "whole" else f"{int(n):,} new event{'s' * (n != '1')}" for n in columns),
-    ]
-    rows = [["cells of the volume that change", *(_count(found[n]["cells"]) for n in columns)]]
-    for layer in found["whole"]:
-        if layer not in ("cells", "multiplications"):
-            rows.append([f"places of `{layer}` computed", *(_count(found[n][layer]) for n in columns)])
-    rows.append(["multiplications, thousands", *(f"{found[n]['multiplications'] / 1e3:,.0f}" for n in columns)])
-    return table(head, rows)
-
-
-def _count(value: float) -> str:
-    return f"{value:,.0f}" if value == int(value) else short(value)
-
-
-@of_report("decisions")
 def every_event(found: dict[str, Any]) -> str:
     """Decisions a second."""
     names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}

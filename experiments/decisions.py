@@ -26,7 +26,6 @@ from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
 from experiments.bench_network import bench_network, fastest
 from experiments.bench_timing import is_installed, machine, one_thread
 from experiments.draw_decisions import draw_decisions
-from experiments.measure_touched import bench_touched
 from experiments.script_options import exit_with, run_script, script_parser
 
 MODEL = "digits"
@@ -42,7 +41,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     ------
     WorkDiffers : backends do not agree. Then nothing is reported.
     """
-    with progress(3 + 2 * len(NEW_EVENTS), "compiling") as bar:
+    with progress(2 + 2 * len(NEW_EVENTS), "compiling") as bar:
         return _measure(settings, quick, bar)
 
 
@@ -67,8 +66,6 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
         others = {name: f for name, f in networks.items() if name not in backends.ONNXRUNTIME or name == way}
         n_events = 500 if quick else None
         rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=n_events)
-    bar.update(title="what new events touch")
-    touched = bench_touched(model, windows, moments=40 if quick else 1000)
     return {
         "machine": machine(*PACKAGES),
         "settings": {"quick": quick, "threads": 1, **settings, "onnxruntime_way": way},
@@ -85,7 +82,6 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
         "network": network,
         "end_to_end": whole,
         "every_event": rates,
-        "touched": touched,
         "left_out": {
             "network": backends.left_out(),
             "end_to_end": end_to_end.left_out(),

@@ -63,7 +63,6 @@ SECTIONS = (
             decisions.end_to_end_in_blocks: "From a packet to the decision, in blocks",
             decisions.end_to_end_call_by_call: "From a packet to the decision, call by call",
             decisions.every_event: "A decision after every event, recordings in packets of 1,000 events",
-            decisions.touched: "What new events change, means over a thousand moments",
         },
     ),
     Section(

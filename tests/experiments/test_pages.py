@@ -105,8 +105,6 @@ def test_every_difference_that_a_page_claims_holds_and_none_that_holds_is_left_o
 def test_statements_of_the_results_page_hold():
     """Sentences that no table makes."""
     decisions, early = tables.results("decisions"), tables.results("early")
-    touched = {n: row["multiplications"] for n, row in decisions["touched"].items()}
-    assert touched["1"] < 0.1 * touched["whole"] and 0.2 < touched["100"] / touched["whole"] < 0.4
     for mode in ("in_blocks", "call_by_call"):
         us = {n: decisions["network"][n][mode]["us"] for n in ("1", "1300")}
         assert us["1300"]["incremental"]["median"] == pytest.approx(us["1300"]["dense"]["median"], rel=0.2)
