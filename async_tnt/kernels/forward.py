@@ -24,7 +24,7 @@ from .changes import (
 )
 from .jit import compiled, compiled_without_gil, inlined
 from .simd import LANES
-from .tiles import PLACES, function_tile, max_tile, mix_tile_1, mix_tile_2, sum_tile
+from .tiles import PLACES, channel_tile, mix_tile
 
 
 @compiled_without_gil
@@ -74,19 +74,12 @@ def _mix(program, at, n, weights, maps, places, bits):
         for group in range(n_groups):
             inputs = program[at + P.IN] + group * program[at + P.GROUP_CHANNELS]
             for f in range(0, channels, 2 * LANES):
-                left = channels - f
                 output = program[at + P.OUT] + group * channels + f
-                if left > LANES:
-                    size = min(left, 2 * LANES)
-                    changed |= mix_tile_2(
-                        program, at, places, listed, n_places, maps, inputs, output, weights, block, size
-                    )
-                    block += (n_products + 2) * 2 * LANES + LANES
-                else:
-                    changed |= mix_tile_1(
-                        program, at, places, listed, n_places, maps, inputs, output, weights, block, left
-                    )
-                    block += (n_products + 2) * LANES + LANES
+                n_filters = min(channels - f, 2 * LANES)
+                changed |= mix_tile(
+                    program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
+                )
+                block += (n_products + 2) * (2 * LANES if n_filters > LANES else LANES) + LANES
         _note_tile(program, at, places, bits, listed, min(n_places, n - k), changed)
         k += n_places
 
@@ -106,16 +99,10 @@ def _tile_size(n):
 @compiled
 def _by_channel(program, at, n, weights, maps, places, bits):
     """A sum, maximum or function of each channel, at the n places of the list."""
-    kind = program[at + P.KIND]
     noted, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
     for listed in range(program[P.LIST], program[P.LIST] + n):
         place = np.int64(places[np.uint64(listed)])
-        if kind == P.SUM:
-            changed = sum_tile(program, at, places, listed, maps, weights)
-        elif kind == P.MAXIMUM:
-            changed = max_tile(program, at, places, listed, maps, weights)
-        else:
-            changed = function_tile(program, at, places, listed, maps, weights)
+        changed = channel_tile(program, at, places, listed, maps, weights)
         note_changes(bits, noted + (place >> 16) * words, place & 0xFFFF, np.uint64(changed))
 
 

@@ -17,7 +17,8 @@ place, but for results below 1e-37, and for Phi.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -179,23 +180,28 @@ FUNCTIONS: dict[str, Callable[[Arithmetic, ir.Value], ir.Value]] = {
 """Name -> instructions. A program holds their places in this table."""
 
 
-def choose(builder: ir.IRBuilder, which: ir.Value, x: ir.Value) -> ir.Value:
-    """Function number `which` of x, a float32 or a vector of them."""
-    cases = [builder.append_basic_block(name) for name in FUNCTIONS]
-    done = builder.append_basic_block("applied")
-    switch = builder.switch(which, cases[0])
-    for k, case in enumerate(cases[1:], start=1):
-        switch.add_case(ir.Constant(which.type, k), case)
+def choose(builder: ir.IRBuilder, which: ir.Value, cases: Mapping[int, Callable[[], ir.Value]]) -> ir.Value:
+    """The value of the case of this number, one of `cases`, each of which builds its instructions."""
+    blocks = [builder.append_basic_block() for _ in cases]
+    done = builder.append_basic_block()
+    switch = builder.switch(which, blocks[0])
     values = []
-    for function, case in zip(FUNCTIONS.values(), cases, strict=True):
-        builder.position_at_end(case)
-        values.append((function(Arithmetic(builder, x.type), x), builder.block))
+    for (number, build), block in zip(cases.items(), blocks, strict=True):
+        switch.add_case(ir.Constant(which.type, number), block)
+        builder.position_at_end(block)
+        values.append((build(), builder.block))
         builder.branch(done)
     builder.position_at_end(done)
-    result = builder.phi(x.type)
-    for value, case in values:
-        result.add_incoming(value, case)
+    result = builder.phi(values[0][0].type)
+    for value, block in values:
+        result.add_incoming(value, block)
     return result
+
+
+def applied(builder: ir.IRBuilder, which: ir.Value, x: ir.Value) -> ir.Value:
+    """Function number `which` of x, a float32 or a vector of them."""
+    arithmetic = Arithmetic(builder, x.type)
+    return choose(builder, which, {k: partial(of, arithmetic, x) for k, of in enumerate(FUNCTIONS.values())})
 
 
 @intrinsic
@@ -203,6 +209,6 @@ def apply_function(typingctx: Any, which: types.Type, x: types.Type) -> Any:
     """Function number `which` (int64) of a float32."""
 
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
-        return choose(builder, *args)
+        return applied(builder, *args)
 
     return (types.float32(which, x), codegen) if (which, x) == (types.int64, types.float32) else None

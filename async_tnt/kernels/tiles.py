@@ -6,12 +6,14 @@ added with one rounding, so how places are put together changes no bit. A place'
 than the map has: what lies behind them in memory is written as it was.
 """
 
+from functools import partial
+
 import numpy as np
 from llvmlite import ir
 from numba import types
 
 from . import program as P
-from .functions import apply_function, choose
+from .functions import applied, apply_function, choose
 from .jit import inlined
 from .simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
 
@@ -25,8 +27,8 @@ WORDS = ir.VectorType(ir.IntType(32), LANES)
 
 
 @inlined
-def mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters, size):
-    """One block of a step's filters, at some places of its list.
+def mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
+    """One block of a step's filters, of one or two registers, at some places of its list.
 
     Parameters
     ----------
@@ -34,13 +36,14 @@ def mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, 
     listed, n_places : where in `places` they are listed, and how many, of SIZES. One may be listed twice.
     inputs, output : where in `maps` place (0, 0) reads and writes, for this group and block.
     block : where in `weights` the block begins.
-    n_filters : how many of the block's `size` filters exist and are written, at least 1.
+    n_filters : how many of the block's filters exist and are written, at least 1; up to LANES lie in one register.
 
     Returns
     -------
     int : bit p is set if the bits of place p differ from what was there.
     """
     words = maps.view(np.uint32)
+    size = 2 * LANES if n_filters > LANES else LANES
     n_runs, run_length = program[at + P.N_RUNS], program[at + P.RUN_LENGTH]
     bias = block + n_runs * run_length * size
     changed = np.int64(0)
@@ -72,37 +75,18 @@ def activated(value, weights, slopes, f, size):
     return high if value > high else value
 
 
-@inlined
-def mix_tile_1_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
-    return mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters, LANES)
-
-
-@inlined
-def mix_tile_2_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
-    return mix_tile_plain(
-        program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters, 2 * LANES
-    )
-
-
-@vectorized(mix_tile_1_plain, returns=types.int64)
-def mix_tile_1(simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
-    """A block of one register."""
+@vectorized(mix_tile_plain, returns=types.int64)
+def mix_tile(simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
     tile = _Tile(simd, program, at, places, listed, maps, inputs, output)
-    return tile.mix(n_places, weights, block, n_filters, 1)
-
-
-@vectorized(mix_tile_2_plain, returns=types.int64)
-def mix_tile_2(simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
-    """A block of two registers."""
-    tile = _Tile(simd, program, at, places, listed, maps, inputs, output)
-    return tile.mix(n_places, weights, block, n_filters, 2)
+    return tile.mix(n_places, weights, block, n_filters)
 
 
 @inlined
-def channel_tile_plain(program, at, places, listed, maps, weights, kind):
+def channel_tile_plain(program, at, places, listed, maps, weights):
     """All channels of a SUM, MAXIMUM or FUNCTION at one place of its list; otherwise as `mix_tile_plain`."""
     words = maps.view(np.uint32)
-    channels, n_taps, taps = program[at + P.OUT_CHANNELS], program[at + P.N_RUNS], program[at + P.RUNS]
+    kind, channels = program[at + P.KIND], program[at + P.OUT_CHANNELS]
+    n_taps, taps = program[at + P.N_RUNS], program[at + P.RUNS]
     size = (channels + LANES - 1) // LANES * LANES
     y, x = np.int64(places[listed]) >> 16, np.int64(places[listed]) & 0xFFFF
     first = program[at + P.WEIGHTS] + (y * program[at + P.COLUMNS] + x) * program[at + P.PLACE_WEIGHTS]
@@ -128,37 +112,10 @@ def channel_tile_plain(program, at, places, listed, maps, weights, kind):
     return changed
 
 
-@inlined
-def sum_tile_plain(program, at, places, listed, maps, weights):
-    return channel_tile_plain(program, at, places, listed, maps, weights, P.SUM)
-
-
-@inlined
-def max_tile_plain(program, at, places, listed, maps, weights):
-    return channel_tile_plain(program, at, places, listed, maps, weights, P.MAXIMUM)
-
-
-@inlined
-def function_tile_plain(program, at, places, listed, maps, weights):
-    return channel_tile_plain(program, at, places, listed, maps, weights, P.FUNCTION)
-
-
-@vectorized(sum_tile_plain, returns=types.int64)
-def sum_tile(simd, program, at, places, listed, maps, weights):
+@vectorized(channel_tile_plain, returns=types.int64)
+def channel_tile(simd, program, at, places, listed, maps, weights):
     tile = _Tile(simd, program, at, places, listed, maps, None, None)
-    return tile.by_channel(weights, P.SUM)
-
-
-@vectorized(max_tile_plain, returns=types.int64)
-def max_tile(simd, program, at, places, listed, maps, weights):
-    tile = _Tile(simd, program, at, places, listed, maps, None, None)
-    return tile.by_channel(weights, P.MAXIMUM)
-
-
-@vectorized(function_tile_plain, returns=types.int64)
-def function_tile(simd, program, at, places, listed, maps, weights):
-    tile = _Tile(simd, program, at, places, listed, maps, None, None)
-    return tile.by_channel(weights, P.FUNCTION)
+    return tile.by_channel(weights)
 
 
 class _Tile:
@@ -194,24 +151,16 @@ class _Tile:
         y, x = builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
         return simd.add(simd.mul(y, self._slot(P.COLUMNS)), x)
 
-    def mix(self, n_places, weights, block, n_filters, n_vectors):
-        """Of so many places at a time: each number of them has its own instructions."""
+    def mix(self, n_places, weights, block, n_filters):
+        """Each number of places, and of registers, has its own instructions."""
+
+        def of_registers(n_vectors):
+            build = partial(self._mix, weights=weights, block=block, n_filters=n_filters, n_vectors=n_vectors)
+            return choose(builder, n_places, {n: partial(build, n) for n in SIZES})
+
         builder = self._simd.builder
-        cases = [(p, builder.append_basic_block(f"places{p}")) for p in SIZES]
-        done = builder.append_basic_block("mixed")
-        switch = builder.switch(n_places, cases[-1][1])
-        for p, case in cases[:-1]:
-            switch.add_case(whole(p), case)
-        results = []
-        for p, case in cases:
-            builder.position_at_end(case)
-            results.append((self._mix(p, weights, block, n_filters, n_vectors), builder.block))
-            builder.branch(done)
-        builder.position_at_end(done)
-        changed = builder.phi(INDEX)
-        for value, case in results:
-            changed.add_incoming(value, case)
-        return changed
+        n_vectors = builder.select(builder.icmp_signed(">", n_filters, whole(LANES)), whole(2), whole(1))
+        return choose(builder, n_vectors, {n: partial(of_registers, n) for n in (1, 2)})
 
     def _mix(self, n_places, weights, block, n_filters, n_vectors):
         simd, builder = self._simd, self._simd.builder
@@ -252,7 +201,12 @@ class _Tile:
             changed = builder.or_(changed, builder.shl(self._any(differs), whole(p)))
         return changed
 
-    def by_channel(self, weights, kind):
+    def by_channel(self, weights):
+        """Each kind of step has its own instructions."""
+        kinds = {kind: partial(self._by_channel, weights, kind) for kind in (P.SUM, P.MAXIMUM, P.FUNCTION)}
+        return choose(self._simd.builder, self._slot(P.KIND), kinds)
+
+    def _by_channel(self, weights, kind):
         simd, builder = self._simd, self._simd.builder
         ((start, out),) = self._starts(1)
         channels, taps, n_taps = self._slot(P.OUT_CHANNELS), self._slot(P.RUNS), self._slot(P.N_RUNS)
@@ -289,7 +243,7 @@ class _Tile:
                 if kind == P.SUM:
                     values = simd.loop(n_taps, [simd.load(weights, simd.add(bias, c)) for c in at], add_tap)
                 elif kind == P.FUNCTION:
-                    values = [choose(builder, self._slot(P.APPLIED), input_of(whole(0), c)) for c in at]
+                    values = [applied(builder, self._slot(P.APPLIED), input_of(whole(0), c)) for c in at]
                 else:
                     values = simd.loop(n_taps, [input_of(whole(0), c) for c in at], compare_tap)
                 differs = builder.bitcast(carried[0], WORDS)
@@ -304,15 +258,8 @@ class _Tile:
 
         if kind == P.FUNCTION:  # whose instructions are many
             return self._any(registers(1))
-        found = []
-        with builder.if_else(builder.icmp_signed("<", n_vectors, whole(AT_ONCE))) as cases:
-            for case, n in zip(cases, (1, AT_ONCE), strict=True):
-                with case:
-                    found.append((registers(n), builder.block))
-        differs = builder.phi(WORDS)
-        for value, block in found:
-            differs.add_incoming(value, block)
-        return self._any(differs)
+        at_once = builder.select(builder.icmp_signed("<", n_vectors, whole(AT_ONCE)), whole(1), whole(AT_ONCE))
+        return self._any(choose(builder, at_once, {n: partial(registers, n) for n in (1, AT_ONCE)}))
 
     def _larger(self, value, largest):
         builder = self._simd.builder

@@ -80,21 +80,21 @@ def assert_same(name: str, program, weights, list_of_places, more, channels: int
 @pytest.mark.parametrize("runs, run_length, channels", KERNELS)
 @pytest.mark.parametrize("limits", [(-np.inf, np.inf), (0.0, np.inf), (-0.5, 6.0)])
 def test_mix_tiles(runs, run_length, channels, list_of_places, limits):
-    name, size = ("mix_tile_1", LANES) if channels <= LANES else ("mix_tile_2", 2 * LANES)
+    size = LANES if channels <= LANES else 2 * LANES
     weights = weights_of(len(runs) * run_length, size, *limits)
     n = len(list_of_places)
     more = lambda maps, weights: (n, maps, 11, OUT, weights, 20, channels)  # noqa: E731
-    assert_same(name, program_of(P.MIX, runs, run_length, channels), weights, list_of_places, more, channels)
+    assert_same("mix_tile", program_of(P.MIX, runs, run_length, channels), weights, list_of_places, more, channels)
 
 
-@pytest.mark.parametrize("name, kind", [("sum_tile", P.SUM), ("max_tile", P.MAXIMUM)])
+@pytest.mark.parametrize("kind", [P.SUM, P.MAXIMUM])
 @pytest.mark.parametrize("runs, run_length, channels", KERNELS)
-def test_channel_tiles(name, kind, runs, run_length, channels):
+def test_channel_tiles(kind, runs, run_length, channels):
     size = -(-channels // LANES) * LANES
-    weights = weights_of(len(runs) if name == "sum_tile" else 0, size, -0.4, 0.9)
+    weights = weights_of(len(runs) if kind == P.SUM else 0, size, -0.4, 0.9)
     for place in LISTS[-1]:
         program = program_of(kind, runs, run_length, channels)
-        assert_same(name, program, weights, [place], lambda maps, weights: (maps, weights), channels)
+        assert_same("channel_tile", program, weights, [place], lambda maps, weights: (maps, weights), channels)
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
@@ -103,7 +103,7 @@ def test_function_tiles(function, channels):
     program = program_of(P.FUNCTION, [40], 1, channels)
     program[AT + P.APPLIED] = list(FUNCTIONS).index(function)
     weights = weights_of(0, -(-channels // LANES) * LANES, -np.inf, 0.8)
-    assert_same("function_tile", program, weights, [7], lambda maps, weights: (maps, weights), channels)
+    assert_same("channel_tile", program, weights, [7], lambda maps, weights: (maps, weights), channels)
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
@@ -138,16 +138,16 @@ def test_nan_stays_nan():
     """As in torch: also in a maximum, and through limits."""
     maps = np.full(9000, np.nan, np.float32)
     maps[11 + 40] = 1.0
-    for name in ("sum_tile", "max_tile"):
-        program = program_of(P.SUM if name == "sum_tile" else P.MAXIMUM, [40, 41, 42], 1, 1)
-        for run in both(name):
+    for kind in (P.SUM, P.MAXIMUM):
+        program = program_of(kind, [40, 41, 42], 1, 1)
+        for run in both("channel_tile"):
             out = maps.copy()
             run(program, AT, np.zeros(9, np.uint32), LISTED, out, weights_of(3, LANES, 0.0, 6.0))
             assert np.isnan(out[OUT])
 
 
 def test_every_vectorized_kernel_is_tested_here():
-    tested = {"mix_tile_1", "mix_tile_2", "sum_tile", "max_tile", "function_tile", "round_eight", "add_f64x2"}
+    tested = {"mix_tile", "channel_tile", "round_eight", "add_f64x2"}
     assert set(SPELLINGS) == tested and LANES in (8, 16)
 
 
