@@ -123,7 +123,7 @@ def _log(made: OnnxLayers, node: Node) -> None:
 
 
 def _function(op: str) -> Callable[[OnnxLayers, Node], None]:
-    """Of each number by itself, without parameters."""
+    """Of one input, without parameters."""
     return lambda made, node: made.add(node, op, node.inputs[:1])
 
 
@@ -135,10 +135,6 @@ def _hardsigmoid(made: OnnxLayers, node: Node) -> None:
 
 def _gelu(made: OnnxLayers, node: Node) -> None:
     made.add(node, "gelu_tanh" if node.get("approximate", "none") == "tanh" else "gelu", node.inputs[:1])
-
-
-def _relu(made: OnnxLayers, node: Node) -> None:
-    made.add(node, "relu", node.inputs[:1])
 
 
 def _leaky_relu(made: OnnxLayers, node: Node) -> None:
@@ -176,10 +172,6 @@ def _average_pool(made: OnnxLayers, node: Node) -> None:
     expect_form(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
     counted = node.get("count_include_pad", 0) == 1 or not any(window["padding"])
     made.add(node, "average_pool" if counted else "inside_average_pool", node.inputs[:1], **window)
-
-
-def _global_average_pool(made: OnnxLayers, node: Node) -> None:
-    made.add(node, "global_average_pool", node.inputs[:1])
 
 
 def _reduce_mean(made: OnnxLayers, node: Node) -> None:
@@ -248,7 +240,7 @@ RULES: dict[str, Callable[[OnnxLayers, Node], None]] = {
     "Add": _add,
     "Sum": _add,
     "Mul": _mul,
-    "Relu": _relu,
+    "Relu": _function("relu"),
     "Log": _log,
     "Sigmoid": _function("sigmoid"),
     "Tanh": _function("tanh"),
@@ -260,7 +252,7 @@ RULES: dict[str, Callable[[OnnxLayers, Node], None]] = {
     "Clip": _clip,
     "MaxPool": _max_pool,
     "AveragePool": _average_pool,
-    "GlobalAveragePool": _global_average_pool,
+    "GlobalAveragePool": _function("global_average_pool"),
     "ReduceMean": _reduce_mean,
     "Concat": _concat,
     "Flatten": _flatten,

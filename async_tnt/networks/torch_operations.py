@@ -62,10 +62,6 @@ def _batch_norm(made: LayerList, call: Call) -> str:
     return made.add("batch_norm", call, weights=made.tensors(call, **roles), epsilon=call.module.eps)
 
 
-def _relu(made: LayerList, call: Call) -> str:
-    return made.add("relu", call)
-
-
 def _relu6(made: LayerList, call: Call) -> str:
     return made.add("clip", call, low=0.0, high=6.0)
 
@@ -75,7 +71,7 @@ def _hardtanh(made: LayerList, call: Call) -> str:
 
 
 def _function(op: str) -> Operation:
-    """Of each number by itself, without parameters."""
+    """Of one input, without parameters."""
 
     def rule(made: LayerList, call: Call) -> str:
         return made.add(op, call)
@@ -193,10 +189,6 @@ def _dropout(made: LayerList, call: Call) -> str:
     return _same(made, call)
 
 
-def _centroid(made: LayerList, call: Call) -> str:
-    return made.add("heatmap_centroid", call)
-
-
 @dataclass(frozen=True)
 class Operation:
     """How an operation becomes layers, and its arguments."""
@@ -219,7 +211,6 @@ class Operation:
 
 _FLAG = {"inplace": False}
 _POOL = {"kernel_size": None, "stride": None, "padding": 0}
-RELU = Operation(_relu, _FLAG)
 HARDTANH = Operation(_hardtanh, {"min_val": -1.0, "max_val": 1.0, **_FLAG})
 CLAMP = Operation(_clamp, {"min": None, "max": None})
 LEAKY_RELU = Operation(_leaky_relu, {"negative_slope": 0.01, **_FLAG})
@@ -233,7 +224,7 @@ TWO = ("input", "other")
 ADD, SUB = (Operation(rule, {"alpha": 1}, inputs=TWO) for rule in (add_rule, sub_rule))
 MUL, DIV = Operation(mul_rule, inputs=TWO), Operation(div_rule, {"rounding_mode": None}, inputs=TWO)
 GELU = Operation(_gelu, {"approximate": "none"})
-SIGMOID, TANH, LOG1P = map(_function, ("sigmoid", "tanh", "log1p"))
+RELU, SIGMOID, TANH, LOG1P = map(_function, ("relu", "sigmoid", "tanh", "log1p"))
 SILU, HARDSWISH, HARDSIGMOID = map(_function, ("silu", "hardswish", "hardsigmoid"))
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
 FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1})
@@ -260,7 +251,7 @@ MODULES: dict[type, Operation] = {
     nn.Flatten: FLATTEN,
     **dict.fromkeys((nn.Dropout, nn.Dropout1d, nn.Dropout2d), DROPOUT),
     nn.Identity: Operation(_same),
-    HeatmapCentroid: Operation(_centroid),
+    HeatmapCentroid: _function("heatmap_centroid"),
 }
 """By the very type: a subclass may compute anything."""
 FUNCTIONS: dict[Any, Operation] = {
@@ -290,7 +281,7 @@ FUNCTIONS: dict[Any, Operation] = {
 }
 """By the very function: one of the user's may have the same name."""
 METHODS: dict[Any, Operation] = {
-    **dict.fromkeys(("relu", "relu_"), Operation(_relu)),
+    **dict.fromkeys(("relu", "relu_"), RELU),
     **dict.fromkeys(("clamp", "clamp_", "clip", "clip_"), CLAMP),
     "mean": MEAN,
     **dict.fromkeys(("add", "add_"), ADD),
