@@ -123,9 +123,9 @@ def _some(names: Sequence[str]) -> str:
 
 def report_of(model: Model, records: list[Record], labels: list[int], skipped: list[str]) -> dict[str, Any]:
     """All numbers, as `--json` prints them."""
-    scores = score_recordings(model.classes, labels, [np.array(record["window_probabilities"]) for record in records])
+    probabilities = [np.array(record["window_probabilities"]) for record in records]
     return {
-        **scores.to_dict(),
+        **score_recordings(model.classes, labels, probabilities),
         **early_report(records, labels, model.config),
         "decisions": sum(record["decisions"] for record in records),
         "events": sum(record["events"] for record in records),

@@ -122,10 +122,9 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
     def save() -> list[Path]:
         """The model with its record so far, and the numbers beside it."""
-        numbers = {} if fitted.scores is None else fitted.scores.to_dict()
-        numbers |= {"held_out": list(data.held_out), "summary": fitted.model.record, "history": fitted.history}
+        about = {"held_out": list(data.held_out), "summary": fitted.model.record, "history": fitted.history}
         path = fitted.model.save(args.out)
-        write_text(args.out.with_suffix(NUMBERS), json.dumps(numbers, indent=1))
+        write_text(args.out.with_suffix(NUMBERS), json.dumps((fitted.scores or {}) | about, indent=1))
         return [path, args.out.with_suffix(NUMBERS)]
 
     written = save()  # before Test, which may take long; once more with its accuracy
@@ -139,7 +138,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         save()
     for line in data.left_out:  # once more: the first time may be hours ago
         note(f"left out: {line}")
-    _print_summary(fitted.model.record, {} if fitted.scores is None else fitted.scores.to_dict(), args, written)
+    _print_summary(fitted.model.record, fitted.scores or {}, args, written)
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,8 @@ N_BINS = 10
 """Of probability, for the calibration."""
 
 
-@dataclass(frozen=True)
-class Scores:
-    """What `score_recordings` found; K classes.
+def scores_of(classes: Sequence[str], confusion: np.ndarray, window_confusion: np.ndarray) -> dict[str, Any]:
+    """What is read from confusion matrices, as plain values for JSON.
 
     Parameters
     ----------
@@ -22,82 +20,55 @@ class Scores:
     confusion : int64, shape (K, K), recordings by true class (row) and decided class (column). A recording is decided
         by the mean of its windows' probabilities.
     window_confusion : the same of windows, each by itself.
+
+    Returns
+    -------
+    accuracy, window_accuracy : shares of recordings, and of windows, decided right.
+    per_class : class name -> share of its recordings decided right; None where it has none.
+    balanced_accuracy : mean of `per_class`: a model that always answers the most frequent class scores low.
+    recordings, windows : how many. And what was given.
     """
-
-    classes: tuple[str, ...]
-    confusion: np.ndarray
-    window_confusion: np.ndarray
-
-    @property
-    def accuracy(self) -> float:
-        """Share of recordings decided right."""
-        return share_right(self.confusion)
-
-    @property
-    def window_accuracy(self) -> float:
-        """Share of windows decided right."""
-        return share_right(self.window_confusion)
-
-    @property
-    def per_class(self) -> dict[str, float | None]:
-        """Class name -> share of its recordings decided right; None where it has none."""
-        return {
-            name: None if not row.sum() else float(row[k] / row.sum())
-            for k, (name, row) in enumerate(zip(self.classes, self.confusion, strict=True))
-        }
-
-    @property
-    def balanced_accuracy(self) -> float:
-        """Mean of `per_class`: a model that always answers the most frequent class scores low."""
-        return float(np.mean([share for share in self.per_class.values() if share is not None]))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "accuracy": self.accuracy,
-            "window_accuracy": self.window_accuracy,
-            "balanced_accuracy": self.balanced_accuracy,
-            "recordings": int(self.confusion.sum()),
-            "windows": int(self.window_confusion.sum()),
-            "classes": list(self.classes),
-            "per_class": self.per_class,
-            "confusion": self.confusion.tolist(),
-            "window_confusion": self.window_confusion.tolist(),
-        }
+    per_class = {
+        name: None if not row.sum() else float(row[k] / row.sum())
+        for k, (name, row) in enumerate(zip(classes, confusion, strict=True))
+    }
+    return {
+        "accuracy": share_right(confusion),
+        "window_accuracy": share_right(window_confusion),
+        "balanced_accuracy": float(np.mean([share for share in per_class.values() if share is not None])),
+        "recordings": int(confusion.sum()),
+        "windows": int(window_confusion.sum()),
+        "classes": list(classes),
+        "per_class": per_class,
+        "confusion": confusion.tolist(),
+        "window_confusion": window_confusion.tolist(),
+    }
 
 
 def score_recordings(
     classes: Sequence[str], labels: Sequence[int] | np.ndarray, probabilities: Sequence[np.ndarray]
-) -> Scores:
-    """Compare decisions with the truth.
+) -> dict[str, Any]:
+    """Compare decisions with the truth, see `scores_of`.
 
     Parameters
     ----------
     classes : K names.
-    labels : R, the class of each recording, in [0, K).
+    labels : R, the class of each recording, in [0, K); R at least 1.
     probabilities : R arrays of shape (n, K), of each recording's windows; n at least 1.
-
-    Raises
-    ------
-    ValueError : no recordings, or one without windows.
 
     Examples
     --------
     >>> windows = [np.array([[0.9, 0.1], [0.4, 0.6]]), np.array([[0.7, 0.3]])]
     >>> scores = score_recordings(["left", "right"], [0, 1], windows)
-    >>> scores.accuracy, round(scores.window_accuracy, 3), scores.per_class
+    >>> scores["accuracy"], round(scores["window_accuracy"], 3), scores["per_class"]
     (0.5, 0.333, {'left': 1.0, 'right': 0.0})
     """
-    if len(labels) == 0:
-        raise ValueError("there must be at least one recording to score, got none")
     confusion = np.zeros((len(classes), len(classes)), np.int64)
     window_confusion = np.zeros_like(confusion)
     for label, windows in zip(labels, probabilities, strict=True):
-        if len(windows) == 0:
-            raise ValueError("every recording to score must have a window, got one with none")
         confusion[label, np.mean(windows, axis=0).argmax()] += 1
         np.add.at(window_confusion[label], np.argmax(windows, axis=1), 1)
-    return Scores(tuple(classes), confusion, window_confusion)
+    return scores_of(classes, confusion, window_confusion)
 
 
 def share_right(confusion: np.ndarray) -> float:

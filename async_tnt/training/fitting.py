@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from async_tnt.evaluation.scores import Scores
+from async_tnt.evaluation.scores import scores_of
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.data import TrainingData
@@ -32,12 +32,12 @@ class Fitted:
     Parameters
     ----------
     model : calibrated; its record says what it was trained on, how, and how accurate it is on what was held out.
-    scores : of the held-out recordings; None where nothing is held out, and of a map model.
+    scores : of the held-out recordings, see `scores_of`; None where nothing is held out, and of a map model.
     history : one dict per epoch, see `train`.
     """
 
     model: Model
-    scores: Scores | None
+    scores: dict[str, Any] | None
     history: list[dict[str, float]]
 
     def tested(self, data: TrainingData) -> Fitted:
@@ -111,7 +111,7 @@ def fit(
         model, temperature = calibrated(model, found.temperature)
         found = found.at_temperature(temperature)
         summary |= {"validation": found.to_dict(), "temperature": round(temperature, 5)}
-        scores = Scores(data.classes, found.recording_confusion, found.confusion)
+        scores = scores_of(data.classes, found.recording_confusion, found.confusion)
     if motions is not None and len(motions.validation) >= MIN_MOVED:
         moved = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
         summary["validation_motions"] = {name: moved[name] for name in moved if "recording" not in name}
