@@ -13,15 +13,17 @@ from typing import Any
 import numba
 import numpy as np
 
-from async_tnt.checking.agreement import streams_for
 from async_tnt.cli.output import say
 from async_tnt.compile_ahead import warmup
+from async_tnt.config import TNTConfig
+from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.package import __version__
 from async_tnt.processor import Processor
 from async_tnt.progress import progress
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.volume import TNTVolume
 
 DESCRIPTION = """\
@@ -36,6 +38,7 @@ NEW_EVENTS = (1, 100, 1300)
 PACKET = 1000  # events
 COUNTS = {"rounds": (50, 3), "moments": (50, 5), "events": (2000, 300)}  # in full, with --quick; the last two of each
 # recording
+N_MADE, MADE_WINDOWS = 3, 3  # streams for sensors other than the samples', and windows of each
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     rounds, moments, n_events = (both[args.quick] for both in COUNTS.values())
-    recordings, origin = streams_for(model.config)
+    recordings, origin = _streams_for(model.config)
     with progress(len(NEW_EVENTS) + 2, "compiling") as bar:
         warmup(model)
         bar.update(title="events into the volume")
@@ -68,6 +71,28 @@ def main(args: argparse.Namespace) -> int:
     }
     say(*([json.dumps(report)] if args.json else _lines(report)))
     return 0
+
+
+def _streams_for(config: TNTConfig) -> tuple[list[np.ndarray], str]:
+    """Events of the bundled samples, or of made streams where the sensor is another; and which of both."""
+    opened = [open_recording(path) for path in sample_recordings().values()]
+    if all(recording.sensor == config.sensor for recording in opened):
+        return [recording.read() for recording in opened], "bundled samples"
+    return [_made(config, seed) for seed in range(N_MADE)], "made streams"
+
+
+def _made(config: TNTConfig, seed: int) -> np.ndarray:
+    """An edge that moves over the sensor, among noise; seeded."""
+    (width, height), n, duration_us = config.sensor, 4000, MADE_WINDOWS * config.window_us
+    rng = np.random.default_rng(seed)
+    events = np.zeros(n, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, duration_us, n))
+    edge = (0.25 + 0.5 * events["t"] / duration_us + rng.normal(0, 0.02, n)) * (width - 1)
+    noise = rng.random(n) < 0.3
+    events["x"] = np.where(noise, rng.integers(0, width, n), edge.round().clip(0, width - 1))
+    events["y"] = rng.integers(0, height, n)
+    events["p"] = np.where(noise, rng.integers(0, 2, n), events["x"] > edge)
+    return events
 
 
 def _packets(events: np.ndarray) -> list[np.ndarray]:

@@ -11,8 +11,8 @@ import pytest
 from made import random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, load_model
-from async_tnt.checking import agreement
 from async_tnt.networks import onnx_export, to_onnx
+from async_tnt.networks.conversion_check import compare
 
 
 def test_a_file_of_two_gigabytes_is_refused(monkeypatch):
@@ -22,16 +22,17 @@ def test_a_file_of_two_gigabytes_is_refused(monkeypatch):
 
 
 @pytest.mark.parametrize("wrong", [lambda logits: -logits, lambda logits: logits * np.nan, lambda logits: logits + 1])
-def test_one_window_that_differs_is_one_too_many(wrong):
-    model, calls = random_model(classes=3), []
-    network = CompiledClassifier(model)
+def test_one_volume_that_differs_is_one_too_many(wrong):
+    calls = []
+    network = CompiledClassifier(random_model(classes=3))
 
     def sometimes_wrong(volume):
         calls.append(1)
         return wrong(network(volume)) if len(calls) == 7 else network(volume)
 
-    assert agreement.compare_engines(model, network).holds
-    assert not agreement.compare_engines(model, sometimes_wrong).holds
+    compare(network, network, network.shape)
+    with pytest.raises(ValueError, match=r"^its layers compute other numbers \(by "):
+        compare(sometimes_wrong, network, network.shape)
 
 
 # -- the command -------------------------------------------------------------------------------------------
@@ -40,14 +41,13 @@ def test_one_window_that_differs_is_one_too_many(wrong):
 def test_export_writes_the_file_and_checks_it(tmp_path, program):
     out = tmp_path / "digits.onnx"
     code, text, _ = program("export", "digits", "--out", out)
-    first, second = text.splitlines()
     assert code == 0 and os.listdir(tmp_path) == ["digits.onnx"]
-    assert first == f"{out} ({out.stat().st_size / 1e3:.0f} kB): volume (1, 9, 34, 34) -> logits (1, 10)"
-    assert "30 windows of bundled samples: logits within " in second and second.endswith("no classes differ")
+    size = out.stat().st_size
+    assert text.startswith(f"{out} ({size / 1e3:.0f} kB): volume (1, 9, 34, 34) -> logits (1, 10)\nonnxruntime ")
+    assert text.endswith(" agrees with the compiled network\n")
     assert out.read_bytes() == to_onnx(load_model("digits")).SerializeToString()
     report = json.loads(program("export", "digits", "--out", out, "--json")[1])
-    assert report["agrees"] and report["files"] == {str(out): out.stat().st_size} and report["windows"] == 30
-    assert 0 < report["largest_logit_difference"] <= 1e-4 and report["classes_that_differ"] == 0
+    assert report["agrees"] and report["difference"] is None and report["files"] == {str(out): size}
 
 
 def test_nothing_is_written_where_the_networks_do_not_agree(tmp_path, monkeypatch, program):
@@ -57,7 +57,7 @@ def test_nothing_is_written_where_the_networks_do_not_agree(tmp_path, monkeypatc
     out = tmp_path / "m.onnx"
     out.write_bytes(b"what was there")
     code, text, _ = program("export", "digits", "--out", out)
-    assert code == 1 and text.endswith("it does NOT agree: nothing is written\n")
+    assert code == 1 and "nothing is written: its layers compute other numbers (by 0.1, where the largest is" in text
     assert os.listdir(tmp_path) == ["m.onnx"] and out.read_bytes() == b"what was there"
 
 
