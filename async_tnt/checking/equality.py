@@ -14,7 +14,7 @@ Needs torch (extra `reference`), which is imported only when something is checke
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -81,7 +81,6 @@ def check_recording(
     *,
     prefixes: int | None = 8,
     start_us: int | None = None,
-    packet_sizes: Sequence[int] = PACKET_SIZES,
     on_progress: Callable[[], None] = lambda: None,
 ) -> list[Comparison]:
     """Check all promises on one recording.
@@ -97,7 +96,7 @@ def check_recording(
     """
     comparisons = []
     for name, config in configurations(model.config).items():
-        comparisons += _check_config(events, name, config, model, prefixes, start_us, packet_sizes)
+        comparisons += _check_config(events, name, config, model, prefixes, start_us)
         on_progress()
     comparisons += _check_network(events, model, prefixes, start_us)
     on_progress()
@@ -111,7 +110,6 @@ def _check_config(
     model: Model,
     prefixes: int | None,
     start_us: int | None,
-    packet_sizes: Sequence[int],
 ) -> list[Comparison]:
     """Promises (a) and (b) for one configuration."""
     regressed, transformed = config.needs_regressor, config.transform == "tnt"
@@ -122,8 +120,8 @@ def _check_config(
     landmark_bound = REGRESSED_LANDMARK_BOUND if regressed else LANDMARK_BOUND
     landmarks = Comparison("landmark against reference, px", name, landmark_bound)
 
-    expected = closed_volumes(events, config, packet_sizes[0], start_us, regressor)
-    for size in packet_sizes[1:]:
+    expected = closed_volumes(events, config, PACKET_SIZES[0], start_us, regressor)
+    for size in PACKET_SIZES[1:]:
         got = closed_volumes(events, config, size, start_us, regressor)
         packets.add(abs(len(got) - len(expected)))
         for (start_a, a), (start_b, b) in zip(expected, got, strict=False):
