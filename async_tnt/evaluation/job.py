@@ -10,10 +10,10 @@ import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
+from async_tnt.networks.model_file import checksum
 from async_tnt.package import __version__
 from async_tnt.sources.pixel_selection import PixelSelection
 
@@ -36,14 +36,10 @@ class Job:
     pixels: PixelSelection = field(default_factory=PixelSelection)
 
     @property
-    def metadata(self) -> dict[str, Any]:
-        """Everything that the records depend on, by name, as plain values for JSON."""
-        return {"version": self.version, **self.pixels.about, "model_sha256": self.model_sha256}
-
-    @property
     def id(self) -> str:
-        """12 hexadecimal digits that stand for `metadata`."""
-        return hashlib.sha256(json.dumps(self.metadata, sort_keys=True).encode()).hexdigest()[:12]
+        """12 hexadecimal digits that stand for everything that the records depend on."""
+        about = {"version": self.version, **self.pixels.about, "model_sha256": self.model_sha256}
+        return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,6 @@ class Task:
     recording : its name in the results.
     path : absolute, because workers may have another working folder.
     job : what is done with it.
-    settings : `job.id`.
     bytes, modified_ns : size, and time of the last change; None if the file cannot be accessed.
     label : its class; None where that is not known.
     between_us : the part of the file that it is; None: all.
@@ -64,17 +59,16 @@ class Task:
     recording: str
     path: Path
     job: Job
-    settings: str
     bytes: int | None = None
     modified_ns: int | None = None
     label: str | None = None
     between_us: tuple[int, int] | None = None
 
 
-def job_of(name_or_path: str, model: Model, pixels: PixelSelection | None = None) -> Job:
+def job_of(name_or_path: str, model: Model, pixels: PixelSelection) -> Job:
     """The job of a model that `load_model` has loaded under this name."""
     where = name_or_path if name_or_path in bundled_models() else os.path.abspath(name_or_path)
-    return Job(where, sha256_of(model), pixels=pixels or PixelSelection())
+    return Job(where, sha256_of(model), pixels=pixels)
 
 
 def task_of(
@@ -90,16 +84,11 @@ def task_of(
     try:
         status = path.stat()
     except OSError:  # opening it will raise the same error
-        return Task(name, absolute, job, job.id, None, None, label, between_us)
-    return Task(name, absolute, job, job.id, status.st_size, status.st_mtime_ns, label, between_us)
+        return Task(name, absolute, job, None, None, label, between_us)
+    return Task(name, absolute, job, status.st_size, status.st_mtime_ns, label, between_us)
 
 
 def sha256_of(model: Model) -> str:
     """Of what the decisions depend on: configuration, classes, layers and weights."""
-    sha256 = hashlib.sha256()
     about = [model.config.to_dict(), list(model.classes), model.network]
-    sha256.update(json.dumps(about, sort_keys=True).encode())
-    for name, weights in sorted(model.weights.items()):
-        sha256.update(f"{name} {weights.shape} {weights.dtype}".encode())
-        sha256.update(weights.tobytes())
-    return sha256.hexdigest()
+    return checksum(model.weights, json.dumps(about, sort_keys=True))

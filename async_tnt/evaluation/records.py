@@ -69,7 +69,7 @@ def lost(task: Task) -> Record:
 
 
 def _record(task: Task, fields: Record, error: str | None) -> Record:
-    about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
+    about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.job.id}
     record = dict.fromkeys(FIELDS) | {"recording": task.recording, "class": task.label}
     return record | fields | {"error": error} | about_file
 
