@@ -8,15 +8,10 @@ import logging
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from multiprocessing import connection
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from async_tnt.checks import needs_extra
-from async_tnt.package import __version__
 from async_tnt.sources.worker import Worker, WorkerEnded
-
-if TYPE_CHECKING:
-    from async_tnt.evaluation.job import Task as RecordingTask
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -72,10 +67,10 @@ def run_all(
 
 
 def run_on_dask(
-    function: Callable[[RecordingTask], Result],
-    tasks: Sequence[RecordingTask],
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
     address: str,
-    lost: Callable[[RecordingTask], Result] | None = None,
+    lost: Callable[[Task], Result],
 ) -> Generator[Result]:
     """As `run_all`, on the workers of the cluster whose scheduler has this address.
 
@@ -86,7 +81,6 @@ def run_on_dask(
     Raises
     ------
     ImportError : Dask is not installed.
-    ValueError : workers have no async_tnt, another version of it, or cannot read the files.
     OSError : no scheduler answers at this address, or it is gone; or there are no workers.
     """
     if not tasks:
@@ -94,9 +88,14 @@ def run_on_dask(
     with _connected(address) as client:
         from distributed import KilledWorker, as_completed
 
-        _check_workers(client, address, tasks)
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_S)
+        except TimeoutError:
+            raise ConnectionError(
+                f"the Dask cluster at {address} has no workers: start some, with one thread each: dask worker {address}"
+            ) from None
         waiting = iter(tasks)
-        task_of: dict[str, RecordingTask] = {}
+        task_of: dict[str, Task] = {}
 
         def submit(n: int) -> list[Any]:
             futures = []
@@ -118,8 +117,6 @@ def run_on_dask(
             try:
                 yield _result(client.submit(function, task, pure=False), address)
             except KilledWorker:
-                if lost is None:
-                    raise
                 yield lost(task)
 
 
@@ -148,33 +145,3 @@ def _connected(address: str) -> Iterator[Any]:
             yield client
     finally:
         logging.disable(logging.NOTSET)
-
-
-def _check_workers(client: Any, address: str, tasks: Sequence[RecordingTask]) -> None:
-    """Ask every worker, before any work, whether it has this package and can read the files."""
-    try:
-        client.wait_for_workers(1, timeout=WORKERS_S)
-    except TimeoutError:
-        raise ConnectionError(
-            f"the Dask cluster at {address} has no workers: start some, with one thread each: dask worker {address}"
-        ) from None
-    files = [str(next((task for task in tasks if task.bytes is not None), tasks[0]).path)]
-    if Path(tasks[0].job.model).is_absolute():
-        files.append(tasks[0].job.model)
-
-    # A nested function is sent as code: a worker without async_tnt could not import another.
-    def problem(files: list[str], expected: str) -> str:
-        import os
-
-        try:
-            from async_tnt.package import __version__ as version
-        except ImportError:
-            version = "missing"
-        if version != expected:
-            return f"has async_tnt {version}, expected {expected}: install it there"
-        unreadable = [file for file in files if not os.access(file, os.R_OK)]
-        return f"cannot read {unreadable[0]}: all machines must see the files by the same path" if unreadable else ""
-
-    for worker, text in client.run(problem, files, __version__).items():
-        if text:
-            raise ValueError(f"worker {worker} {text}")

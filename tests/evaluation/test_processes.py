@@ -91,16 +91,6 @@ def test_a_call_over_its_limit_ends_the_worker():
     assert not worker.is_running
 
 
-def test_workers_that_cannot_read_the_files_or_have_another_version_are_named(cluster, tmp_path, monkeypatch):
-    (task,) = make_tasks(tmp_path / "set", ["00"])
-    task.path.unlink()
-    with pytest.raises(ValueError, match=r"worker tcp://\S+ cannot read .*00: all machines must see the files"):
-        list(run_on_dask(record_of, [task], cluster, lost))
-    monkeypatch.setattr(ways, "__version__", "9.9")
-    with pytest.raises(ValueError, match=r"worker tcp://\S+ has async_tnt \S+, expected 9.9: install it there"):
-        list(run_on_dask(record_of, [task], cluster, lost))
-
-
 def test_a_cluster_without_workers(empty_cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(ways, "CONNECT_S", 120.0)
     monkeypatch.setattr(ways, "WORKERS_S", 0.5)
