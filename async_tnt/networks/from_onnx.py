@@ -15,7 +15,7 @@ from async_tnt.networks.conversion_check import TOLERANCE, compare
 from async_tnt.networks.graph import CLASSIFIER, layer_shapes, tensors_of
 from async_tnt.networks.model import Model
 from async_tnt.networks.objects import logits_shape
-from async_tnt.networks.onnx_export import is_damaged, read_metadata
+from async_tnt.networks.onnx_export import read_metadata
 from async_tnt.networks.onnx_layers import Node, OnnxLayers
 from async_tnt.networks.onnx_network import open_session
 from async_tnt.networks.onnx_operations import RULES
@@ -34,17 +34,14 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
     """The model in an .onnx file, see `load_model`."""
     with needs_extra("onnx", "ONNX networks are read by onnx"):
         import onnx
-    content = path.read_bytes()
     try:
         proto = onnx.load(path)  # and weights in files beside it
         onnx.checker.check_model(proto)
         metadata = {entry.key: entry.value for entry in proto.metadata_props}
-        exported = read_metadata(metadata)
+        exported = read_metadata(metadata, path.read_bytes())
     except Exception as error:  # of many types
         raise ValueError(f"{path} is not a readable ONNX network: {one_line(error)}") from None
     if exported is not None:
-        if is_damaged(metadata, content):
-            raise ValueError(f"{path} is damaged: its checksum differs; copy or download it again")
         if config is not None or classes is not None:
             raise TypeError(f"`config` and `classes` are for networks of other programs; {path} has its own")
         if exported.config.needs_regressor:

@@ -233,21 +233,16 @@ def seal(made: onnx.ModelProto) -> None:
     entry.value = _checksum(made.SerializeToString(), BLANK)
 
 
-def is_damaged(metadata: Mapping[str, str], content: bytes) -> bool:
-    """Whether a file of ours differs from what `seal` wrote."""
-    return metadata["sha256"] != _checksum(content, metadata["sha256"])
-
-
 def _checksum(content: bytes, sha256: str) -> str:
     return hashlib.sha256(content.replace(sha256.encode(), BLANK.encode())).hexdigest()
 
 
-def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
-    """A file's metadata; None where another program wrote the file.
+def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | None:
+    """The metadata of a file of this content; None where another program wrote it.
 
     Raises
     ------
-    ValueError : our file, but of another version, or damaged.
+    ValueError : our file, but of another version, or damaged: it is not what `seal` wrote.
     """
     written = metadata.get("format", "")
     if not written.startswith(FORMAT.split()[0] + " "):
@@ -265,4 +260,9 @@ def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
         raise ValueError(f"metadata `record` must be a mapping, got {metadata['record']!r}")
     if not isinstance(layers, list):
         raise ValueError(f"metadata `network` must be a list of layers, got {metadata['network']!r}")
+    if metadata["sha256"] != _checksum(content, metadata["sha256"]):
+        raise ValueError(
+            "its checksum differs; copy or export it again (where another program has changed it, remove `format` "
+            "from its metadata)"
+        )
     return Exported(config, tuple(classes), record, layers)

@@ -13,7 +13,7 @@ import numpy as np
 from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
 from async_tnt.config import MAX_CELLS
 from async_tnt.networks.objects import LOGITS, Places, logits_shape, places_of
-from async_tnt.networks.onnx_export import Exported, is_damaged, read_metadata
+from async_tnt.networks.onnx_export import Exported, read_metadata
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -186,14 +186,9 @@ def open_session(
     except Exception as error:  # of many types, none of them a ValueError
         raise ValueError(f"{name} is not a readable ONNX network: {one_line(error)}") from None
     try:
-        exported = read_metadata(metadata)
+        exported = read_metadata(metadata, Path(source).read_bytes() if isinstance(source, str) else source)
     except ValueError as error:
         raise ValueError(f"{name} is damaged: {one_line(error)}") from None
-    if exported is not None and is_damaged(metadata, Path(source).read_bytes() if isinstance(source, str) else source):
-        raise ValueError(
-            f"{name} is damaged: its checksum differs; copy or export it again (where another program has changed "
-            "it, remove `format` from its metadata)"
-        )
     return session, inputs, outputs, exported
 
 
