@@ -6,15 +6,14 @@ import argparse
 import contextlib
 import functools
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from async_tnt.cli.options import positive_int
 from async_tnt.cli.output import complain
 from async_tnt.evaluation.job import Task
 from async_tnt.evaluation.processes import run_all, run_on_dask
-from async_tnt.evaluation.records import Record
+from async_tnt.evaluation.records import Record, evaluate_recording
 from async_tnt.evaluation.results import SUFFIXES, Run, collect
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
@@ -60,23 +59,19 @@ def how_to_run(args: argparse.Namespace) -> Run:
     return functools.partial(run_on_dask, address=args.dask)
 
 
-def stream_archive(
-    args: argparse.Namespace,
-    function: Callable[[Task], Record],
-    tasks: Sequence[Task],
-    run: Run,
-) -> list[Record]:
+def stream_archive(args: argparse.Namespace, tasks: Sequence[Task], run: Run) -> list[Record]:
     """All records in order of the recordings' names, with a progress bar; written to the file of --out, if given.
 
     Raises
     ------
     KeyboardInterrupt : with what is done by then. Others : as `collect`.
     """
-    how: dict[str, Any] = {"restart": args.restart, "progress": progress, "report": complain}
     try:
         with contextlib.ExitStack() as stack:
             out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")
-            return collect(function, tasks, run, out, **how)
+            return collect(
+                evaluate_recording, tasks, run, out, restart=args.restart, progress=progress, report=complain
+            )
     except KeyboardInterrupt as error:
         n_done = f": {error}" if str(error) else ""
         kept = "the same command resumes" if args.out else "nothing is kept without --out"

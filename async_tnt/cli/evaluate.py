@@ -18,7 +18,7 @@ from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import job_of, task_of
-from async_tnt.evaluation.records import Record, evaluate_recording
+from async_tnt.evaluation.records import Record
 from async_tnt.evaluation.scores import score_recordings
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
@@ -68,26 +68,20 @@ def main(args: argparse.Namespace) -> int:
     if model.places is not None:
         return evaluate_objects(args, model)
     pixels = selector_of(args, model)
-    recordings, labels = labelled_recordings(args.dataset, model)
+    found = labelled_recordings(args.dataset, model)
     fill_cache()
     job = job_of(args.model, model, pixels.selection)
     tasks = [
-        task_of(
-            one.name_as(one.path.relative_to(args.dataset).as_posix()),
-            one.path,
-            job,
-            model.classes[label],
-            one.between_us,
-        )
-        for one, label in zip(recordings, labels, strict=True)
+        task_of(one.name_as(one.path.relative_to(args.dataset).as_posix()), one.path, job, name, one.between_us)
+        for name, recordings in found.items()
+        for one in recordings
     ]
-    label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
-    records = stream_archive(args, evaluate_recording, tasks, run)
+    records = stream_archive(args, tasks, run)
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:
         raise ValueError(f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}")
-    report = report_of(model, good, [label_of[record["recording"]] for record in good], skipped)
+    report = report_of(model, good, skipped)
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
     say(*([json.dumps(report)] if args.json else lines_of(report)))
@@ -98,8 +92,8 @@ def main(args: argparse.Namespace) -> int:
     return 2 if skipped and args.strict else 0
 
 
-def labelled_recordings(folder: Path, model: Model) -> tuple[list[LabelledRecording], list[int]]:
-    """The recordings of a folder, and the index of each one's class in `model.classes`.
+def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRecording]]:
+    """The recordings of a folder, by their classes.
 
     Raises
     ------
@@ -110,10 +104,9 @@ def labelled_recordings(folder: Path, model: Model) -> tuple[list[LabelledRecord
     unknown = [name for name in found if name not in model.classes]
     if unknown:
         raise ValueError(f"{folder}: the model does not know class {_some(unknown)}; it knows {_some(model.classes)}")
-    recordings = [one for name in found for one in found[name]]
-    if not recordings:
+    if not any(found.values()):
         raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
-    return recordings, [model.classes.index(name) for name in found for _ in found[name]]
+    return found
 
 
 def _some(names: Sequence[str]) -> str:
@@ -121,8 +114,9 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
-def report_of(model: Model, records: list[Record], labels: list[int], skipped: list[str]) -> dict[str, Any]:
+def report_of(model: Model, records: list[Record], skipped: list[str]) -> dict[str, Any]:
     """All numbers, as `--json` prints them."""
+    labels = [model.classes.index(record["class"]) for record in records]
     probabilities = [np.array(record["window_probabilities"]) for record in records]
     return {
         **score_recordings(model.classes, labels, probabilities),
