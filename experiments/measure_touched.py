@@ -13,6 +13,7 @@ import numpy as np
 from async_tnt import CompiledClassifier, Model
 from experiments.bench_moments import NEW_EVENTS, Moments
 from experiments.bench_network import Feed
+from experiments.network_work import work_of
 
 
 def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> dict[str, Any]:
@@ -49,6 +50,7 @@ def _count(model: Model, block: list[Any]) -> list[dict[str, int]]:
 def _counted(network: CompiledClassifier) -> dict[str, int]:
     """Places computed by the last call, by layer, and multiplications. Of a layer in parts, those of its first."""
     places: dict[str, int] = {}
-    for step, n in network.work:
+    work = work_of(network)
+    for step, n in work:
         places.setdefault(step.layer, n)
-    return {**places, "multiplications": sum(n * step.products for step, n in network.work)}
+    return {**places, "multiplications": sum(n * step.products for step, n in work)}

@@ -15,7 +15,7 @@ from async_tnt.kernels.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 from async_tnt.networks.objects import ObjectReader, new_tracks
-from async_tnt.networks.program import StepWork, VolumeInput, make_program
+from async_tnt.networks.program import VolumeInput, make_program
 from async_tnt.volume import TNTVolume
 
 
@@ -37,6 +37,7 @@ class CompiledClassifier:
     sensor : (width, height).
     places : of a map model: where on the sensor the places of its map lie; of others None.
     network : the arrays that compiled code reads, see `kernels.program`.
+    steps : of each step of the program, the layer that it computes, or a part of.
 
     Raises
     ------
@@ -59,7 +60,7 @@ class CompiledClassifier:
         self.places, self.sensor = model.places, model.config.sensor
         self._running = Running("CompiledClassifier")
         self._program = make_program(model.network[CLASSIFIER], self.shape, model.weights)
-        self.network = self._program.arrays
+        self.network, self.steps = self._program.arrays, self._program.steps
         self._input = VolumeInput(self.shape)
         self.logits_shape = model.logits_shape
         program = self._program
@@ -111,11 +112,6 @@ class CompiledClassifier:
         view = np.ndarray(self.logits_shape, np.float32, self.network.maps, first, (strides[2], *strides[:2]))
         view.flags.writeable = False
         return view
-
-    @property
-    def work(self) -> list[tuple[StepWork, int]]:
-        """The network's steps, and how many places of each the last call computed."""
-        return list(zip(self._program.steps, self._program.computed(), strict=True))
 
     def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
         """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not finite), logits, and

@@ -28,27 +28,18 @@ class ProgramArrays(NamedTuple):
     places: np.ndarray
 
 
-class StepWork(NamedTuple):
-    """What a step computes, at most."""
-
-    layer: str
-    places: int
-    products: int
-    """Multiplications at each place."""
-
-
 @dataclass(frozen=True)
 class Program:
     """A network for the compiled interpreter; its input is zero, and nothing has been computed.
 
     arrays : ProgramArrays.
-    steps : in order.
+    steps : of each, in order, the layer that it computes, or a part of.
     output_layout : where in `maps` the output begins, numbers from one of its rows, columns and channels to the next.
     output_changes : where in the program the records of the output's changes begin.
     """
 
     arrays: ProgramArrays
-    steps: list[StepWork]
+    steps: list[str]
     output_layout: tuple[int, int, int, int]
     output_changes: list[int]
 
@@ -58,12 +49,6 @@ class Program:
         set_input(volume, self.arrays.program, self.arrays.maps)
         forward(*self.arrays)
         return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
-
-    def computed(self) -> list[int]:
-        """How many places of each step's map were computed in the last call."""
-        first = P.FIRST_STEP + P.N_COMPUTED
-        found: list[int] = self.arrays.program[first :: P.STEP_SIZE][: len(self.steps)].tolist()
-        return found
 
 
 def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: Mapping[str, np.ndarray]) -> Program:
@@ -139,9 +124,9 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
     arrays = ProgramArrays(
         np.concatenate([program, np.array(tables, np.int64)]), packed_weights, values, np.zeros(places.size, np.uint32)
     )
-    work = [StepWork(step.name, step.rows * step.columns, step.products) for step in steps]
     layout = firsts[output], _pitch(output), output.channels, 1
-    return Program(arrays, work, layout, [records[writer] + P.CHANGED for writer in output.writers])
+    output_changes = [records[writer] + P.CHANGED for writer in output.writers]
+    return Program(arrays, [step.name for step in steps], layout, output_changes)
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:

@@ -91,13 +91,6 @@ class Step:
         )
         return rows, columns
 
-    @property
-    def products(self) -> int:
-        """Multiplications of one place; none of a plain sum or mean."""
-        if self.kind != MIX and not self.own_weights and (self.weights == self.weights.flat[:1]).all():
-            return 0
-        return self.weights.size // (self.output.rows * self.output.columns if self.own_weights else 1)
-
 
 def steps_of(layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]) -> tuple[list[Step], Map]:
     """The steps of a network whose layers have been checked, in order, and the map of its output.

@@ -7,6 +7,7 @@ from made import random_events
 from networks.cases import NETWORKS
 
 from async_tnt import CompiledClassifier
+from experiments.network_work import work_of
 
 RAW = NETWORKS[8]
 
@@ -17,11 +18,11 @@ def test_one_event_in_the_thesis_network():
     network, volume = RAW.classifier(), RAW.volume(RAW.config.replace(transform="tnt", landmark="center"))
     volume.open(0)
     network.refresh(volume)
-    most = dict.fromkeys(step.layer for step, _ in network.work)
+    most = dict.fromkeys(step.layer for step, _ in work_of(network))
     for event in random_events(400, seed=1, duration_us=3900).tolist():
         volume.update_one(*event)
         network.refresh(volume)
-        for step, n in network.work:
+        for step, n in work_of(network):
             most[step.layer] = max(most[step.layer] or 0, n)
     assert most == {"conv1": 16, "pool1": 9, "conv2": 25, "pool2": 9, "fc1": 9, "fc2": 1}
 
@@ -32,9 +33,9 @@ def test_nothing_new_is_nothing_computed_and_an_array_everything(network):
     volume.update(random_events(50, seed=2, duration_us=3000, sensor=network.config.sensor))
     first = classifier.refresh(volume).tobytes()
     assert classifier.refresh(volume).tobytes() == first
-    assert not any(n for _, n in classifier.work)
+    assert not any(n for _, n in work_of(classifier))
     assert classifier(volume.array).tobytes() == first
-    assert all(n == step.places for step, n in classifier.work)
+    assert all(n == step.places for step, n in work_of(classifier))
 
 
 @pytest.mark.parametrize("network", NETWORKS[:8], ids=str)
@@ -48,7 +49,7 @@ def test_a_new_window_computes_what_its_own_events_reach(network):
         event = random_events(1, seed=n + 1, sensor=network.config.sensor)
         volume.update(event)
         assert used.refresh(volume).tobytes() == new.refresh(volume).tobytes()
-        assert used.work == new.work
+        assert work_of(used) == work_of(new)
         used(volume.array)
         new, volume = network.classifier(), network.volume()
 
@@ -62,4 +63,4 @@ def test_a_change_that_no_filter_sees_ends_there():
     network.refresh(volume)
     volume.update_one(100, 5, 5, 1)
     network.refresh(volume)
-    assert [n for _, n in network.work] == [9, 0, 0, 0, 0, 0, 0, 0]
+    assert [n for _, n in work_of(network)] == [9, 0, 0, 0, 0, 0, 0, 0]
