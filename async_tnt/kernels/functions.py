@@ -83,7 +83,7 @@ class Arithmetic:
         holds = self._builder.fcmp_ordered(relation, *self._floats(a, b))
         return self._builder.select(holds, *self._floats(then, otherwise))
 
-    def clip(self, x: ir.Value, low: float, high: float) -> ir.Value:
+    def clip(self, x: ir.Value, low: Any, high: Any) -> ir.Value:
         x = self.where(x, "<", low, low, x)
         return self.where(x, ">", high, high, x)
 

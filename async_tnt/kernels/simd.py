@@ -23,9 +23,9 @@ import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
 from numba import config, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
+from .functions import Arithmetic
 from .jit import BOUNDS_CHECKED, inlined
 
 
@@ -78,16 +78,15 @@ class Simd:
         pointer = self.builder.bitcast(self.at(array, index), value.type.as_pointer())
         self.builder.store(value, pointer).align = 8 if value.type.element == ir.DoubleType() else 4
 
-    def spread(self, pointer: ir.Value) -> ir.Value:
+    def spread(self, number: ir.Value) -> ir.Value:
         """One number in every lane."""
-        undefined, mask = ir.Constant(VECTOR, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
-        first = self.builder.insert_element(undefined, self.builder.load(pointer), ir.Constant(ir.IntType(32), 0))
-        return self.builder.shuffle_vector(first, undefined, mask)
+        undefined = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
+        first = self.builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+        return self.builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), None))
 
     def fma(self, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
         """a * b + c with one rounding, in every lane."""
-        kind, name = ir.FunctionType(VECTOR, [VECTOR] * 3), f"llvm.fma.v{LANES}f32"
-        return self.builder.call(cgutils.get_or_insert_function(self.builder.module, kind, name), [a, b, c])
+        return Arithmetic(self.builder, VECTOR).fma(a, b, c)
 
     def loop(self, n: ir.Value, sums: list, body: Callable[[ir.Value, list], list]) -> list:
         """for k in range(n): sums = body(k, sums)        sums: a list of registers; n is at least 1."""

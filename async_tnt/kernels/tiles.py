@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba import types
 
 from . import program as P
-from .functions import applied, apply_function, choose
+from .functions import Arithmetic, applied, apply_function, choose
 from .jit import inlined
 from .simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
 
@@ -131,25 +131,23 @@ class _Tile:
         simd = self._simd
         return simd.builder.load(simd.at(self._program, simd.add(self._at, slot)))
 
+    def _place(self, p):
+        """Row and column of the p-th listed place."""
+        simd, builder = self._simd, self._simd.builder
+        place = builder.zext(builder.load(simd.at(self._places, simd.add(self._listed, p))), INDEX)
+        return builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
+
     def _starts(self, n_places):
         """Of each place, what it reads from and where it writes."""
-        simd, builder = self._simd, self._simd.builder
+        simd = self._simd
         slots = {slot: self._slot(slot) for slot in (P.IN_DY, P.IN_DX, P.OUT_DY, P.OUT_DX)}
         starts = []
         for p in range(n_places):
-            place = builder.zext(builder.load(simd.at(self._places, simd.add(self._listed, p))), INDEX)
-            y, x = builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
+            y, x = self._place(p)
             start = simd.add(self._inputs, simd.mul(y, slots[P.IN_DY]), simd.mul(x, slots[P.IN_DX]))
             out = simd.add(self._output, simd.mul(y, slots[P.OUT_DY]), simd.mul(x, slots[P.OUT_DX]))
             starts.append((simd.at(self._maps, start), out))
         return starts
-
-    def _number_of_place(self):
-        """Of the first listed place, row by row."""
-        simd, builder = self._simd, self._simd.builder
-        place = builder.zext(builder.load(simd.at(self._places, self._listed)), INDEX)
-        y, x = builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
-        return simd.add(simd.mul(y, self._slot(P.COLUMNS)), x)
 
     def mix(self, n_places, weights, block, n_filters):
         """Each number of places, and of registers, has its own instructions."""
@@ -179,7 +177,7 @@ class _Tile:
                 w = [simd.load(of_run, simd.add(simd.mul(k, size), v * LANES)) for v in vectors]
                 totals, new = iter(sums), []
                 for start in inputs:
-                    value = simd.spread(simd.at(start, k))
+                    value = simd.spread(builder.load(simd.at(start, k)))
                     new += [simd.fma(each, value, next(totals)) for each in w]
                 return new
 
@@ -212,7 +210,9 @@ class _Tile:
         channels, taps, n_taps = self._slot(P.OUT_CHANNELS), self._slot(P.RUNS), self._slot(P.N_RUNS)
         n_vectors = builder.udiv(simd.add(channels, LANES - 1), whole(LANES))
         size = simd.mul(n_vectors, LANES)
-        first = simd.add(self._slot(P.WEIGHTS), simd.mul(self._number_of_place(), self._slot(P.PLACE_WEIGHTS)))
+        y, x = self._place(0)
+        number = simd.add(simd.mul(y, self._slot(P.COLUMNS)), x)
+        first = simd.add(self._slot(P.WEIGHTS), simd.mul(number, self._slot(P.PLACE_WEIGHTS)))
         bias = simd.add(first, simd.mul(n_taps, size)) if kind == P.SUM else first
         slopes = simd.add(bias, size)
         limits = self._limits(weights, simd.add(slopes, size))
@@ -268,13 +268,12 @@ class _Tile:
 
     def _limits(self, weights, at):
         simd = self._simd
-        return simd.spread(simd.at(weights, at)), simd.spread(simd.at(weights, simd.add(at, 1)))
+        low, high = (simd.builder.load(simd.at(weights, simd.add(at, k))) for k in range(2))
+        return simd.spread(low), simd.spread(high)
 
     def _activated(self, value, slope, limits):
-        builder, (low, high) = self._simd.builder, limits
-        value = builder.select(builder.fcmp_ordered("<", value, ZERO), builder.fmul(value, slope), value)
-        value = builder.select(builder.fcmp_ordered("<", value, low), low, value)
-        return builder.select(builder.fcmp_ordered(">", value, high), high, value)
+        a = Arithmetic(self._simd.builder, VECTOR)
+        return a.clip(a.where(value, "<", 0.0, a.mul(value, slope), value), *limits)
 
     def _replace(self, value, at, left):
         """Write a register of channels, of which `left` belong to the place (None: all); the bits that differ."""
@@ -282,11 +281,8 @@ class _Tile:
         before, new = simd.load(self._maps, at, WORDS), builder.bitcast(value, WORDS)
         if left is not None:
             numbers = ir.Constant(WORDS, list(range(LANES)))
-            limit = builder.insert_element(
-                ir.Constant(WORDS, ir.Undefined), builder.trunc(left, ir.IntType(32)), ir.Constant(ir.IntType(32), 0)
-            )
-            limit = builder.shuffle_vector(limit, ir.Constant(WORDS, ir.Undefined), ir.Constant(WORDS, None))
-            new = builder.select(builder.icmp_signed("<", numbers, limit), new, before)
+            limits = simd.spread(builder.trunc(left, ir.IntType(32)))
+            new = builder.select(builder.icmp_signed("<", numbers, limits), new, before)
         simd.store(builder.bitcast(new, VECTOR), self._maps, at)
         return builder.xor(new, before)
 
