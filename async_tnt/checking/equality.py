@@ -20,7 +20,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from async_tnt.checking.reference import reference_landmark, reference_pipeline, reference_volume, reference_windows
 from async_tnt.config import LANDMARKS, TIME_IMAGES, TNTConfig
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
@@ -112,6 +111,8 @@ def _check_config(
     start_us: int | None,
 ) -> list[Comparison]:
     """Promises (a) and (b) for one configuration."""
+    from async_tnt.checking.reference import reference_landmark, reference_volume, reference_windows
+
     regressed, transformed = config.needs_regressor, config.transform == "tnt"
     regressor = CompiledRegressor(model) if regressed else None
     find_landmark = landmark_function(model) if regressed else None
@@ -148,6 +149,8 @@ def _check_config(
 
 def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None) -> list[Comparison]:
     """Promises (c) and (d): a decision after each event, in packets, compared where prefixes end."""
+    from async_tnt.checking.reference import reference_pipeline, reference_windows
+
     repeated = Comparison("bits that depend on earlier decisions", "the model", 0.0)
     logits = Comparison("logits against reference", "the model", LOGIT_BOUND)
     config, dense, pipeline = model.config, CompiledClassifier(model), reference_pipeline(model)

@@ -1,4 +1,4 @@
-"""Volumes, landmarks and logits of the batch reference (torch, package `tnt_reference`), imported when needed."""
+"""Volumes, landmarks and logits of the batch reference (torch, package `tnt_reference`)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import tnt_reference
+import torch
 
 from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.networks.model import Model
@@ -25,8 +27,6 @@ def reference_volume(
     ----------
     landmark : (x, y) in grid pixels instead of the configuration's; with landmark "regressor" it is needed.
     """
-    import tnt_reference
-
     columns = [events[field] for field in "txyp"]
     settings: dict[str, Any] = {**_window(events, config, start_us), "polarity": config.polarity}
     if config.representation in TIME_IMAGES:
@@ -34,13 +34,13 @@ def reference_volume(
     settings["bins"] = config.bins
     if config.transform == "none":
         return tnt_reference.event_volume(*columns, **settings).numpy()
-    return tnt_reference.tnt_volume(*columns, **(settings | _transform(config, landmark))).numpy()
+    settings |= {"t_max": config.t_max, "remove_flow": config.remove_flow}
+    settings["landmark"] = config.landmark if landmark is None else landmark
+    return tnt_reference.tnt_volume(*columns, **settings).numpy()
 
 
 def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> Landmark:
     """The landmark of the newest event, in grid pixels; not for landmark "regressor"."""
-    import tnt_reference
-
     columns = (events[field] for field in "txy")
     x, y = tnt_reference.landmark(config.landmark, *columns, **_window(events, config, start_us))[-1].tolist()
     return x, y
@@ -48,9 +48,6 @@ def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> 
 
 def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
     """The whole model in torch: a window's events and its start -> logits."""
-    import tnt_reference
-    import torch
-
     config = model.config
     pipeline = tnt_reference.Pipeline(
         torch_classifier(model),
@@ -72,8 +69,6 @@ def reference_windows(events: np.ndarray, config: TNTConfig, start_us: int | Non
 
     An event that comes after its window has closed is late, and belongs to none.
     """
-    import tnt_reference
-
     if not events.size:
         return []
     if config.window_events is not None:
@@ -87,13 +82,6 @@ def reference_windows(events: np.ndarray, config: TNTConfig, start_us: int | Non
 
 
 def _window(events: np.ndarray, config: TNTConfig, start_us: int) -> dict[str, Any]:
-    import tnt_reference
-
     by_time = config.window_events is None
     window_us = config.window_us if by_time else tnt_reference.until_newest(events["t"], start_us)
     return {"start_us": start_us, "window_us": window_us, "sensor": config.sensor, "grid": config.grid}
-
-
-def _transform(config: TNTConfig, landmark: Landmark | None) -> dict[str, Any]:
-    landmark_of = config.landmark if landmark is None else landmark
-    return {"t_max": config.t_max, "landmark": landmark_of, "remove_flow": config.remove_flow}
