@@ -12,7 +12,6 @@ import json
 import os
 from collections.abc import Callable, Collection, Generator, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from async_tnt.evaluation.job import Job, Task
 from async_tnt.evaluation.records import FIELDS, Record, lost
@@ -21,14 +20,8 @@ from async_tnt.progress import Bar, no_progress
 
 SUFFIXES = (".jsonl",)
 START = b'{"recording": '
-
-
-class Run(Protocol):
-    """`run_all` or `run_on_dask`, with all but these arguments given."""
-
-    def __call__(
-        self, function: Callable[[Task], Record], tasks: Sequence[Task], *, lost: Callable[[Task], Record]
-    ) -> Generator[Record]: ...
+Run = Callable[..., Generator[Record]]
+"""`run_all` or `run_on_dask`, with all arguments given but the function, the tasks, and `lost`."""
 
 
 def collect(
