@@ -10,9 +10,8 @@ import numpy as np
 
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import complain, say
-from async_tnt.evaluation.object_scores import ObjectScores
+from async_tnt.evaluation.object_scores import ObjectScores, score_recording
 from async_tnt.evaluation.object_tables import find_tables, read_table
-from async_tnt.evaluation.objects_in_recordings import score_recording
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
