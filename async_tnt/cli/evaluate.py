@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import functools
 import json
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.archives import add_archive, how_to_run, stream_archive
 from async_tnt.cli.evaluate_objects import evaluate_objects
-from async_tnt.cli.options import model_of
+from async_tnt.cli.options import model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.early import early_report
-from async_tnt.evaluation.job import job_of, task_of
-from async_tnt.evaluation.records import Record
+from async_tnt.evaluation.job import Task, job_of, task_of
+from async_tnt.evaluation.processes import run_all, run_on_dask
+from async_tnt.evaluation.records import Record, evaluate_recording
+from async_tnt.evaluation.results import SUFFIXES, Run, collect
 from async_tnt.evaluation.scores import score_recordings
+from async_tnt.files import check_writable
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
+from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 
 SHOWN = 10  # classes that an error names
@@ -58,12 +64,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
     add_pixels(parser)
-    add_archive(parser)
+    _add_archive(parser)
     parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
 
 
+def _add_archive(parser: argparse.ArgumentParser) -> None:
+    """--workers, --dask, --out, --restart."""
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="keep the results in this file, .jsonl, a record per recording; after an interruption or a kill the same "
+        "command resumes",
+    )
+    parser.add_argument(
+        "--workers", type=positive_int, metavar="N", help="processes that stream recordings (default: 1)"
+    )
+    parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="stream on the workers of a Dask cluster with its scheduler at this address (extra `cluster`)",
+    )
+    parser.add_argument(
+        "--restart", action="store_true", help="with --out: discard the results of an earlier run and start over"
+    )
+
+
 def main(args: argparse.Namespace) -> int:
-    run = how_to_run(args)
+    run = _how_to_run(args)
     model = model_of(args)
     if model.places is not None:
         return evaluate_objects(args, model)
@@ -76,7 +104,7 @@ def main(args: argparse.Namespace) -> int:
         for name, recordings in found.items()
         for one in recordings
     ]
-    records = stream_archive(args, tasks, run)
+    records = _stream(args, tasks, run)
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:
@@ -90,6 +118,43 @@ def main(args: argparse.Namespace) -> int:
     for line in skipped:
         complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0
+
+
+def _how_to_run(args: argparse.Namespace) -> Run:
+    """Where to stream; checks, before any work, that the options agree and that --out can be written.
+
+    Raises
+    ------
+    ValueError, OSError.
+    """
+    if args.workers is not None and args.dask is not None:
+        raise ValueError("--workers are processes here and --dask is a cluster: give one of them")
+    if args.restart and args.out is None:
+        raise ValueError("--restart requires --out: it discards the results in that file")
+    if args.out is not None:
+        check_writable(args.out, SUFFIXES)
+    if args.dask is None:
+        return functools.partial(run_all, workers=args.workers or 1)
+    return functools.partial(run_on_dask, address=args.dask)
+
+
+def _stream(args: argparse.Namespace, tasks: Sequence[Task], run: Run) -> list[Record]:
+    """All records in order of the recordings' names, with a progress bar; written to the file of --out, if given.
+
+    Raises
+    ------
+    KeyboardInterrupt : with what is done by then. Others : as `collect`.
+    """
+    try:
+        with contextlib.ExitStack() as stack:
+            out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")
+            return collect(
+                evaluate_recording, tasks, run, out, restart=args.restart, progress=progress, report=complain
+            )
+    except KeyboardInterrupt as error:
+        n_done = f": {error}" if str(error) else ""
+        kept = "the same command resumes" if args.out else "nothing is kept without --out"
+        raise KeyboardInterrupt(f"interrupted{n_done}; {kept}") from None
 
 
 def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRecording]]:
