@@ -130,16 +130,6 @@ def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape
     return n_numbers, max(n_output * n_each, math.prod(source))
 
 
-def multiplications(layers: Sequence[Layer], volume: Shape, tensors: Mapping[str, Shape]) -> int:
-    """Of the convolutions and dense layers in one complete pass; arguments as for `layer_shapes`."""
-    shapes = layer_shapes(layers, volume, tensors)
-    return sum(
-        math.prod(shapes[layer["name"]]) * math.prod(tensors[layer["weights"]["weight"]][1:])
-        for layer in layers
-        if layer["op"] in ("conv", "dense")
-    )
-
-
 def tensors_of(layers: Sequence[Layer]) -> set[str]:
     """The names of all weights of a network."""
     return {tensor for layer in layers for tensor in layer.get("weights", {}).values()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,15 +15,7 @@ import numpy as np
 from async_tnt.checks import plain_array, short
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.networks.graph import (
-    CLASSIFIER,
-    REGRESSOR,
-    Network,
-    Shape,
-    layer_shapes,
-    multiplications,
-    tensors_of,
-)
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, Shape, layer_shapes, tensors_of
 from async_tnt.networks.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.objects import Places, places_of
 
@@ -131,8 +124,7 @@ class Model:
     @property
     def logits_shape(self) -> Shape:
         """(n_classes,), or (n_classes, 1, 1); of a map model (n_classes + 1, R, C)."""
-        shapes = layer_shapes(self.network[CLASSIFIER], self.config.shape, self._tensors)
-        return shapes[self.network[CLASSIFIER][-1]["name"]]
+        return self._shapes[self.network[CLASSIFIER][-1]["name"]]
 
     @property
     def places(self) -> Places | None:
@@ -160,11 +152,18 @@ class Model:
     @property
     def multiplications(self) -> int:
         """Of the classifier's convolutions and dense layers, computed as a whole."""
-        return multiplications(self.network[CLASSIFIER], self.config.shape, self._tensors)
+        shapes = self._shapes
+        return sum(
+            math.prod(shapes[layer["name"]]) * math.prod(self.weights[layer["weights"]["weight"]].shape[1:])
+            for layer in self.network[CLASSIFIER]
+            if layer["op"] in ("conv", "dense")
+        )
 
     @property
-    def _tensors(self) -> dict[str, Shape]:
-        return {name: w.shape for name, w in self.weights.items()}
+    def _shapes(self) -> dict[str, Shape]:
+        """What the classifier's layers compute."""
+        tensors = {name: w.shape for name, w in self.weights.items()}
+        return layer_shapes(self.network[CLASSIFIER], self.config.shape, tensors)
 
     def __repr__(self) -> str:
         ops = Counter(layer["op"] for layers in self.network.values() for layer in layers if layer.get("weights"))
