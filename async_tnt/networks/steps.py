@@ -73,11 +73,6 @@ class Step:
         self.slopes = np.ones(len(self.bias), np.float32)
 
     @property
-    def is_linear(self) -> bool:
-        """Whether the step is a sum and has no activation."""
-        return self.kind in (MIX, SUM) and not self.is_activated
-
-    @property
     def is_activated(self) -> bool:
         """Whether the result is scaled where it is negative, or limited."""
         return bool((self.slopes != 1).any()) or self.low != -np.inf or self.high != np.inf
@@ -155,7 +150,7 @@ class _Lowering:
         (source,) = inputs
         if len(source.writers) == 1 and self._readers[layer["inputs"][0]] == 1:
             step = source.writers[0]
-            if not step.is_activated and (step.is_linear or not linear):
+            if not step.is_activated and (step.kind in (MIX, SUM) or not linear):
                 return step
         return self._copy(source, replace(source, fill=0.0, writers=[])).writers[0]
 
