@@ -9,6 +9,7 @@ import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 
-SHOWN = 10  # classes that an error names
+SHOWN = 200  # letters of the classes that an error names
 
 DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
 
@@ -168,15 +169,11 @@ def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRe
     found = find_recordings(folder, "Test")
     unknown = [name for name in found if name not in model.classes]
     if unknown:
-        raise ValueError(f"{folder}: the model does not know class {_some(unknown)}; it knows {_some(model.classes)}")
+        theirs, ours = (shorten(", ".join(names), SHOWN) for names in (unknown, model.classes))
+        raise ValueError(f"{folder}: the model does not know class {theirs}; it knows {ours}")
     if not any(found.values()):
         raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
     return found
-
-
-def _some(names: Sequence[str]) -> str:
-    more = f", and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
 
 
 def report_of(model: Model, records: list[Record], skipped: list[str]) -> dict[str, Any]:
