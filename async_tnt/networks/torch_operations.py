@@ -6,6 +6,7 @@ import math
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import torch
@@ -66,10 +67,6 @@ def _relu6(made: LayerList, call: Call) -> str:
     return made.add("clip", call, low=0.0, high=6.0)
 
 
-def _hardtanh(made: LayerList, call: Call) -> str:
-    return _clip(made, call, call["min_val"], call["max_val"])
-
-
 def _function(op: str) -> Operation:
     """Of one input, without parameters."""
 
@@ -84,14 +81,10 @@ def _gelu(made: LayerList, call: Call) -> str:
     return made.add("gelu" if call["approximate"] == "none" else "gelu_tanh", call)
 
 
-def _clamp(made: LayerList, call: Call) -> str:
-    return _clip(made, call, call["min"], call["max"])
-
-
-def _clip(made: LayerList, call: Call, low: Any, high: Any) -> str:
-    for value in (low, high):
+def _clip(made: LayerList, call: Call, low: str = "min", high: str = "max") -> str:
+    for value in (call[low], call[high]):
         expect_form(value is None or isinstance(value, (int, float)), "a limit that is no number")
-    return made.add("clip", call, low=low, high=high)
+    return made.add("clip", call, low=call[low], high=call[high])
 
 
 def _leaky_relu(made: LayerList, call: Call) -> str:
@@ -211,8 +204,8 @@ class Operation:
 
 _FLAG = {"inplace": False}
 _POOL = {"kernel_size": None, "stride": None, "padding": 0}
-HARDTANH = Operation(_hardtanh, {"min_val": -1.0, "max_val": 1.0, **_FLAG})
-CLAMP = Operation(_clamp, {"min": None, "max": None})
+HARDTANH = Operation(partial(_clip, low="min_val", high="max_val"), {"min_val": -1.0, "max_val": 1.0, **_FLAG})
+CLAMP = Operation(_clip, {"min": None, "max": None})
 LEAKY_RELU = Operation(_leaky_relu, {"negative_slope": 0.01, **_FLAG})
 MAX_POOL = Operation(_max_pool, {**_POOL, "dilation": 1, "ceil_mode": False, "return_indices": False})
 AVERAGE_POOL = Operation(
