@@ -65,12 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
     add_pixels(parser)
-    _add_archive(parser)
-    parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
-
-
-def _add_archive(parser: argparse.ArgumentParser) -> None:
-    """--workers, --dask, --out, --restart."""
     parser.add_argument(
         "--out",
         type=Path,
@@ -89,6 +83,7 @@ def _add_archive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--restart", action="store_true", help="with --out: discard the results of an earlier run and start over"
     )
+    parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
 
 
 def main(args: argparse.Namespace) -> int:
