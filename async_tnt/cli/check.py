@@ -13,7 +13,7 @@ from async_tnt.cli.output import note, say
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.sensor import check_events, check_sensor
+from async_tnt.sources.sensor import check_sensor
 
 DESCRIPTION = f"""Compare streaming with the batch reference in torch on recordings. For every landmark:
 
@@ -55,8 +55,6 @@ def main(args: argparse.Namespace) -> int:
         for path in paths:
             recording = open_recording(path, sensor=model.config.sensor)
             check_sensor(path, recording.sensor, model.config.sensor, advice="; --model FILE names one for this sensor")
-            if recording.stated_sensor is None:
-                check_events(recording, model.config.sensor, path)
             events = recording.read()
             if events.size == 0:
                 raise ValueError(f"{recording.path}: no events to check")

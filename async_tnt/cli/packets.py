@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
-from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.opening import open_source
 from async_tnt.sources.pixel_selection import PixelSelector
 
@@ -49,19 +48,6 @@ def queue_for(args: argparse.Namespace, processor: Processor) -> Queue | None:
     return functools.partial(KeepUp, processor=processor, max_delay_us=1_000 * args.keep_up, copy=False)
 
 
-def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
-    """A recording, and its packets without the pixels to leave out.
-
-    Raises
-    ------
-    ValueError, OSError : unreadable, or recorded with another sensor than the model's.
-    """
-    recording, sensor = pixels.open(path)
-    if recording.stated_sensor is None:
-        pixels.check_events(recording, path, sensor)
-    return recording, map(pixels.filter_of(path, sensor), recording)
-
-
 def follow(
     name: str,
     pixels: PixelSelector,
@@ -81,8 +67,7 @@ def follow(
     with contextlib.ExitStack() as stack:
         source = open_source(name, pixels.expected)
         stack.callback(source.close)
-        select = pixels.filter_of(name, pixels.sensor_of(name, source.sensor))
-        packets: Iterable[Any] = map(select, source)
+        packets: Iterable[Any] = map(pixels.filter_of(name, source.sensor), source)
         reader = None
         if queue is not None:
             packets = reader = stack.enter_context(queue(packets, on_close=source.close))

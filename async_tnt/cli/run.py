@@ -20,7 +20,7 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import Queue, add_keep_up, check_keep_up, follow, open_selected, queue_for
+from async_tnt.cli.packets import Queue, add_keep_up, check_keep_up, follow, queue_for
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
@@ -98,10 +98,10 @@ def main(args: argparse.Namespace) -> int:
                 if stopped:
                     break
                 continue
-            recording, packets = open_selected(path, pixels)
+            recording, select = pixels.open(path)
             if headers:
                 say(headers.pop())
-            print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
+            print_decisions(recording, map(select, recording), processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:
             raise
         except (OSError, ValueError) as error:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.packets import add_keep_up, check_keep_up, follow, open_selected, queue_for
+from async_tnt.cli.packets import add_keep_up, check_keep_up, follow, queue_for
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
@@ -75,7 +75,7 @@ def main(args: argparse.Namespace) -> int:
         check_writable(args.out, SUFFIXES)
     engine = choose_engine(args.model, sensor_to_read(args))
     pixels = selector_of(args, engine.model)
-    opened = None if live else open_selected(path, pixels)
+    opened = None if live else pixels.open(path)
     speed = args.speed or (1.0 if args.out is None else math.inf)
     fill_cache()
     view = RerunView(
@@ -106,7 +106,8 @@ def main(args: argparse.Namespace) -> int:
     return 130 if stopped else 0
 
 
-def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
+def _show(recording: Recording, select: Callable[[Any], Any], view: RerunView, speed: float) -> None:
+    packets = map(select, recording)
     if speed == math.inf:
         with progress(recording.n_events, printable(recording.path.name)) as bar:
             for packet in packets:

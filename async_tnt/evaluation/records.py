@@ -113,17 +113,11 @@ def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Itera
         sensor; or without events.
     """
     before = pixels.counts
-    recording, sensor = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
-    select = pixels.filter_of(task.recording, sensor)
+    recording, select = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
     n_events = n_decisions = 0
     for packet in recording:
-        try:
-            selected = select(packet)
-            decisions = processor.push(selected)
-        except (TypeError, ValueError):
-            if recording.stated_sensor is None:  # an event outside a sensor that an option or the model gives: name it
-                pixels.check_events([packet], task.recording, sensor)
-            raise
+        selected = select(packet)
+        decisions = processor.push(selected)
         n_events += len(selected)
         n_decisions += len(decisions)
         yield from decisions

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixel_masks import PackedMask
-from async_tnt.sources.sensor import TRAIN_ONE, Sensor, check_events, check_sensor, checked_sensor, format_size
+from async_tnt.sources.sensor import TRAIN_ONE, Sensor, check_sensor, checked_sensor, format_size
 
 Region = tuple[int, int, int, int]
 NONE_YET = PixelCounts()
@@ -141,21 +141,6 @@ class PixelSelector:
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
-    def sensor_of(self, name: Any, found: Sensor | None) -> Sensor:
-        """The sensor of a source's camera, before any event is dropped; `found` as the source states it, if it does.
-        `name` is for messages.
-
-        Raises
-        ------
-        ValueError : not the expected one, or unknown.
-        """
-        if self.expected is not None:
-            check_sensor(name, found, self.expected, self._origin, self._advice(found))
-            return self.expected
-        if found is None:
-            raise ValueError(f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`")
-        return found[0], found[1]
-
     def open(
         self,
         path: Path,
@@ -163,8 +148,8 @@ class PixelSelector:
         name: str | None = None,
         strict: bool = False,
         between_us: tuple[int, int] | None = None,
-    ) -> tuple[Recording, Sensor]:
-        """A recording, or its part between two times, and the sensor of its events, for `filter_of`.
+    ) -> tuple[Recording, Callable[[Any], Any]]:
+        """A recording, or its part between two times, and the filter for its packets.
 
         `path`, `strict` and `between_us` are those of `open_recording`. `name` is for messages; by default the path.
 
@@ -173,21 +158,28 @@ class PixelSelector:
         ValueError, OSError : unreadable, or of another sensor than expected.
         """
         recording = open_recording(path, strict=strict, sensor=self.expected, between_us=between_us)
-        return recording, self.sensor_of(path if name is None else name, recording.sensor)
+        return recording, self.filter_of(path if name is None else name, recording.sensor)
 
-    def check_events(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
-        """Refuse `packets` of a source that does not state its sensor, if an event is off this `sensor`; `name` is for
-        the message."""
-        check_events(packets, sensor, name, self._origin, self._advice(None))
+    def filter_of(self, name: Any, found: Sensor | None) -> Callable[[Any], Any]:
+        """The filter for packets of a source.
 
-    def filter_of(self, name: Any, sensor: Sensor) -> Callable[[Any], Any]:
-        """The filter for packets of a source with this `sensor`. `name` is for messages; "" for none.
+        Parameters
+        ----------
+        name : of the source, for messages; "" for none.
+        found : (width, height) of its camera, before any event is dropped, if it states them.
 
         Raises
         ------
-        ValueError : the region or the mask does not fit that sensor.
+        ValueError : not the expected sensor, or an unknown one; the region or the mask does not fit it.
         """
         chosen = self.selection
+        sensor = self.expected or found
+        if sensor is None:
+            raise ValueError(f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`")
+        if chosen.crop:
+            check_sensor(name, found, sensor, chosen.origin, advice="")
+        else:
+            check_sensor(name, found, sensor, advice=_advice(self._model, found))
         if not chosen.leaves_out:
             return _unchanged
         if sensor not in self._filters:
@@ -217,15 +209,6 @@ class PixelSelector:
         """Why a model has seen no event after `since`, earlier `counts`; "" if it has seen one, or nothing came."""
         dropped = self.summary(since)
         return f"no events are left: {dropped}" if dropped and self.counts.kept == since.kept else ""
-
-    @property
-    def _origin(self) -> str:
-        """Where `expected` comes from, for messages."""
-        return self.selection.origin if self.selection.crop else "the model is for"
-
-    def _advice(self, found: Sensor | None) -> str:
-        """What to do about a camera of another size than the model is for; None: of a larger one."""
-        return "" if self.selection.crop else _advice(self._model, found)
 
 
 def _check_fit(selection: PixelSelection, model: Sensor) -> None:

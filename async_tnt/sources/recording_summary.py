@@ -58,7 +58,7 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
 
     Raises
     ------
-    As `open_recording`; ValueError also for events off the sensor. A damaged recording is summarized up to the damage.
+    As `open_recording`. A damaged recording is summarized up to the damage.
     """
     recording = open_recording(path, PACKET_EVENTS, sensor=sensor)
     known = recording.sensor
@@ -71,8 +71,6 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         t, x, y = (packet[name].astype(np.int64) for name in "txy")
         extent = max(extent[0], int(x.max()) + 1), max(extent[1], int(y.max()) + 1)
         if known is not None:
-            if extent[0] > known[0] or extent[1] > known[1]:
-                raise ValueError(f"{path}: events reach {extent[0]}x{extent[1]}, off `sensor` {known[0]}x{known[1]}")
             pixels += np.bincount(y * known[0] + x, minlength=len(pixels))
         n_on += int((packet["p"] > 0).sum())
         n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from async_tnt.checks import is_whole, short
 from async_tnt.config import MAX_SIDE
-from async_tnt.events import as_events
 
 Sensor = tuple[int, int]
 
@@ -49,21 +47,3 @@ def check_sensor(
     """
     if found is not None and tuple(found) != wanted:
         raise ValueError(f"{name}: a sensor of {format_size(found)} pixels, but {origin} {format_size(wanted)}{advice}")
-
-
-def check_events(
-    packets: Iterable[Any],
-    sensor: Sensor,
-    name: Any,
-    origin: str = "the model is for",
-    advice: str = "; " + TRAIN_ONE,
-) -> None:
-    """Refuse packets of a source that does not state its sensor, if an event is off the one assumed for it."""
-    try:
-        for packet in packets:  # one by one: a file may be larger than the memory
-            as_events(packet, sensor)
-    except (TypeError, ValueError) as error:
-        if str(error).startswith(str(name)):
-            raise
-        about_sensor = f"; {origin} {format_size(sensor)} pixels{advice}" if isinstance(error, ValueError) else ""
-        raise ValueError(f"{name}: {error}{about_sensor}") from None

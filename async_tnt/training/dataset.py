@@ -13,6 +13,7 @@ import numpy as np
 
 from async_tnt.progress import Bar, no_progress
 from async_tnt.sources.files.recording import READERS, open_recording
+from async_tnt.sources.files.source import events_on_sensor
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -211,13 +212,8 @@ class _Reader:
                 f"{self._folder}: all recordings must be of one sensor, got {format_size(self._camera)} "
                 f"({self._source}) and {format_size(stated)} ({file.name})"
             )
-        for axis, side in zip("xy", self._camera, strict=True):
-            off = np.flatnonzero(events[axis] >= side)
-            if len(off):
-                got = f"{axis} = {events[axis][off[0]]} at event {off[0]}"
-                raise _LeftOut(
-                    f"{file.name}: every event must lie on the {format_size(self._camera)} sensor, got {got}."
-                )
+        if problem := events_on_sensor(events, self._camera)[1]:
+            raise _LeftOut(f"{file.name}: {problem}")
 
     def _selected(self, file: LabelledRecording, events: np.ndarray) -> np.ndarray:
         keep, kept = self._filter, events

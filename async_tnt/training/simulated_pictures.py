@@ -293,8 +293,7 @@ def measure_camera(path: Path, window_us: int, sensor: tuple[int, int]) -> Measu
         raise ValueError(f"{path}: a camera of {recording.stated_sensor} pixels, expected {sensor}")
     events = recording.read()
     events = events[np.argsort(events["t"], kind="stable")]
-    inside = (events["x"] < sensor[0]) & (events["y"] < sensor[1])
-    t, x, y, p = (np.ascontiguousarray(events[name][inside]) for name in "txyp")
+    t, x, y, p = (np.ascontiguousarray(events[name]) for name in "txyp")
     if not len(t) or t[-1] - t[0] < window_us:
         raise ValueError(f"{path}: shorter than a window of {window_us} us; record a minute")
     cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))

@@ -35,7 +35,11 @@ def test_a_sensor_that_is_not_stated_is_asked_for(program, tmp_path):
     code, text, _ = program("info", tmp_path / "a.npy", "--sensor", "64x48")
     assert code == 0 and "sensor     64x48, as given" in text
     code, _, err = program("info", tmp_path / "a.npy", "--sensor", "20x20")
-    assert code == 2 and "events reach 34x34, off --sensor 20x20" in err and err.count("\n") == 1
+    assert (
+        code == 2
+        and "is off the 20 x 20 sensor; the file states none, --sensor or the model does" in err
+        and err.count("\n") == 1
+    )
 
 
 def test_a_folder_names_its_classes_and_what_cannot_be_read(program, tmp_path):

@@ -61,7 +61,11 @@ def test_nanoseconds_read_as_microseconds_are_warned_of(program, tmp_path):
         ("", None, "is a folder"),
         ("x.bin", bytes(7), "7 bytes"),
         ("a\nb.bin", b"", "a\\nb.bin: no event"),
-        ("off.csv", b"t,x,y,p\n0,1,1,1\n5,40,1,1\n", "off.csv: `x` must be in [0, 34), got 40 at event 1"),
+        (
+            "off.csv",
+            b"t,x,y,p\n0,1,1,1\n5,40,1,1\n",
+            "off.csv: event 1 at x = 40, y = 1 is off the 34 x 34 sensor; the file states none, --s",
+        ),
     ],
 )
 def test_an_unreadable_recording_is_one_line_and_the_next_one_follows(name, content, message, tmp_path, program):
@@ -75,7 +79,7 @@ def test_an_unreadable_recording_is_one_line_and_the_next_one_follows(name, cont
 def test_a_model_for_another_sensor_is_refused(tmp_path, program):
     path = random_model(TNTConfig(sensor=(20, 20))).save(tmp_path / "m.safetensors")
     code, _, message = program("run", "--model", path, SAMPLES[1])
-    assert code == 2 and "must be in [0, 20), got 29 at event 0; the model is for 20x20 pixels" in message
+    assert code == 2 and "is off the 20 x 20 sensor; the file states none, --sensor or the model does" in message
 
 
 def test_late_events_are_reported(program):

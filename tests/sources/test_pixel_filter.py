@@ -126,4 +126,4 @@ MASK = PackedMask.of(np.zeros((48, 60), bool), "hot.npy")
 )
 def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(selection, model, found, message):
     with pytest.raises(ValueError, match=message):
-        PixelSelector(selection, model).sensor_of("a", found)
+        PixelSelector(selection, model).filter_of("a", found)

@@ -181,7 +181,7 @@ class Recording:
         n_read = 0
         try:
             for block in self._source.blocks():
-                events, problem = events_on_sensor(block, self.stated_sensor, n_read)
+                events, problem = events_on_sensor(block, self.sensor, n_read)
                 n_read += len(events)
                 if self.between_us is not None:
                     if len(events) and (events["t"] >= self.between_us[1]).all():
@@ -190,6 +190,8 @@ class Recording:
                 if len(events):
                     totals.add(events["t"])
                     yield events
+                if problem and self.stated_sensor is None:
+                    raise ValueError(f"{self.path}: {problem}; the file states none, `sensor` or the model does")
                 if problem:
                     raise CorruptData(problem)
         except CorruptData as error:
@@ -224,7 +226,7 @@ def open_recording(
         ValueError when reading gets there. Either way, a file that cannot be understood at all, a damaged `.bin` or
         `.npz`, and a `.npy` of the wrong size are refused here, with a ValueError.
     sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has
-        this sensor instead of N-MNIST's 34 x 34. Events are compared with it where they are streamed, not here.
+        this sensor instead of N-MNIST's 34 x 34. An event off it is a ValueError when reading gets there.
     between_us : (start, end): only the events with start <= t < end. The file is read up to the first block of events
         that all come later.
 
