@@ -10,6 +10,7 @@ from async_tnt.cli.options import paths_of, size_of, size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.pixel_masks import PackedMask, load_mask
 from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector, Region
 from async_tnt.sources.sensor import Sensor
 
@@ -63,7 +64,8 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
     """
     roi = None if args.roi is None else parse_roi(args.roi)
     sensor = None if args.sensor is None else size_of(args.sensor)
-    return PixelSelection(roi, args.crop, args.mask, sensor)
+    mask = None if args.mask is None else PackedMask.of(load_mask(args.mask), str(args.mask))
+    return PixelSelection(roi, args.crop, mask, sensor)
 
 
 def sensor_to_read(args: argparse.Namespace) -> Sensor | None:

@@ -132,23 +132,8 @@ class PackedMask:
     name: str = field(default="mask", compare=False)
 
     @classmethod
-    def of(cls, mask: Any, name: str = "mask") -> PackedMask:
-        """Pack a `mask`: a bool array of shape (H, W), or the file of one. `name` is for messages about an array.
-
-        Raises
-        ------
-        ValueError : another type or shape, or a damaged file.
-        TypeError : neither an array nor a path.
-        OSError : the file is missing or not readable.
-        """
-        if isinstance(mask, PackedMask):
-            return mask
-        if isinstance(mask, (str, os.PathLike)):
-            return cls.of(load_mask(mask), str(mask))
-        if not isinstance(mask, np.ndarray):
-            raise TypeError(
-                f"`mask` must be a bool array, a .npy file's path or a PackedMask, got {type(mask).__name__}"
-            )
+    def of(cls, mask: np.ndarray, name: str = "mask") -> PackedMask:
+        """Pack a `mask`, a bool array of shape (H, W); a ValueError if it is of another type or shape."""
         height, width = checked_mask(mask).shape
         packed = zlib.compress(np.packbits(mask).tobytes())
         return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), packed, name)

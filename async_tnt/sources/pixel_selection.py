@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter, check_crop, checked_region
@@ -19,7 +16,7 @@ Region = tuple[int, int, int, int]
 NONE_YET = PixelCounts()
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class PixelSelection:
     """The pixels that a model sees: frozen, picklable and without state; `PixelSelector` applies it.
 
@@ -27,15 +24,12 @@ class PixelSelection:
     ----------
     roi : region of interest (x, y, width, height); None: the whole sensor.
     crop : the region is the model's sensor: coordinates are shifted to its upper left corner.
-    mask : pixels of the whole camera whose events are dropped: whatever `PackedMask.of` accepts; None: no pixel.
+    mask : pixels of the whole camera whose events are dropped; None: no pixel.
     sensor : (width, height) of the camera, for sources that do not state it.
 
     Raises
     ------
-    ValueError : `crop` without `roi`; an impossible region or sensor; a mask that is empty, damaged, or of another size
-        than `sensor`.
-    TypeError : a mask of another type.
-    OSError : its file is missing or not readable.
+    ValueError : `crop` without `roi`; an impossible region or sensor; a mask of another size than `sensor`.
 
     Example
     -------
@@ -45,28 +39,17 @@ class PixelSelection:
     {}
     """
 
-    roi: Region | None
-    crop: bool
-    mask: PackedMask | None
-    sensor: Sensor | None
+    roi: Region | None = None
+    crop: bool = False
+    mask: PackedMask | None = None
+    sensor: Sensor | None = None
 
-    def __init__(
-        self,
-        roi: Region | None = None,
-        crop: bool = False,
-        mask: PackedMask | np.ndarray | str | os.PathLike[str] | None = None,
-        sensor: Sensor | None = None,
-    ) -> None:
-        check_crop(crop, roi)
-        # As tuples of integers, so that equal ones are equal. The mask comes last: it may be a large file.
-        values = {
-            "roi": None if roi is None else checked_region(roi),
-            "crop": bool(crop),
-            "sensor": None if sensor is None else checked_sensor(sensor),
-            "mask": None if mask is None else PackedMask.of(mask),
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+    def __post_init__(self) -> None:
+        check_crop(self.crop, self.roi)
+        if self.roi is not None:
+            checked_region(self.roi)
+        if self.sensor is not None:
+            checked_sensor(self.sensor)
         if self.mask is not None and self.sensor is not None and self.sensor != self.mask.size:
             raise ValueError(
                 f"{self.mask.name}: a mask of {format_size(self.mask.size)} pixels, but the camera's are given as "

@@ -6,6 +6,7 @@ from made import events_of
 from training.gestures import bar, write
 
 from async_tnt.config import TNTConfig
+from async_tnt.sources.pixel_masks import PackedMask
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 
@@ -51,7 +52,7 @@ def write_sets(folder):
 def test_the_network_sees_recordings_without_these_events(name, region, mask, tmp_path):
     """Event by event, to train on, to validate on and to test on."""
     write_sets(tmp_path)
-    pixels = PixelSelection(region, region is not None, mask)
+    pixels = PixelSelection(region, region is not None, PackedMask.of(mask))
     got = dataset_data(tmp_path / name, TNTConfig(), pixels=pixels, test=True)
     clean, disturbed = (
         dataset_data(tmp_path / which, TNTConfig(), pixels=PixelSelection(), test=True) for which in ("clean", "hot")
