@@ -132,7 +132,6 @@ def print_decisions(
     """
     processor.reset()
     closed = []
-    before = pixels.counts
     for decision, latency_us in timed_decisions(packets, processor):
         say(line(str(recording.path), decision, latency_us))
         if decision.complete or decision.trigger == "end":
@@ -145,7 +144,7 @@ def print_decisions(
     counts = processor.counts
     complain_late(str(recording.path), counts.dropped_late, counts.received, "--late, --start-us")
     if not closed:
-        why = pixels.nothing_left(before) or "no event in any window"
+        why = "no event in any window" if counts.received else pixels.nothing
         raise ValueError(f"{recording.path}: {why}")
 
 

@@ -97,7 +97,7 @@ def main(args: argparse.Namespace) -> int:
         else:
             _show(*opened, view, speed)
     if not view.n_events and not stopped:
-        raise ValueError(f"{path}: {pixels.nothing_left() or 'no event: nothing to show'}")
+        raise ValueError(f"{path}: {pixels.nothing}, nothing to show")
     if args.out is not None:
         n_pictures = f"{view.log.n_pictures:,} pictures"
         say(f"{args.out}: {view.n_events:,} events, {n_pictures}; open it with: rerun {args.out}")

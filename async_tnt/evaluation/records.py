@@ -112,7 +112,6 @@ def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Itera
     ValueError, TypeError, OSError : the recording is damaged, anywhere, or in a part's case before its end; of another
         sensor; or without events.
     """
-    before = pixels.counts
     recording, select = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
     n_events = n_decisions = 0
     for packet in recording:
@@ -126,7 +125,7 @@ def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Itera
     if not n_decisions + len(decisions):
         if n_events:
             raise ValueError("no event in any window, nothing to decide")
-        raise ValueError(pixels.nothing_left(before) or "no events")
+        raise ValueError(pixels.nothing)
 
 
 def _error_line(error: Exception, task: Task) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import operator
 import os
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,12 +30,6 @@ class PixelCounts:
     """At masked pixels inside the region of interest."""
     dropped_outside: int = 0
     """Outside the region of interest, masked or not."""
-
-    def __add__(self, other: PixelCounts) -> PixelCounts:
-        return PixelCounts(*map(operator.add, astuple(self), astuple(other)))
-
-    def __sub__(self, other: PixelCounts) -> PixelCounts:
-        return PixelCounts(*map(operator.sub, astuple(self), astuple(other)))
 
 
 class PixelFilter:

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.sources.files.recording import Recording, open_recording
-from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter, check_crop, checked_region
+from async_tnt.sources.pixel_filter import PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixel_masks import PackedMask
 from async_tnt.sources.sensor import TRAIN_ONE, Sensor, check_sensor, checked_sensor, format_size
 
 Region = tuple[int, int, int, int]
-NONE_YET = PixelCounts()
 
 
 @dataclass(frozen=True)
@@ -173,25 +172,20 @@ class PixelSelector:
                 raise ValueError(f"{name}: {error}" if name else str(error)) from None
         return self._filters[sensor]
 
-    @property
-    def counts(self) -> PixelCounts:
-        """Events so far, of all sources; all zero if nothing can be dropped."""
-        return sum((pixel_filter.counts for pixel_filter in self._filters.values()), NONE_YET)
-
-    def summary(self, since: PixelCounts = NONE_YET) -> str:
-        """What was dropped after `since`, earlier `counts`, for people; "" if nothing came or could be dropped."""
-        counts = self.counts - since
+    def summary(self) -> str:
+        """What was dropped of all sources so far, for people; "" if nothing came or could be dropped."""
+        counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
         parts = []
-        if counts.received and self.selection.roi is not None:
-            parts.append(f"{counts.dropped_outside:,} outside of the region")
-        if counts.received and self.selection.mask is not None:
-            parts.append(f"{counts.dropped_masked:,} of masked pixels")
+        if any(one.received for one in counts) and self.selection.roi is not None:
+            parts.append(f"{sum(one.dropped_outside for one in counts):,} outside of the region")
+        if any(one.received for one in counts) and self.selection.mask is not None:
+            parts.append(f"{sum(one.dropped_masked for one in counts):,} of masked pixels")
         return ", ".join(parts)
 
-    def nothing_left(self, since: PixelCounts = NONE_YET) -> str:
-        """Why a model has seen no event after `since`, earlier `counts`; "" if it has seen one, or nothing came."""
-        dropped = self.summary(since)
-        return f"no events are left: {dropped}" if dropped and self.counts.kept == since.kept else ""
+    @property
+    def nothing(self) -> str:
+        """What a model has seen of a source without any event left, for messages."""
+        return "no events at the selected pixels" if self.selection.leaves_out else "no events"
 
 
 def _check_fit(selection: PixelSelection, model: Sensor) -> None:

@@ -68,7 +68,7 @@ def test_a_recording_becomes_a_file(tmp_path, program, monkeypatch):
         (["samples", "--out", "a.png"], "a.png: its name must end in .rrd"),
         (["missing.bin", "--out", "a.rrd"], "missing.bin: No such file or directory"),
         (["large.npz", "--out", "a.rrd"], "large.npz: a sensor of 64x48 pixels, but the model is for 34x34"),
-        (["empty.npy", "--out", "a.rrd"], "empty.npy: no event: nothing to show"),
+        (["empty.npy", "--out", "a.rrd"], "empty.npy: no events, nothing to show"),
         (
             ["samples", "--connect", "127.0.0.1:9876"],
             "a viewer's URL is rerun+http://HOST:9876/proxy, got 127.0.0.1:9876",
