@@ -15,11 +15,11 @@ from async_tnt.files import check_folder
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.resynthesis.calibration import side_by_side
-from async_tnt.sources.files.nmnist import write_nmnist
 from experiments.comparison import compare, recordings_by_image
 from experiments.digit_scene import Scene
 from experiments.motions import KINDS
 from experiments.moving_mnist_set import build
+from experiments.nmnist_files import write_nmnist
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 from experiments.set_manifest import MANIFEST, MovingMnist
 
@@ -153,7 +153,7 @@ def export(made: MovingMnist, folder: Path) -> None:
                 (motion / str(label)).mkdir(parents=True, exist_ok=True)
             for i in range(len(shard)):
                 path = motion / str(int(shard.labels[i])) / f"{int(shard.image[i]) + 1:05}.bin"
-                write_nmnist(path, shard.recording(i), sensor=made.sensor)
+                write_nmnist(path, shard.recording(i))
                 bar.update()
 
 

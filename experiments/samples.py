@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.sources.files.nmnist import write_nmnist
 from experiments.mnist import load_mnist
+from experiments.nmnist_files import write_nmnist
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 from experiments.simulated_digits import simulate_digit
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from async_tnt.sources.cameras import Camera, open_camera
     from async_tnt.sources.clock import Clock
     from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, encode
-    from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+    from async_tnt.sources.files.nmnist import read_nmnist
     from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
     from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
     from async_tnt.sources.keep_up import KeepUp
@@ -39,7 +39,7 @@ else:
             "cameras": "Camera open_camera",
             "clock": "Clock",
             "datagrams": "EVENT_BYTES Decoder encode",
-            "files.nmnist": "read_nmnist write_nmnist",
+            "files.nmnist": "read_nmnist",
             "files.recording": "READERS Recording open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording Source",
             "keep_up": "KeepUp",
@@ -59,5 +59,4 @@ __all__ = [
     "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
     "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
     "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
-    "write_nmnist",
 ]  # fmt: skip

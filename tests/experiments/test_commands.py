@@ -15,9 +15,9 @@ from small_sets import write_small_mnist
 
 import experiments
 from async_tnt import TNTConfig, load_model
-from async_tnt.sources.files.nmnist import write_nmnist
 from experiments import decisions, edges
 from experiments.mnist import load_mnist
+from experiments.nmnist_files import write_nmnist
 from experiments.page_parts import RESULTS
 from experiments.simulated_digits import simulate_digit
 

@@ -16,7 +16,6 @@ from async_tnt.evaluation.records import evaluate_recording
 from async_tnt.evaluation.results import collect as collect_results
 from async_tnt.files import Replacement, locked_folder, write_text
 from async_tnt.networks.loading import load_model
-from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixel_masks import save_mask
 
@@ -45,7 +44,6 @@ def collect(path):
 WRITERS = {
     "model.safetensors": lambda path: random_model().save(path),
     "mask.npy": lambda path: save_mask(path, np.zeros((3, 4), bool)),
-    "recording.bin": lambda path: write_nmnist(path, random_events(20)),
     "figure.png": draw,
     "view.rrd": view,
     "results.jsonl": collect,

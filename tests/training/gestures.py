@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from made import events_of
 
-from async_tnt.sources.files.nmnist import write_nmnist
+from experiments.nmnist_files import write_nmnist
 
 SLOPES = {"upright": 0.0, "flat": 0.5 * np.pi, "slanted": 0.25 * np.pi}
 
@@ -38,7 +38,7 @@ def write(path: Path, events: np.ndarray, *, sensor: tuple[int, int] | None = (1
         columns = np.column_stack([events[name] for name in "txyp"])
         np.savetxt(path, columns, fmt="%d", delimiter=",", header="t,x,y,p", comments="")
     else:
-        write_nmnist(path, events, sensor=None)
+        write_nmnist(path, events)
     return path
 
 

@@ -21,13 +21,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import refuse_where
-from async_tnt.events import as_events, structured
-from async_tnt.files import replacing
+from async_tnt.events import structured
 from async_tnt.sources.sensor import checked_sensor
 
 SENSOR = (34, 34)
@@ -36,7 +33,6 @@ SENSOR = (34, 34)
 BYTES_PER_EVENT = 5
 OVERFLOW_Y = 240
 OVERFLOW_US = 1 << 13
-TIME_LIMIT_US = 1 << 23
 
 
 def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None = SENSOR) -> np.ndarray:
@@ -82,38 +78,6 @@ def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None 
         return events
     remedy = "Fetch the file again" + (", or say its sensor if it is of another camera" if "sensor" in problem else "")
     raise ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. {remedy}.")
-
-
-def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int, int] | None = SENSOR) -> None:
-    """Write events in N-MNIST's format; `read_nmnist` gives the same events back.
-
-    Parameters
-    ----------
-    path : file to write, replaced if it exists.
-    events : in any form that `Processor.push` accepts, in order of time.
-    sensor : (width, height) that every event must lie on; None for any pixel the format can hold: up to 255, without
-        row 240, which marks a timer overflow.
-
-    Raises
-    ------
-    TypeError, ValueError : not events, or a value does not fit the format. Nothing is written then.
-    OSError : the file cannot be written.
-    """
-    width, height = (256, 256) if sensor is None else checked_sensor(sensor)
-    events = as_events(events, (min(width, 256), min(height, 256)))
-    t_us = events["t"]
-    refuse_where(t_us >= TIME_LIMIT_US, "t", t_us, f"must be in [0, {TIME_LIMIT_US})")
-    refuse_where(events["y"] == OVERFLOW_Y, "y", events["y"], f"must not be {OVERFLOW_Y}, the mark of a timer overflow")
-    refuse_where(np.diff(t_us, prepend=t_us[:1]) < 0, "t", t_us, "must never decrease")
-
-    rows = np.empty((len(events), BYTES_PER_EVENT), np.uint8)
-    rows[:, 0] = events["x"]
-    rows[:, 1] = events["y"]
-    rows[:, 2] = t_us >> 16 | events["p"].astype(np.int64) << 7
-    rows[:, 3] = t_us >> 8 & 0xFF
-    rows[:, 4] = t_us & 0xFF
-    with replacing(Path(path)) as part:
-        part.write_bytes(rows.tobytes())
 
 
 def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int] | None) -> str | None:

@@ -23,8 +23,8 @@ from sources.files.written import (
 )
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording
+from experiments.nmnist_files import write_nmnist
 
 every_format = pytest.mark.parametrize("name", sorted(FORMATS))
 
@@ -207,7 +207,7 @@ def test_the_given_sensor_is_that_of_files_that_state_none(tmp_path):
     """An event off it is refused when reading gets there, after those before it. N-Caltech101 had 304 x 240."""
     events = made_events(2, sensor=(1, 1))
     events["x"], events["y"] = (239, 100), (179, 99)
-    write_nmnist(tmp_path / "a.bin", events, sensor=(304, 240))
+    write_nmnist(tmp_path / "a.bin", events)
     for name in ("a.bin", "records.npy", "plain.csv"):
         path = tmp_path / name if name == "a.bin" else written(tmp_path / name, events)
         recording = open_recording(path, 1, sensor=(200, 200))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.nmnist_files import write_nmnist
 
 EVENT, OVERFLOW = bytes([1, 2, 0x80, 0, 100]), bytes([49, 240, 0, 0, 100])
 
@@ -45,19 +46,3 @@ def test_damage_names_its_place(tmp_path, data, message):
     line = rf"a\.bin: damaged N-MNIST recording of {len(data)} bytes: .*{message}\. Fetch the file"
     with pytest.raises(ValueError, match=line):
         read_nmnist(tmp_path / "a.bin")
-
-
-@pytest.mark.parametrize(
-    ("row", "sensor", "message"),
-    [
-        ((0, 34, 0, 0), (34, 34), r"`x` must be in \[0, 34\), got 34 at event 1"),
-        ((1 << 23, 0, 0, 0), (34, 34), r"`t` must be in \[0, 8388608\), got 8388608 at event 1"),
-        ((4, 0, 0, 0), (34, 34), r"`t` must never decrease, got 4 at event 1"),
-        ((9, 256, 0, 0), (304, 240), r"`x` must be in \[0, 256\), got 256 at event 1"),
-        ((9, 0, 240, 0), None, r"`y` must not be 240, the mark of a timer overflow, got 240 at event 1"),
-    ],
-)
-def test_values_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, row, sensor, message):
-    with pytest.raises(ValueError, match=message):
-        write_nmnist(tmp_path / "a.bin", events_of((5, 0, 0, 0), row), sensor=sensor)
-    assert not (tmp_path / "a.bin").exists()
