@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.events import structured
+from async_tnt.sources.files.source import events_on_sensor
 from async_tnt.sources.sensor import checked_sensor
 
 SENSOR = (34, 34)
@@ -68,32 +69,20 @@ def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None 
     event_rows = np.flatnonzero(~is_overflow)
     columns = t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7
     events = structured([column[event_rows] for column in columns], len(event_rows))
-    problem = _first_problem(events, event_rows, sensor)
-    if problem is None and n_left:
+    good, problem = events_on_sensor(events, None if sensor is None else checked_sensor(sensor))
+    bad = len(good)
+    backwards = np.flatnonzero(np.diff(good["t"]) < 0)
+    if len(backwards):
+        bad = int(backwards[0]) + 1
+        problem = f"event {bad}: `t` must never decrease, got {good['t'][bad]} us after {good['t'][bad - 1]} us"
+    if problem:
+        problem += f" (byte {event_rows[bad] * BYTES_PER_EVENT})"
+    elif n_left:
         problem = (
             f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got {len(raw)}: "
             f"the file ends {n_left} bytes into row {n_rows}"
         )
-    if problem is None:
+    if not problem:
         return events
     remedy = "Fetch the file again" + (", or say its sensor if it is of another camera" if "sensor" in problem else "")
     raise ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. {remedy}.")
-
-
-def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int] | None) -> str | None:
-    """What is wrong with the first bad event; None: all are good.
-
-    rows : the row of the file that each event is from.
-    """
-    width, height = (256, 256) if sensor is None else checked_sensor(sensor)
-    off_sensor = (events["x"] >= width) | (events["y"] >= height)
-    backwards = np.diff(events["t"], prepend=events["t"][:1]) < 0
-    bad = off_sensor | backwards
-    if not bad.any():
-        return None
-    i = int(np.argmax(bad))
-    t, x, y, _ = events[i].tolist()
-    place = f"event {i} (byte {rows[i] * BYTES_PER_EVENT})"
-    if off_sensor[i]:
-        return f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
-    return f"`t` must never decrease, got {t} us after {events['t'][i - 1]} us at {place}"

@@ -216,5 +216,7 @@ def test_the_given_sensor_is_that_of_files_that_state_none(tmp_path):
             recording.read()
         np.testing.assert_array_equal(open_recording(path, sensor=(240, 180)).read(), events)
     assert open_recording(written(tmp_path / "packed.npz", events), sensor=(200, 200)).sensor == SENSOR
-    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 239, y = 179 .* say its sensor if it is of another"):
+    with pytest.raises(
+        ValueError, match=r"x = 239, y = 179 is off the 34 x 34 sensor .* say its sensor if it is of another"
+    ):
         open_recording(tmp_path / "a.bin", sensor=(34, 34))
