@@ -6,6 +6,7 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -71,30 +72,12 @@ def _described(name: str, sensor: Sensor | None) -> tuple[dict[str, Any], list[s
     if path.is_dir():
         return _of_folder(path, sensor)
     found = summarize(path, sensor)
-    return _of_recording(found), list(_recording_lines(found))
-
-
-def _of_recording(found: RecordingSummary) -> dict[str, Any]:
-    return {
-        "recording": str(found.path),
-        "format": found.format,
-        "bytes": found.n_bytes,
-        "sensor": found.sensor,
-        "sensor_stated": found.states_sensor,
-        "extent": found.extent,
-        "events": found.n_events,
-        "on": found.n_on,
-        "unsorted": found.n_unsorted,
-        "first_us": found.first_us,
-        "last_us": found.last_us,
-        "events_a_second": [round(rate) for rate in found.rates] if found.n_events else [],
-        "hot_pixels": [{"x": x, "y": y, "events": n} for x, y, n in found.hot],
-    }
+    return asdict(found), list(_recording_lines(found))
 
 
 def _recording_lines(found: RecordingSummary) -> Iterator[str]:
-    yield f"{found.path}: {found.format}, {found.n_bytes / 1e6:,.1f} MB"
-    if not found.n_events:
+    yield f"{found.recording}: {found.format}, {found.bytes / 1e6:,.1f} MB"
+    if not found.events:
         yield "  no events"
         return
     seconds = (found.last_us - found.first_us) * 1e-6
@@ -102,19 +85,19 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
         width, height = found.extent
         yield f"  sensor     not stated; events reach {width}x{height}; for hot pixels give --sensor WxH"
     else:
-        yield f"  sensor     {format_size(found.sensor)}{'' if found.states_sensor else ', as given'}"
+        yield f"  sensor     {format_size(found.sensor)}{'' if found.sensor_stated else ', as given'}"
     yield f"  time       {found.first_us:,} to {found.last_us:,} us: {seconds:,.3f} s"
-    rate = f", {found.n_events / seconds:,.0f} a second" if seconds else ""
-    yield f"  events     {found.n_events:,}{rate}; {found.n_on / found.n_events:.0%} ON"
-    if found.n_unsorted:
-        yield f"  unsorted   {found.n_unsorted:,} are earlier than the event before them"
-    most = found.rates.max()
-    yield f"  rate       {''.join(_bar(rate / most) for rate in found.rates)} up to {most:,.0f} a second"
-    if found.hot:
-        share = sum(n for *_, n in found.hot) / found.n_events
-        shown = ", ".join(f"({x}, {y})" for x, y, _ in found.hot[:N_HOT])
-        more = ", ..." if len(found.hot) > N_HOT else ""
-        yield f"  hot pixels {len(found.hot)} make {share:.1%} of the events: {shown}{more}; see async-tnt mask"
+    rate = f", {found.events / seconds:,.0f} a second" if seconds else ""
+    yield f"  events     {found.events:,}{rate}; {found.on / found.events:.0%} ON"
+    if found.unsorted:
+        yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
+    most = max(found.events_a_second)
+    yield f"  rate       {''.join(_bar(rate / most) for rate in found.events_a_second)} up to {most:,.0f} a second"
+    if found.hot_pixels:
+        share = sum(pixel["events"] for pixel in found.hot_pixels) / found.events
+        shown = ", ".join(f"({pixel['x']}, {pixel['y']})" for pixel in found.hot_pixels[:N_HOT])
+        more = ", ..." if len(found.hot_pixels) > N_HOT else ""
+        yield f"  hot pixels {len(found.hot_pixels)} make {share:.1%} of the events: {shown}{more}; see async-tnt mask"
 
 
 def _bar(share: float) -> str:
@@ -132,11 +115,11 @@ def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], lis
             name = f"  {path.relative_to(folder)!s:<32}"
             try:
                 found = summarize(path, sensor)
-                reports.append(_of_recording(found))
+                reports.append(asdict(found))
                 size = "-" if found.sensor is None else format_size(found.sensor)
                 seconds = (found.last_us - found.first_us) * 1e-6
-                lines.append(f"{name} {size:>9} {seconds:>11,.3f} s {found.n_events:>12,} events")
-                n_events += found.n_events
+                lines.append(f"{name} {size:>9} {seconds:>11,.3f} s {found.events:>12,} events")
+                n_events += found.events
             except (OSError, ValueError, ImportError) as error:
                 reports.append({"recording": str(path), "error": str(error)})
                 lines.append(f"{name} cannot be read: {error}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -19,33 +18,33 @@ N_PARTS = 60
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """Made by `summarize`.
+    """Made by `summarize`: its fields are those that `async-tnt info` writes as JSON.
 
     Attributes
     ----------
-    path, format, n_bytes : the file, the name of its format, and its size.
+    recording, format, bytes : the file, the name of its format, and its size.
     sensor : (width, height) as the file states it or the caller does; None: neither does.
-    states_sensor : whether the file states it.
+    sensor_stated : whether the file states it.
     extent : the smallest (width, height) that holds all events; (0, 0) without events.
-    n_events, n_on, n_unsorted : events, those that are ON, and those earlier than the one before them in the file.
+    events, on, unsorted : how many there are, are ON, and are earlier than the one before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
-    rates : float64, (N_PARTS,): events a second in each of so many equal parts of the recording.
-    hot : (x, y, events) of each hot pixel, busiest first, see `pixel_masks`; empty where the sensor is not known.
+    events_a_second : in each of N_PARTS equal parts of the recording; empty without events.
+    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixel_masks`; empty where the sensor is not known.
     """
 
-    path: Path
+    recording: str
     format: str
-    n_bytes: int
+    bytes: int
     sensor: Sensor | None
-    states_sensor: bool
+    sensor_stated: bool
     extent: tuple[int, int]
-    n_events: int
-    n_on: int
-    n_unsorted: int
+    events: int
+    on: int
+    unsorted: int
     first_us: int
     last_us: int
-    rates: np.ndarray
-    hot: list[tuple[int, int, int]]
+    events_a_second: list[float]
+    hot_pixels: list[dict[str, int]]
 
 
 def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> RecordingSummary:
@@ -79,19 +78,19 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
     found = []
     if known is not None and recording.n_events:
         image = pixels.reshape(known[1], known[0])
-        found = [(int(x), int(y), int(image[y, x])) for y, x in np.argwhere(hot_pixels(image))]
+        found = [{"x": x, "y": y, "events": int(image[y, x])} for y, x in np.argwhere(hot_pixels(image)).tolist()]
     return RecordingSummary(
-        path=recording.path,
+        recording=str(path),
         format=recording.format,
-        n_bytes=recording.path.stat().st_size,
+        bytes=recording.path.stat().st_size,
         sensor=known,
-        states_sensor=recording.stated_sensor is not None,
+        sensor_stated=recording.stated_sensor is not None,
         extent=extent,
-        n_events=recording.n_events,
-        n_on=n_on,
-        n_unsorted=n_unsorted,
+        events=recording.n_events,
+        on=n_on,
+        unsorted=n_unsorted,
         first_us=first_us,
         last_us=first_us + duration_us,
-        rates=counts / (np.diff(edges) * 1e-6),
-        hot=sorted(found, key=lambda pixel: -pixel[2]),
+        events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if recording.n_events else [],
+        hot_pixels=sorted(found, key=lambda pixel: -pixel["events"]),
     )

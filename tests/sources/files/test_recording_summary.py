@@ -15,13 +15,13 @@ def test_every_format_is_summarized(tmp_path, name):
     sensor = tuple(np.minimum(SENSOR, FORMATS[name].largest).tolist())
     events = made_events(3_000, sensor=sensor, step_us=40)
     found = summarize(written(tmp_path / name, events, sensor))
-    assert found.format and found.n_bytes == (tmp_path / name).stat().st_size
-    assert found.sensor == (sensor if states_sensor else None) and found.states_sensor == states_sensor
-    assert (found.n_events, found.n_on, found.n_unsorted) == (3_000, int((events["p"] > 0).sum()), 0)
+    assert found.format and found.bytes == (tmp_path / name).stat().st_size
+    assert found.sensor == (sensor if states_sensor else None) and found.sensor_stated == states_sensor
+    assert (found.events, found.on, found.unsorted) == (3_000, int((events["p"] > 0).sum()), 0)
     assert (found.first_us, found.last_us) == (events["t"][0], events["t"][-1])
     assert found.extent == (events["x"].max() + 1, events["y"].max() + 1)
     length_s = (found.last_us - found.first_us + 1) * 1e-6
-    assert found.rates.mean() * length_s == pytest.approx(3_000)
+    assert np.mean(found.events_a_second) * length_s == pytest.approx(3_000)
 
 
 def test_the_parts_of_a_long_recording_are_of_equal_length(tmp_path):
@@ -35,8 +35,10 @@ def test_the_parts_of_a_long_recording_are_of_equal_length(tmp_path):
     )
     np.save(tmp_path / "long.npy", events)
     found = summarize(tmp_path / "long.npy", (34, 34))
-    assert found.rates.mean() * 7_200 == pytest.approx(t.size) and len(found.rates) == 60
-    assert found.rates.argmax() == 30 and np.median(found.rates) == pytest.approx(150_000 / 7_200, rel=0.1)
+    assert np.mean(found.events_a_second) * 7_200 == pytest.approx(t.size) and len(found.events_a_second) == 60
+    assert np.argmax(found.events_a_second) == 30 and np.median(found.events_a_second) == pytest.approx(
+        150_000 / 7_200, rel=0.1
+    )
 
 
 def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
@@ -44,11 +46,11 @@ def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
     events = np.concatenate([random_events(5_000), hot])
     np.save(tmp_path / "a.npy", events)
     found = summarize(tmp_path / "a.npy", (34, 34))
-    assert found.n_unsorted == (np.diff(events["t"]) < 0).sum() == 1
+    assert found.unsorted == (np.diff(events["t"]) < 0).sum() == 1
     counts = np.zeros((34, 34), np.int64)
     np.add.at(counts, (events["y"], events["x"]), 1)
-    assert found.hot == [(3, 4, counts[4, 3])] and hot_pixels(counts).sum() == 1
-    assert summarize(tmp_path / "a.npy").hot == []
+    assert found.hot_pixels == [{"x": 3, "y": 4, "events": counts[4, 3]}] and hot_pixels(counts).sum() == 1
+    assert summarize(tmp_path / "a.npy").hot_pixels == []
     with pytest.raises(ValueError, match=r"a\.npy: event \d+ at x = .* is off the 20 x 34 sensor; "):
         summarize(tmp_path / "a.npy", (20, 34))
 
@@ -56,4 +58,4 @@ def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
 def test_a_recording_without_events_is_summarized(tmp_path):
     np.save(tmp_path / "none.npy", random_events(0))
     found = summarize(tmp_path / "none.npy", (34, 34))
-    assert (found.n_events, found.first_us, found.last_us, found.extent, found.hot) == (0, 0, 0, (0, 0), [])
+    assert (found.events, found.first_us, found.last_us, found.extent, found.hot_pixels) == (0, 0, 0, (0, 0), [])
