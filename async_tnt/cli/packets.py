@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import functools
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +16,6 @@ from async_tnt.sources.pixel_selection import PixelSelector
 if TYPE_CHECKING:
     from async_tnt.processor import Processor
     from async_tnt.sources.keep_up import KeepUp
-
-Queue = Callable[..., "KeepUp"]
-"""Of packets, and `on_close`."""
 
 
 def add_keep_up(parser: argparse.ArgumentParser) -> None:
@@ -38,20 +34,11 @@ def check_keep_up(args: argparse.Namespace) -> None:
         raise ValueError("--keep-up belongs to a camera or the network; a recording is never skipped")
 
 
-def queue_for(args: argparse.Namespace, processor: Processor) -> Queue | None:
-    """How packets wait, by --keep-up; None: they do not."""
-    if args.keep_up is None:
-        return None
-    from async_tnt.sources.keep_up import KeepUp  # imports asyncio
-
-    # copy=False: cameras and the network put each packet in new memory
-    return functools.partial(KeepUp, processor=processor, max_delay_us=1_000 * args.keep_up, copy=False)
-
-
 def follow(
     name: str,
     pixels: PixelSelector,
-    queue: Queue | None,
+    processor: Processor,
+    keep_up_ms: int | None,
     take: Callable[[Iterable[Any], KeepUp | None], object],
     end: Callable[[], str] = lambda: "",
 ) -> bool:
@@ -60,8 +47,9 @@ def follow(
     Parameters
     ----------
     name : of the source, as `open_source` knows it.
-    queue : of `queue_for`; None: nothing is skipped here, but the source's own buffer may overflow.
-    take : gets the packets without the pixels to leave out, and the queue in which they wait.
+    processor : gets the packets.
+    keep_up_ms : as --keep-up has it; None: nothing is skipped here, but the source's own buffer may overflow.
+    take : gets the packets without the pixels to leave out, and the queue in which they wait, if they do.
     end : what it returns is printed behind the counts.
     """
     with contextlib.ExitStack() as stack:
@@ -69,8 +57,13 @@ def follow(
         stack.callback(source.close)
         packets: Iterable[Any] = map(pixels.filter_of(name, source.sensor), source)
         reader = None
-        if queue is not None:
-            packets = reader = stack.enter_context(queue(packets, on_close=source.close))
+        if keep_up_ms is not None:
+            from async_tnt.sources.keep_up import KeepUp  # imports asyncio
+
+            # copy=False: cameras and the network put each packet in new memory
+            us = 1_000 * keep_up_ms
+            reader = KeepUp(packets, processor, max_delay_us=us, copy=False, on_close=source.close)
+            packets = stack.enter_context(reader)
         try:
             complain(f"listening at {name}; Ctrl-C stops")
             take(packets, reader)

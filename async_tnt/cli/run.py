@@ -20,7 +20,7 @@ from async_tnt.cli.options import (
     triggers_of,
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import Queue, add_keep_up, check_keep_up, follow, queue_for
+from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
@@ -94,7 +94,7 @@ def main(args: argparse.Namespace) -> int:
     for path in paths_of(args):
         try:
             if isinstance(path, str):
-                stopped = run_source(path, processor, pixels, line, queue_for(args, processor))
+                stopped = run_source(path, processor, pixels, line, args.keep_up)
                 if stopped:
                     break
                 continue
@@ -166,13 +166,13 @@ def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tu
         yield decision, latency_us
 
 
-def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Line, queue: Queue | None) -> bool:
+def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Line, keep_up_ms: int | None) -> bool:
     """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
     name : of the source, as `open_source` takes it.
-    queue : see `follow`.
+    keep_up_ms : see `follow`.
     """
     processor.reset()
 
@@ -189,7 +189,7 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
             f"{counts.dropped_late:,} too late for their window"
         )
 
-    return follow(name, pixels, queue, print_all, end)
+    return follow(name, pixels, processor, keep_up_ms, print_all, end)
 
 
 def _timed_packets(packets: Iterable[np.ndarray], processor: Processor) -> Iterator[tuple[Decision, float]]:

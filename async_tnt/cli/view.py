@@ -11,7 +11,7 @@ from typing import Any
 from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.packets import add_keep_up, check_keep_up, follow, queue_for
+from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
@@ -93,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
     stopped = False
     with view:
         if opened is None:
-            stopped = follow(path, pixels, queue_for(args, view.processor), lambda packets, _: _push_all(packets, view))
+            stopped = follow(path, pixels, view.processor, args.keep_up, lambda packets, _: _push_all(packets, view))
         else:
             _show(*opened, view, speed)
     if not view.n_events and not stopped:
