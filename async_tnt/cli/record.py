@@ -9,7 +9,6 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -86,17 +85,17 @@ def _free_name(folder: Path) -> Path:
 def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
     picture, started = _Picture(source.sensor, args.label), time.strftime("%Y-%m-%dT%H:%M:%S%z")
     lost: OSError | None = None
-    ending = threading.Timer(args.seconds, source.close) if args.seconds is not None else None
+    ending = threading.Timer(args.seconds or threading.TIMEOUT_MAX, source.close)
+    ending.daemon = True
     first_us, n_events, n_on, n_early = -1, 0, 0, 0
     with replacing(path) as part:
         with part.open("wb") as file:
             file.write(dat_header(source.sensor))
             complain(f"recording {args.label} from {args.source} into {path}; Ctrl-C stops")
-            if ending is not None:
-                ending.daemon = True
-                ending.start()
+            ending.start()
             try:
-                for events in _checked(source):
+                for packet in source:  # never an empty one
+                    events = as_events(packet, source.sensor)
                     first_us = int(events["t"].min()) if first_us < 0 else first_us
                     n_early += int((events["t"] < first_us).sum())
                     events = events[events["t"] >= first_us]
@@ -109,8 +108,7 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
                 lost = error
             finally:
                 picture.clear()
-                if ending is not None:
-                    ending.cancel()
+                ending.cancel()
         if not n_events:
             raise lost or ValueError(f"{args.source}: no event came; nothing was written")
     about = {
@@ -131,11 +129,6 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
     if lost is not None:
         complain(lost)
     return 0 if lost is None else 2
-
-
-def _checked(source: Any) -> Iterable[np.ndarray]:
-    """Its packets in our form, without empty ones."""
-    return filter(len, (as_events(packet, source.sensor) for packet in source))
 
 
 class _Picture:
@@ -162,7 +155,8 @@ class _Picture:
         if (now := time.monotonic()) < self._before + EVERY_S:
             return
         lit = self._counts > max(1.0, self._counts.mean())
-        lines = ["".join(BLOCKS[above + 2 * below] for above, below in zip(*two, strict=True)) for two in _pairs(lit)]
+        blocks = lit[::2] + 2 * lit[1::2]  # the upper and the lower pixel of a character
+        lines = ["".join(BLOCKS[block] for block in row) for row in blocks.tolist()]
         rate = self._n_events / (now - self._before)
         lines.append(f"{self._label}: {now - self._started:.1f} s, {rate:,.0f} events a second".ljust(self._columns))
         sys.stderr.write((f"\x1b[{len(lines)}A" if self._drawn else "") + "".join(f"\r{line}\n" for line in lines))
@@ -173,8 +167,3 @@ class _Picture:
     def clear(self) -> None:
         """Leave the last picture where it is."""
         self._is_shown = False
-
-
-def _pairs(lit: np.ndarray) -> list[tuple[list[bool], list[bool]]]:
-    """Every two rows."""
-    return [(lit[row].tolist(), lit[row + 1].tolist()) for row in range(0, len(lit), 2)]
