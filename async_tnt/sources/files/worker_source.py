@@ -11,6 +11,7 @@ import atexit
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -103,22 +104,13 @@ def _end_idle() -> None:
         worker.end()
 
 
-def open_aedat4(path: Path) -> Source:
-    """Open an AEDAT4 file."""
-    return _open(path, library_readers.read_aedat4, "AEDAT4", "faery", "files")
-
-
-def open_es(path: Path) -> Source:
-    """Open an Event Stream file."""
-    return _open(path, library_readers.read_es, "ES", "faery", "files")
-
-
-def open_hdf5(path: Path) -> Source:
-    """Open an HDF5 file of events."""
-    return _open(path, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
-
-
-def _open(path: Path, read: library_readers.Reader, format: str, library: str, extra: str) -> Source:
+def _open(read: library_readers.Reader, format: str, library: str, extra: str, path: Path) -> Source:
     if find_spec(library) is None:
         raise ImportError(f"{path}: {format} is read by {library}, which is missing: pip install 'async_tnt[{extra}]'")
     return WorkerSource(path, read, format)
+
+
+open_aedat4 = partial(_open, library_readers.read_aedat4, "AEDAT4", "faery", "files")
+open_es = partial(_open, library_readers.read_es, "ES", "faery", "files")
+open_hdf5 = partial(_open, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
+"""Each opens a file of its format: a function from a path to a `Source`."""
