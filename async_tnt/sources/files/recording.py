@@ -85,6 +85,7 @@ class _Totals:
         self.n_events += len(t_us)
 
 
+@dataclass(eq=False, repr=False)
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
@@ -95,7 +96,7 @@ class Recording:
     Parameters
     ----------
     source : reads the file's events, block by block.
-    path, sensor, packet_events, strict, unsorted, between_us : see `open_recording`; attributes, too.
+    path, sensor, packet_events, strict, between_us : see `open_recording`; attributes, too.
 
     Attributes
     ----------
@@ -103,24 +104,16 @@ class Recording:
     format : the name of the file's format.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        source: Source,
-        sensor: Sensor | None,
-        packet_events: int,
-        *,
-        strict: bool = False,
-        between_us: tuple[int, int] | None = None,
-    ) -> None:
-        self.path = path
-        self.between_us = between_us
-        self.sensor = sensor
-        self.packet_events = packet_events
-        self.strict = strict
-        self.stated_sensor = source.sensor
-        self.format = source.format
-        self._source = source
+    path: Path
+    source: Source
+    sensor: Sensor | None
+    packet_events: int
+    strict: bool = False
+    between_us: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        self.stated_sensor = self.source.sensor
+        self.format = self.source.format
         self._totals: _Totals | None = None
         self._has_warned = False
 
@@ -180,7 +173,7 @@ class Recording:
         totals = _Totals()
         n_read = 0
         try:
-            for block in self._source.blocks():
+            for block in self.source.blocks():
                 events, problem = events_on_sensor(block, self.sensor, n_read)
                 n_read += len(events)
                 if self.between_us is not None:
