@@ -32,23 +32,19 @@ class Camera:
     Attributes
     ----------
     name : the camera's model and serial number, and the library that reads it.
+    sensor : (width, height) in pixels, as the library reports it.
     """
 
     def __init__(self, device: Device, name: str) -> None:
         self.name = name
         self._device = device
-        self._sensor = device.sensor
+        self.sensor = device.sensor
         self._counts = device.counts
         self._clock = Clock(MAX_JUMP_S)
         self._closing = threading.Event()
         # Held while the device is used. Re-entrant: a signal handler may close, on the thread that reads.
         self._using = threading.RLock()
         self._is_open = True
-
-    @property
-    def sensor(self) -> tuple[int, int]:
-        """(width, height) in pixels, as the library reports it."""
-        return self._sensor
 
     @property
     def device(self) -> Any:
@@ -115,7 +111,7 @@ class Camera:
 
     def _valid(self, events: np.ndarray) -> np.ndarray:
         """The packet without the events that the cable or the driver garbled, which a processor would refuse."""
-        width, height = self._sensor
+        width, height = self.sensor
         x, y = events["x"].view(np.uint16), events["y"].view(np.uint16)  # below 0 is beyond any sensor
         n = len(events)
         if x.max() >= width or y.max() >= height:
