@@ -12,20 +12,13 @@ Prophesee, Metavision documentation: data encoding formats EVT 2.0, EVT 2.1 and 
 """
 
 import numpy as np
-from numba import types
 
 from .jit import compiled
-from .records import COLUMN_TYPES
 
 HIGH, LOW, ROW, BASE, POLARITY, UNPLACED = range(6)
 INITIAL = (-1, 0, -1, -1, 0, 0)
 FINE, ODD = 0, 1
 MAX_SIDE = 1 << 11  # 11 bits
-
-
-def kernel_types(word: types.Type) -> tuple[types.Type, ...]:
-    """Argument types of a kernel for words of this type."""
-    return (types.Array(word, 1, "C", readonly=True), types.int64, types.int64[::1], *COLUMN_TYPES)
 
 
 @compiled

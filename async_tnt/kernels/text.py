@@ -1,25 +1,14 @@
 """Rows of numbers in text to columns of events, in integers throughout: no float rounds a time."""
 
 import numpy as np
-from numba import types
 
 from .jit import compiled
-from .records import COLUMN_TYPES, MAX_TIME_US, RAW_TYPE
+from .records import MAX_TIME_US
 
 DONE, FULL, ODD = 0, 1, 2
 T, X, Y, P, SKIPPED = 0, 1, 2, 3, -1
 BLANKS = 0  # as `separator`: one or more spaces or tabs
 MAX_DIGITS = 18  # always fits in int64
-ROW_TYPES = (
-    RAW_TYPE,
-    types.int64,
-    types.int64,
-    types.int64[::1],
-    types.int64,
-    types.int64,
-    types.int64[::1],
-    *COLUMN_TYPES,
-)
 
 
 @compiled

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import uint16, uint32
 
 from async_tnt.events import structured
 from async_tnt.kernels.evt import (
@@ -27,10 +26,8 @@ from async_tnt.kernels.evt import (
     decode_evt2,
     decode_evt3,
     decode_evt21,
-    kernel_types,
     unwrap_times,
 )
-from async_tnt.kernels.jit import compile_only
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     CorruptData,
@@ -43,10 +40,10 @@ from async_tnt.sources.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
 CHUNK_BYTES = 1 << 18
-EVT_VERSIONS: dict[str, tuple[Any, Any, int]] = {  # kernel, type of its words, bytes that belong together
-    "2": (decode_evt2, uint32, 4),
-    "2.1": (decode_evt21, uint32, 8),
-    "3": (decode_evt3, uint16, 2),
+EVT_VERSIONS: dict[str, tuple[Any, np.dtype, int]] = {  # kernel, type of its words, bytes that belong together
+    "2": (decode_evt2, np.dtype("<u4"), 4),
+    "2.1": (decode_evt21, np.dtype("<u4"), 8),
+    "3": (decode_evt3, np.dtype("<u2"), 2),
 }
 EVT_NAMES = {"evt2": "2", "evt21": "2.1", "evt3": "3"}
 DAT_EVENT_BYTES = 8
@@ -139,9 +136,7 @@ class EvtSource(Source):
             raise ValueError(f"{path}: `endianness` must be little or legacy, got {endianness!r}")
 
     def blocks(self) -> Iterator[np.ndarray]:
-        decode, word_type, size = EVT_VERSIONS[self._version]
-        compile_only(decode, *kernel_types(word_type))
-        dtype = np.dtype(str(word_type)).newbyteorder("<")
+        decode, dtype, size = EVT_VERSIONS[self._version]
         state = np.array(INITIAL, np.int64)
         columns = block_columns()
         n_events = 0

@@ -26,8 +26,7 @@ import numpy as np
 
 from async_tnt.event_forms import NAMES, the_name
 from async_tnt.events import structured
-from async_tnt.kernels.jit import compile_only
-from async_tnt.kernels.text import BLANKS, ODD, ROW_TYPES, SKIPPED, P, T, X, Y, parse_rows
+from async_tnt.kernels.text import BLANKS, ODD, SKIPPED, P, T, X, Y, parse_rows
 from async_tnt.sources.files.source import CorruptData, Source, block_columns
 from async_tnt.sources.sensor import Sensor
 
@@ -65,7 +64,6 @@ class TextSource(Source):
     sensor: Sensor | None = None
 
     def blocks(self) -> Iterator[np.ndarray]:
-        compile_only(parse_rows, *ROW_TYPES)
         columns = block_columns()
         roles, seen = np.array(self.roles, np.int64), np.zeros(2, np.int64)
         line = self.line
