@@ -68,23 +68,15 @@ class KeepUp(BackgroundReader):
             source, latest=True, max_packets=MAX_PACKETS, max_delay_us=max_delay_us, copy=copy, on_close=on_close
         )
 
-    def __next__(self) -> Any:
-        packet = super().__next__()
-        self._adapt()
-        return packet
-
-    async def __anext__(self) -> Any:
-        packet = await super().__anext__()
-        self._adapt()
-        return packet
-
-    def __exit__(self, *error: object) -> None:
-        super().__exit__(*error)
+    def close(self, timeout_s: float = 1.0) -> None:
+        """As of `BackgroundReader`; the processor decides as often as before."""
+        super().close(timeout_s)
         self._set(1, 0)
 
-    async def __aexit__(self, *error: object) -> None:
-        await super().__aexit__(*error)
-        self._set(1, 0)
+    def _hand_out(self) -> Any:
+        packet = super()._hand_out()
+        self._adapt()
+        return packet
 
     def _adapt(self) -> None:
         """Set how often the processor decides, by how long the packet that was handed out has waited."""
