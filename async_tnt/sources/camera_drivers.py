@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -56,8 +57,6 @@ class Device(Protocol):
     """An opened camera of one of the libraries. `Camera` calls one method at a time."""
 
     sensor: tuple[int, int]
-    pause_s: float
-    """How long to sleep after `read` returned None; 0 where `read` itself waits."""
     time_field: str
     """Of its packets."""
     counts: CameraCounts
@@ -68,7 +67,7 @@ class Device(Protocol):
     def read(self) -> np.ndarray | None:
         """The next packet, a structured array in new memory; None if there is none now.
 
-        Returns after 0.2 s at most. If the camera is gone, raises what the library raises, see `failure`.
+        Waits for one, for 0.2 s at most. If the camera is gone, raises what the library raises, see `failure`.
         """
 
     def close(self) -> None:
@@ -143,7 +142,6 @@ def neuromorphic_cameras(library: Any) -> list[FoundCamera]:
 class NeuromorphicDevice:
     """One camera. The library puts each packet in new memory and keeps no reference: it is not copied."""
 
-    pause_s = 0.0
     time_field = "t"
 
     def __init__(self, open: Callable[..., Any], which: dict[str, str]) -> None:
@@ -186,7 +184,6 @@ def dv_cameras(library: Any) -> list[FoundCamera]:
 class DvDevice:
     """One camera, or any other `dv_processing.io.InputBase`: recordings and network streams are read alike."""
 
-    pause_s = PAUSE_S
     time_field = "timestamp"
 
     def __init__(self, open: Callable[[Any], Any], descriptor: Any) -> None:
@@ -205,6 +202,7 @@ class DvDevice:
             return events
         if not running:
             raise RuntimeError("it stopped running")
+        time.sleep(PAUSE_S)
         return None
 
     def close(self) -> None:

@@ -83,11 +83,8 @@ class Camera:
 
     def __iter__(self) -> Iterator[np.ndarray]:
         while not self._closing.is_set():
-            events = self._read()
-            if events is not None:
+            if (events := self._read()) is not None:
                 yield events
-            elif self._device.pause_s:
-                self._closing.wait(self._device.pause_s)  # ends at once when the camera is closed
 
     def _read(self) -> np.ndarray | None:
         """The next packet; None if there is none now."""
