@@ -73,15 +73,13 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
     with progress(len(paths), "counting events") as bar:
         for path in paths:
             recording = open_recording(path, sensor=given)
-            found = recording.sensor or sensor  # or an earlier recording's
-            if found is None:
+            recording.sensor = recording.sensor or sensor  # or an earlier recording's
+            if recording.sensor is None:
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
-            check_sensor(path, found, sensor or found, "--sensor or an earlier recording has", advice="")
-            sensor = found
-            try:
-                counts = counts + count_pixels(recording, sensor)
-            except (TypeError, ValueError) as error:
-                raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+            wanted = sensor or recording.sensor
+            check_sensor(path, recording.sensor, wanted, "--sensor or an earlier recording has", advice="")
+            sensor = wanted
+            counts = counts + count_pixels(recording, sensor)
             bar.update()
     return counts
 
