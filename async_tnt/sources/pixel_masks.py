@@ -38,14 +38,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import int64, uint16
 from numpy.lib.stride_tricks import sliding_window_view
 
 from async_tnt.checks import plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.events import EventDecoder
 from async_tnt.files import check_writable, replacing
-from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixels import count_events
 from async_tnt.sources.files.numpy_files import map_npy
 from async_tnt.sources.sensor import Sensor, checked_sensor, format_size
@@ -182,7 +180,6 @@ def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
 def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
     """Events of each pixel in a `source` of packets: int64, shape (H, W) of the `sensor` (width, height)."""
-    compile_only(count_events, uint16[::1], uint16[::1], int64, int64[:, ::1])
     width, height = checked_sensor(sensor)
     decoder = EventDecoder((width, height))
     counts = np.zeros((height, width), np.int64)
