@@ -8,7 +8,6 @@ from pathlib import Path
 from async_tnt.cli.options import add_volume, positive_int, size_of, volume_of
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
-from async_tnt.events import as_events
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
@@ -114,12 +113,8 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
         model, config = None, config.replace(sensor=sensor, grid=sensor)
     if trained.places is None:
         config = _configured(config, args)
-    try:
-        events = as_events(recording.read(), sensor)
-    except (TypeError, ValueError) as error:
-        advice = "; give the camera's pixels with --sensor WxH" if recording.sensor is None else ""
-        raise ValueError(f"{path}: {error}{advice}") from None
-    return Subject(path.name, events, config, model, name, args.start_us)
+    recording.sensor = sensor  # events off it are refused
+    return Subject(path.name, recording.read(), config, model, name, args.start_us)
 
 
 def _path(name: str) -> Path:
