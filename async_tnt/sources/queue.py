@@ -52,6 +52,10 @@ class PacketQueue:
     copy : whether `put` copies packets, as drivers often reuse the memory of one for the next. False is for sources
         that put each packet in new memory.
 
+    Attributes
+    ----------
+    backlog, n_skipped : events that wait, and events discarded.
+
     Raises
     ------
     TypeError, ValueError : a limit that is not a whole number, or below 1; `max_delay_us` without `latest`.
@@ -90,14 +94,14 @@ class PacketQueue:
         self._sleepers: list[asyncio.Future[None]] = []
         self._ended = self._closed = False
         self._error: BaseException | None = None
-        self._backlog = self._received = self._handed_out = self._skipped = 0
+        self.backlog = self._received = self._handed_out = self.n_skipped = 0
         self._newest_ns: int | None = None  # arrival of the newest packet handed out
         self._longest_wait_ns = 0
         self._yielded_s = 0.0  # when asyncio's other tasks last had a chance to run
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "ended" if self._ended else "open"
-        return f"{type(self).__name__}({state}, {self._backlog} events waiting, {self._skipped} skipped)"
+        return f"{type(self).__name__}({state}, {self.backlog} events waiting, {self.n_skipped} skipped)"
 
     # -- packets in --------------------------------------------------------------------------------------
 
@@ -120,7 +124,7 @@ class PacketQueue:
             if self._ended and not self._closed:
                 raise ValueError("a packet after the end: this queue's end() was called; make a new PacketQueue")
             self._received += n
-            self._backlog += n
+            self.backlog += n
             self._waiting.append((packet, n, arrived_ns))
             if self._closed:
                 self._skip_all()
@@ -196,16 +200,6 @@ class PacketQueue:
     # -- counts ------------------------------------------------------------------------------------------
 
     @property
-    def backlog(self) -> int:
-        """Events that wait."""
-        return self._backlog
-
-    @property
-    def n_skipped(self) -> int:
-        """Events discarded."""
-        return self._skipped
-
-    @property
     def delay_us(self) -> int:
         """Age of the newest packet handed out: microseconds from its arrival until now. 0 before the first."""
         return 0 if self._newest_ns is None else (time.monotonic_ns() - self._newest_ns) // 1000
@@ -215,7 +209,7 @@ class PacketQueue:
         """All counts, at one moment."""
         with self._came:
             return QueueCounters(
-                self._received, self._handed_out, self._skipped, self._backlog, self._longest_wait_ns // 1000
+                self._received, self._handed_out, self.n_skipped, self.backlog, self._longest_wait_ns // 1000
             )
 
     # -- with the lock held ------------------------------------------------------------------------------
@@ -224,17 +218,17 @@ class PacketQueue:
         return bool(self._waiting) or self._ended or self._closed
 
     def _is_full(self) -> bool:
-        return len(self._waiting) >= self.max_packets or self._backlog >= self.max_events
+        return len(self._waiting) >= self.max_packets or self.backlog >= self.max_events
 
     def _is_over(self) -> bool:
-        return len(self._waiting) > self.max_packets or self._backlog > self.max_events
+        return len(self._waiting) > self.max_packets or self.backlog > self.max_events
 
     def _hand_out(self) -> Any:
         oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
         while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
             self._skip_oldest()
         packet, n, arrived_ns = self._waiting.popleft()
-        self._backlog -= n
+        self.backlog -= n
         self._handed_out += n
         self._newest_ns = arrived_ns
         self._longest_wait_ns = max(self._longest_wait_ns, time.monotonic_ns() - arrived_ns)
@@ -243,8 +237,8 @@ class PacketQueue:
 
     def _skip_oldest(self) -> None:
         _, n, _ = self._waiting.popleft()
-        self._backlog -= n
-        self._skipped += n
+        self.backlog -= n
+        self.n_skipped += n
 
     def _skip_all(self) -> None:
         while self._waiting:
