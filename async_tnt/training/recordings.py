@@ -61,15 +61,9 @@ class Recordings:
         return middles
 
     def __add__(self, other: Recordings) -> Recordings:
-        return Recordings(
-            np.concatenate([self.t, other.t]),
-            np.concatenate([self.x, other.x]),
-            np.concatenate([self.y, other.y]),
-            np.concatenate([self.p, other.p]),
-            np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]]),
-            np.concatenate([self.labels, other.labels]),
-            self.names + other.names,
-        )
+        both = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in (*COLUMNS, "labels")}
+        offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
+        return Recordings(**both, offsets=offsets, names=self.names + other.names)
 
     @classmethod
     def from_events(
