@@ -135,8 +135,11 @@ def simulate(
             noise.append(_noise(hz, place, (1, 1), times, rng, pixels))
     events = np.concatenate([events, *noise])
     if pixels.after_share:
-        events = np.concatenate([events, _after_pulses(events, pixels.after_share, rng)])
-    return _sorted(events)
+        after = events[rng.random(len(events)) < pixels.after_share]
+        after["t"] += rng.integers(1, AFTER_US, len(after))
+        after["p"] ^= 1
+        events = np.concatenate([events, after])
+    return events[np.lexsort((events["x"], events["y"], events["t"]))]  # stable; the last key counts most
 
 
 def _noise(
@@ -155,17 +158,6 @@ def _noise(
     events["y"] = corner[0] + rng.integers(shape[0], size=len(events))
     events["p"] = rng.random(len(events)) < pixels.noise_on_share
     return events
-
-
-def _after_pulses(events: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    after = events[rng.random(len(events)) < share]
-    after["t"] += rng.integers(1, AFTER_US, len(after))
-    after["p"] ^= 1
-    return after
-
-
-def _sorted(events: np.ndarray) -> np.ndarray:
-    return events[np.lexsort((events["x"], events["y"], events["t"]))]  # stable; the last key counts most
 
 
 def _checked_frames(log_frames: np.ndarray, frame_times_us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
