@@ -23,11 +23,11 @@ import numpy as np
 from async_tnt.simulation.measured_pixels import MeasuredPixels
 from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.pictures import Picture
-from async_tnt.simulation.random_motion import MotionRange, random_motion
+from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.random_pixels import random_pixels
 
 SHORTEST, LONGEST, LONGEST_FOLLOWED = 0.06, 0.5, 4.0
-MOTIONS = MotionRange(np.radians(15.0), 0.15, 0.25)
+MOST_TURN, MOST_GROWTH, BACK = np.radians(15.0), 0.15, 0.25
 CONTRASTS, BLURS_PX, POSTURE = (2.0, 15.0), (0.3, 0.9), 0.08
 TEXTURE, TEXTURED, FADES = 0.15, 0.5, 0.1
 """Largest deviation of a texture, the share of recordings with one, and the rim in which a photograph fades into it."""
@@ -75,7 +75,9 @@ def record_picture(picture: Picture, settings: SceneSettings, rng: np.random.Gen
     side_px = smaller * rng.uniform(*settings.size)
     longest = LONGEST_FOLLOWED if settings.follow else LONGEST
     length = smaller * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
-    shares, motion, turn = _frames_of(*random_motion(length, np.linspace(0, 1, FINE), rng, MOTIONS))
+    fine = np.linspace(0, 1, FINE)
+    drawn = random_motion(length, fine, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK)
+    shares, motion, turn = _frames_of(*drawn)
     times_us = settings.window_us * shares
     reach = np.ceil(np.abs(motion).max(0)).astype(int)
     scene = _scene(picture, side_px, reach, settings, rng)
@@ -131,7 +133,7 @@ def _scene(
     so far apart are copies on the torus, unless a crop follows the object."""
     sensor = np.array(settings.sensor)
     apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
-    apart *= np.exp(MOTIONS.growth) / np.cos(MOTIONS.turn)
+    apart *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
     shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])  # of small factors
     texture = rng.uniform(0, TEXTURE) * _texture(shape, rng) if rng.random() < TEXTURED else np.zeros(shape)

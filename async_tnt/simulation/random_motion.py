@@ -4,37 +4,26 @@ direction   uniform
 time        half of them last the whole window; the others .4 to 1 of it, somewhere in it
 speed       half of them constant, half minimum jerk
 shape       half of them straight; the others also go sideways meanwhile, by up to .4 of their length
-turn        meanwhile they turn and grow or shrink, see `MotionRange`
+turn        meanwhile they turn and grow or shrink
 back        some turn round on their way, and come back
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 SHORTEST_TIME, WIDEST_BEND, TURNS_AT = 0.4, 0.4, (0.4, 0.9)
-
-
-@dataclass(frozen=True)
-class MotionRange:
-    """How far images turn and grow meanwhile, and how many come back.
-
-    Parameters
-    ----------
-    turn : at most in all, either way, in radians.
-    growth : at most in all, either way: of the logarithm of the size.
-    back : share of motions that turn round, at .4 to .9 of their time, and come back.
-    """
-
-    turn: float = np.radians(6.0)
-    growth: float = 0.06
-    back: float = 0.0
+TURN, GROWTH = np.radians(6.0), 0.06
 
 
 def random_motion(
-    length: float, shares: np.ndarray, rng: np.random.Generator, within: MotionRange | None = None
+    length: float,
+    shares: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    most_turn: float = TURN,
+    most_growth: float = GROWTH,
+    back: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement at `shares` of the window, (n, 2), and turn, (n, 2), see `PeriodicImage`; 0 at half time.
 
@@ -42,17 +31,18 @@ def random_motion(
     ----------
     length : of the motion, one way; the displacement's unit.
     shares : float64, (n,), increasing from 0 to 1.
-    within : `MotionRange()` by default.
+    most_turn : in all, either way, in radians.
+    most_growth : in all, either way: of the logarithm of the size.
+    back : share of motions that turn round, at .4 to .9 of their time, and come back.
     """
-    within = MotionRange() if within is None else within
     angle = rng.uniform(0.0, 2 * np.pi)
     lasts = 1.0 if rng.random() < 0.5 else rng.uniform(SHORTEST_TIME, 1.0)
     starts = rng.uniform(0.0, 1.0 - lasts)
     constant, curved = rng.random(2) < 0.5
     bend = rng.uniform(-WIDEST_BEND, WIDEST_BEND) if curved else 0.0
     bend_starts = rng.uniform(0.0, 0.5)
-    turn = rng.uniform(-1, 1, 2) * (within.turn, within.growth)
-    turns_at = rng.uniform(*TURNS_AT) if within.back and rng.random() < within.back else 1.0
+    turn = rng.uniform(-1, 1, 2) * (most_turn, most_growth)
+    turns_at = rng.uniform(*TURNS_AT) if back and rng.random() < back else 1.0
 
     def position(share: np.ndarray) -> np.ndarray:
         u = np.clip((share - starts) / lasts, 0.0, 1.0)
