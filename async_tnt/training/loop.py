@@ -49,7 +49,6 @@ def train(
     sources: Mapping[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
-    device: str | None = None,
 ) -> TrainResult:
     """Train a classifier, or a map model.
 
@@ -70,7 +69,6 @@ def train(
         bytes, and anything that decides which of their events are seen.
     progress : makes the progress bar, which counts optimizer steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
-    device : of torch; by default a GPU where torch finds one, else the CPU.
 
     Raises
     ------
@@ -83,7 +81,7 @@ def train(
         raise ValueError("`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on scenes")
     windowed = ClassOfWindows(config, validation, settings, len(classes), teachers)
     objective = ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
-    device = device or ("cuda" if torch.cuda.is_available() else "cpu")
+    device = "cuda" if torch.cuda.is_available() else "cpu"
     pipeline = (
         new_pipeline(
             config,
