@@ -248,16 +248,12 @@ def examples(motions: Motions, classes: tuple[str, ...]) -> tuple[list[Resynthes
     reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us, motions.record["cell"])
     around_us = motions.config.window_us * motions.training.neighbours(motions.config.window_us)
     shown = [_example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in which]
-    return shown, _refused(motions, classes)
-
-
-def _refused(motions: Motions, classes: tuple[str, ...]) -> list[RefusedWindow]:
     refused = []
     for reason in list(motions.record["without_path"])[:N_REFUSED]:
         i = int(np.flatnonzero(motions.refused == reason)[0])
         columns = motions.training.events(i, motions.config.window_us)
         refused.append(RefusedWindow(classes[motions.training.labels[i]], structured(columns), reason))
-    return refused
+    return shown, refused
 
 
 def _example(
