@@ -6,7 +6,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -102,7 +102,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
     start = of_windows(load_model(args.start_from), args.start_from) if args.start_from else None
     teachers = [of_windows(load_model(name), name) for name in args.teacher]
-    data, settings, sources = _read(args, start, teachers, run_folder)
+    data, settings = _read(args, start, teachers, run_folder)
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
@@ -115,7 +115,6 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         motions=_other_motions(args, data, settings, start, run_folder),
         teachers=teachers,
         record={"command": _command(args)},
-        sources=sources,
         progress=progress,
         report=_reporter(settings.n_epochs(len(data.training))),
     )
@@ -144,15 +143,14 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
 def _read(
     args: argparse.Namespace, start: Model | None, teachers: list[Model], run_folder: Path
-) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
-    """The windows of DATASET, how to train on them, and what a resumed run is compared by.
+) -> tuple[TrainingData, TrainSettings]:
+    """The windows of DATASET, and how to train on them.
 
-    What the options and the run folder rule out is refused before any recording is read.
+    What the options rule out, and a run with another volume, network or seed, is refused before any recording is read.
     """
     from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.data import dataset_data
-    from async_tnt.training.dataset import file_sizes
-    from async_tnt.training.groups import check_share, groups_by_pattern, groups_checksum
+    from async_tnt.training.groups import check_share, groups_by_pattern
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
     from async_tnt.training.scenes import SceneMaker
@@ -179,27 +177,18 @@ def _read(
         check_network(settings.network, seen(config), everywhere=args.everywhere)
     check_share(args.validation)
     groups_by_pattern((), args.groups or "")
-    sources: dict[str, Any] = {
-        "validation": args.validation,
-        "groups": args.groups or groups_checksum(args.dataset),
-        **{name: pixels.about.get(name) for name in ("roi", "crop", "mask")},
-    }
     camera = None
     if args.camera is not None:
         if pixels.sensor is None:
             raise ValueError("--camera needs --sensor WxH, the camera's pixels")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor)
-    if has_pictures:
-        sources |= {"light": args.light, "follow": args.follow, "size": list(args.size)}
-        sources |= {"camera": camera and asdict(camera)}
-    recordings = file_sizes(args.dataset, "Train")
     fitted = set() if start is not None else {"grid", "window_us"} - given.keys()
     fitted |= set() if start is not None or args.volume or in_bins else {"bins"}
     later = {"sensor", *fitted} | ({"representation"} if "bins" in fitted else set())
     volume = {name: value for name, value in config.to_dict().items() if name not in later}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
-    load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network, **sources}, recordings)
+    load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network})
     data = dataset_data(
         args.dataset,
         config,
@@ -218,7 +207,7 @@ def _read(
     )
     if start is None:
         check_network(settings.network, seen(data.config), everywhere=args.everywhere)
-    return data, settings_for(data.config, len(data.training), **wanted), {**sources, "recordings": recordings}
+    return data, settings_for(data.config, len(data.training), **wanted)
 
 
 def _pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:

@@ -19,7 +19,6 @@ from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import Sensor, format_size
 from async_tnt.training.recordings import Recordings, RecordingsWriter
-from async_tnt.training.simulated_pictures import find_pictures
 
 MAX_US = 1 << 31  # what a column of int32 holds
 Known = dict[bytes, tuple[int, str]]
@@ -132,14 +131,6 @@ def read_dataset(
     return Dataset(
         recordings, names, camera, pixels.region or camera, reasons, left_out_events, reader.n_late, reader.known
     )
-
-
-def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
-    """Recording or picture -> bytes, of all that `folder` or `folder/part` holds; -1 for a link to nothing."""
-    files = [one for some in find_recordings(folder, part).values() for one in some]
-    sizes = {one.name: one.path.stat().st_size if one.path.exists() else -1 for one in files}
-    pictures = [path for some in find_pictures(folder, part).values() for path in some]
-    return sizes | {f"{one.parent.name}/{one.name}": one.stat().st_size if one.exists() else -1 for one in pictures}
 
 
 def _stated_sensor(files: list[LabelledRecording]) -> tuple[Sensor | None, str]:

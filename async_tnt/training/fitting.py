@@ -61,7 +61,6 @@ def fit(
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
     record: dict[str, Any] | None = None,
-    sources: dict[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
@@ -70,8 +69,7 @@ def fit(
     Parameters
     ----------
     record : more for the model's record.
-    data, settings, run_folder, start, motions, teachers, sources, progress, report : see `train`, whose errors pass
-        through.
+    data, settings, run_folder, start, motions, teachers, progress, report : see `train`, whose errors pass through.
     """
     result = train(
         data.config,
@@ -83,7 +81,6 @@ def fit(
         start=start,
         motions=motions,
         teachers=teachers,
-        sources=sources,
         progress=progress,
         report=report,
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import re
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -24,12 +23,6 @@ MIN_WINDOWS = 10
 def groups_table(folder: Path) -> Path | None:
     """A data set's table of groups, beside its classes; None without one."""
     return next((path for of in (folder, folder / "Train") if (path := of / GROUPS_FILE).is_file()), None)
-
-
-def groups_checksum(folder: Path) -> str | None:
-    """What tells a data set's table of groups from another one; None without one."""
-    table = groups_table(folder)
-    return None if table is None else f"{GROUPS_FILE} {zlib.crc32(table.read_bytes()):08x}"
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -46,7 +46,6 @@ def train(
     start: Model | None = None,
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
-    sources: Mapping[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> TrainResult:
@@ -65,8 +64,6 @@ def train(
     start : a model to continue from; None starts with random weights.
     motions : other motions of the training windows, shown among these.
     teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
-    sources : what the data comes from, for a checkpoint that is compared before any data is read: `recordings`, name ->
-        bytes, and anything that decides which of their events are seen.
     progress : makes the progress bar, which counts optimizer steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
 
@@ -100,12 +97,9 @@ def train(
     averaged = AveragedModel(pipeline, avg_fn=partial(_average, settings.averaging), use_buffers=True)
     final: Any = averaged.module if settings.averaging else pipeline
     optimizer = _optimizer(pipeline, settings)
-    files = dict(sources or {})
-    recordings = files.pop("recordings", {})
-    identity = {
-        **files,
-        **identity_of(config, settings, training, validation, start, classes, motions and motions.settings, teachers),
-    }
+    identity = identity_of(
+        config, settings, training, validation, start, classes, motions and motions.settings, teachers
+    )
     state = load_checkpoint(run_folder, identity)
     history: list[dict[str, float]] = []
     if state is not None:
@@ -158,8 +152,6 @@ def train(
                 history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
             checkpoint = {
                 "identity": identity,
-                "recordings": recordings,
-                "used": [name for name in training.recordings.names if name in recordings],
                 "pipeline": pipeline.state_dict(),
                 "averaged": averaged.state_dict(),
                 "optimizer": optimizer.state_dict(),

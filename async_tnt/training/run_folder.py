@@ -24,7 +24,6 @@ CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
 FORMAT = 8  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
-SHOWN = 3  # recordings that a refusal names
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
@@ -32,7 +31,7 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    state : `identity` from `identity_of`; `recordings`, `used` and `history`, and what else is needed to resume.
+    state : `identity` from `identity_of`, `history`, and what else is needed to resume.
     """
     import torch
 
@@ -49,15 +48,12 @@ def has_checkpoint(run_folder: Path) -> bool:
     return (run_folder / CHECKPOINT).exists()
 
 
-def load_checkpoint(
-    run_folder: Path, known: Mapping[str, Any], recordings: Mapping[str, int] | None = None
-) -> dict[str, Any] | None:
+def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any] | None:
     """The state that `save_checkpoint` wrote into the folder; None if there is none yet.
 
     Parameters
     ----------
     known : of the run to be started: all of `identity_of`, or what is known of it before the data is read.
-    recordings : name -> bytes, of all files that are there now; None: they are not compared.
 
     Raises
     ------
@@ -69,8 +65,6 @@ def load_checkpoint(
     differ = [name for name, value in _plain(known).items() if state["identity"].get(name) != value]
     if differ:
         raise other_run(run_folder, ", ".join(sorted(differ)))
-    if recordings is not None:
-        _check_recordings(run_folder, state, recordings)
     return state
 
 
@@ -129,17 +123,6 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
         for first in range(0, len(column), CHUNK):
             data = zlib.crc32(np.ascontiguousarray(column[first : first + CHUNK]).data, data)
     return data
-
-
-def _check_recordings(run_folder: Path, state: Mapping[str, Any], present: Mapping[str, int]) -> None:
-    """Compare recordings by their names and sizes. Those that were left out may be gone."""
-    before = state["recordings"]
-    differ = [f"{name} is new" for name in present if name not in before]
-    differ += [f"{name} has changed" for name in present if name in before and before[name] != present[name]]
-    differ += [f"{name} is gone" for name in state["used"] if name not in present]
-    if differ:
-        more = f", and {len(differ) - SHOWN} more" if len(differ) > SHOWN else ""
-        raise other_run(run_folder, f"recordings ({', '.join(differ[:SHOWN])}{more})")
 
 
 def other_run(run_folder: Path, what: str) -> ValueError:

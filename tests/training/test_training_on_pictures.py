@@ -171,4 +171,4 @@ def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):
     again, _, err = program(
         "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--size", ".5"
     )
-    assert again == 2 and "size" in err
+    assert again == 2 and "a run with other pictures (settings)" in err
