@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from async_tnt.checks import plain_array
-from async_tnt.kernels.simulate import translate
+from async_tnt.kernels.jit import compiled
 
 
 @dataclass(frozen=True)
@@ -113,3 +113,40 @@ def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
     padded = np.pad(image, radius)
     down = sum(w * padded[i : i + rows] for i, w in enumerate(weights))
     return np.ascontiguousarray(sum(w * down[:, j : j + columns] for j, w in enumerate(weights)))
+
+
+@compiled
+def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> None:
+    """Shift an image by a fraction of pixels, bilinearly.
+
+    frames[k, y, x] = sum_ij image[i, j] k(y - dy[k] - i) k(x - dx[k] - j),    k(a) = max(0, 1 - |a|)
+
+    Parameters
+    ----------
+    frames : float64, shape (K, H, W). Overwritten.
+    image : float64, shape (h, w); 0 beyond it.
+    dx, dy : float64, shape (K,), in pixels, finite.
+    """
+    n_rows, n_columns = image.shape
+    for k in range(frames.shape[0]):
+        left, top = np.floor(-dx[k]), np.floor(-dy[k])
+        x_frac, y_frac = -dx[k] - left, -dy[k] - top
+        # clamped before the integer cast, which is undefined for huge values
+        first_column = int(min(max(left, -1e6), 1e6))
+        first_row = int(min(max(top, -1e6), 1e6))
+        for y in range(frames.shape[1]):
+            i = first_row + y
+            for x in range(frames.shape[2]):
+                j = first_column + x
+                value = 0.0
+                if 0 <= i < n_rows:
+                    if 0 <= j < n_columns:
+                        value += (1.0 - y_frac) * (1.0 - x_frac) * image[i, j]
+                    if 0 <= j + 1 < n_columns:
+                        value += (1.0 - y_frac) * x_frac * image[i, j + 1]
+                if 0 <= i + 1 < n_rows:
+                    if 0 <= j < n_columns:
+                        value += y_frac * (1.0 - x_frac) * image[i + 1, j]
+                    if 0 <= j + 1 < n_columns:
+                        value += y_frac * x_frac * image[i + 1, j + 1]
+                frames[k, y, x] = value

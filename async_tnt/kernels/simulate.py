@@ -1,45 +1,8 @@
-"""An event camera in front of a moving image: frames of the image, and the threshold crossings of its pixels."""
+"""An event camera in front of a moving image: what its pixels follow, and the threshold crossings of its pixels."""
 
 import numpy as np
 
 from .jit import compiled
-
-
-@compiled
-def translate(frames, image, dx, dy):
-    """Shift an image by a fraction of pixels, bilinearly.
-
-    frames[k, y, x] = sum_ij image[i, j] k(y - dy[k] - i) k(x - dx[k] - j),    k(a) = max(0, 1 - |a|)
-
-    Parameters
-    ----------
-    frames : float64, shape (K, H, W). Overwritten.
-    image : float64, shape (h, w); 0 beyond it.
-    dx, dy : float64, shape (K,), in pixels, finite.
-    """
-    n_rows, n_columns = image.shape
-    for k in range(frames.shape[0]):
-        left, top = np.floor(-dx[k]), np.floor(-dy[k])
-        x_frac, y_frac = -dx[k] - left, -dy[k] - top
-        # clamped before the integer cast, which is undefined for huge values
-        first_column = int(min(max(left, -1e6), 1e6))
-        first_row = int(min(max(top, -1e6), 1e6))
-        for y in range(frames.shape[1]):
-            i = first_row + y
-            for x in range(frames.shape[2]):
-                j = first_column + x
-                value = 0.0
-                if 0 <= i < n_rows:
-                    if 0 <= j < n_columns:
-                        value += (1.0 - y_frac) * (1.0 - x_frac) * image[i, j]
-                    if 0 <= j + 1 < n_columns:
-                        value += (1.0 - y_frac) * x_frac * image[i, j + 1]
-                if 0 <= i + 1 < n_rows:
-                    if 0 <= j < n_columns:
-                        value += y_frac * (1.0 - x_frac) * image[i + 1, j]
-                    if 0 <= j + 1 < n_columns:
-                        value += y_frac * x_frac * image[i + 1, j + 1]
-                frames[k, y, x] = value
 
 
 @compiled
