@@ -53,10 +53,8 @@ def compile_only(kernel: Any, *types: Any) -> None:
     The call itself then checks types, dimensions, layout and flags of the arrays it is given, which in Python would
     cost more than the work; and no argument can cause another compilation.
     """
-    with _compiling:
-        if types not in kernel.overloads:
-            kernel.compile(types)
-        kernel.disable_compile()
+    compile_for_types(kernel, types)
+    kernel.disable_compile()
 
 
 def compile_for_types(kernel: Any, types: tuple[Any, ...]) -> None:
