@@ -118,19 +118,13 @@ def model_of(args: argparse.Namespace) -> Model:
 
 def positive_int(text: str) -> int:
     """An argparse type: a whole number of at least 1."""
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a whole number, got {short(text)}") from None
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1, got {short(value)}")
-    return value
+    return whole_number(text, 1)
 
 
-def whole_number(text: str) -> int:
-    """An argparse type: a whole number of at least 0."""
-    if not text.isdecimal() or len(text) > 4300:  # which Python does not read
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {short(text)}")
+def whole_number(text: str, least: int = 0) -> int:
+    """An argparse type: a whole number of at least `least`."""
+    if not text.isdecimal() or len(text) > 4300 or int(text) < least:  # Python does not read longer ones
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least {least}, got {short(text)}")
     return int(text)
 
 
