@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import printable
-from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
+from async_tnt.cli.options import add_files, add_start, add_triggers, number, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
@@ -125,10 +125,4 @@ def _push_all(packets: Iterable[Any], view: RerunView) -> None:
 
 def _milliseconds(text: str) -> int:
     """Milliseconds, as microseconds."""
-    try:
-        value = round(float(text) * 1000)
-    except (ValueError, OverflowError):
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be a number of at least 0.001, got {text!r}")
-    return value
+    return round(1000 * number(text, lambda value: 0.001 <= value < 1e9, "a number from 0.001 to 1e9"))
