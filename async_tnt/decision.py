@@ -110,10 +110,5 @@ class Counts:
     """Late, and all windows from the newest one that holds it up to the oldest open one were closed early by
     `confidence`."""
 
-    @property
-    def moved_off(self) -> int:
-        """Events that the transform moves off the grid, as it is meant to: they are not lost."""
-        return self.dropped_outside + self.dropped_tau_zero
-
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))

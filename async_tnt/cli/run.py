@@ -184,8 +184,9 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
         for decision in processor.finish():
             say(line(name, decision, 0.0))
         counts = processor.counts
+        moved_off = counts.dropped_outside + counts.dropped_tau_zero
         return (
-            f"; {counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
+            f"; {counts.kept:,} kept, {moved_off:,} moved off the grid by the transform, "
             f"{counts.dropped_late:,} too late for their window"
         )
 
