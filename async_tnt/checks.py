@@ -86,15 +86,7 @@ def one_line(error: Exception, limit: int = 300) -> str:
     return text if len(text) <= limit else text[:limit] + " ..."
 
 
-class _Short(reprlib.Repr):
-    def repr_int(self, x: int, level: int) -> str:
-        try:
-            return super().repr_int(x, level)
-        except ValueError:  # Python prints no integer of more than 4300 digits
-            return f"{'-' * (x < 0)}10**{round(x.bit_length() * math.log10(2))} or so"
-
-
-_short = _Short()
+_short = reprlib.Repr()
 _short.maxstring = _short.maxother = 120
 
 
