@@ -104,7 +104,7 @@ def _run(argv: Sequence[str]) -> int:
     except BrokenPipeError:  # `| head`: the reader has seen enough
         pass
     except (OSError, ValueError, ImportError, MemoryError) as error:
-        _complain_about(error)
+        complain(error)
         code = 2
     except KeyboardInterrupt as error:
         told = str(error)
@@ -142,13 +142,6 @@ def _code_after_signal(number: int, code: int, told: str) -> int:
     if code < 2:
         complain(told or ("interrupted" if number == signal.SIGINT else "terminated"))
     return 128 + number
-
-
-def _complain_about(error: Exception) -> None:
-    if isinstance(error, MemoryError):  # NumPy's says of what, Python's is empty
-        complain(f"not enough memory. {error}".strip())
-    else:
-        complain(error)
 
 
 def _flushed(code: int) -> int:
