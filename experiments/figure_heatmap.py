@@ -23,9 +23,9 @@ from async_tnt.views.figure_style import (
     TEXT,
     WIDTH,
     axes_at,
+    colour_map,
     headline,
     new_figure,
-    one_colour_map,
     write_at,
 )
 from async_tnt.views.figure_subject import Window
@@ -109,7 +109,7 @@ def _draw_heat(axes: Any, heat: np.ndarray, mean: tuple[float, float]) -> None:
     rows, columns = np.indices(heat.shape)
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set(visible=True, color=PALE)
-    axes.imshow(heat, cmap=one_colour_map("#222222"), vmin=0.0, aspect="auto", interpolation="nearest")
+    axes.imshow(heat, cmap=colour_map("#ffffff", "#222222"), vmin=0.0, aspect="auto", interpolation="nearest")
     _mark(axes, [columns.max() / 2], [rows.max() / 2], "+", GREY)
     _mark(axes, [mean[0]], [mean[1]], "o", OFF)
     _mark(axes, [(heat * columns).sum()], [(heat * rows).sum()], "x", ON)

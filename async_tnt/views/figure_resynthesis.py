@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.views.figure_style import (
+    OFF_TO_ON,
     PALE,
     axes_at,
+    colour_map,
     headline,
     new_figure,
     polarity_legend,
-    polarity_map,
     shortened,
     write_at,
 )
@@ -137,7 +138,7 @@ def _draw_picture(figure: Figure, column: int, top: float, picture: np.ndarray, 
     if is_image:
         axes.imshow(picture, cmap="gray")
     else:
-        axes.imshow(picture, cmap=polarity_map(), vmin=-STRONGEST, vmax=STRONGEST)
+        axes.imshow(picture, cmap=colour_map(*OFF_TO_ON), vmin=-STRONGEST, vmax=STRONGEST)
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(True)
     axes.spines[:].set_color(PALE)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, which colour-blind people can distinguish
 ON, OFF = "#D55E00", "#0072B2"
+OFF_TO_ON = OFF, "#ffffff", ON
+"""Colours of what has a sign, from its smallest value over zero to its largest."""
 HIGHLIGHTS = (("#000000", "-"), ("#009E73", (0, (5, 1.5))), ("#CC79A7", (0, (3, 1, 1, 1))), ("#E69F00", (0, (1, 1))))
 GREY, PALE, TEXT = "#8a8a8a", "#c4c4c4", "#555555"
 
@@ -104,18 +106,11 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
         figure.savefig(part, format=kind, dpi=dpi, metadata=metadata)
 
 
-def polarity_map() -> Colormap:
-    """From OFF's colour over white (zero) to ON's."""
+def colour_map(*colours: str) -> Colormap:
+    """From the first colour to the last, over those between them."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("off-on", [OFF, "#ffffff", ON])
-
-
-def one_colour_map(colour: str) -> Colormap:
-    """From white (zero) to a colour."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("one", ["#ffffff", colour])
+    return LinearSegmentedColormap.from_list("async_tnt", colours)
 
 
 def polarity_legend(figure: Figure, more: Sequence[Any] = ()) -> None:

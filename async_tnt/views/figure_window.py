@@ -10,16 +10,16 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.views.figure_style import (
     OFF,
+    OFF_TO_ON,
     ON,
     PALE,
     SMALL,
     TEXT,
     WIDTH,
     axes_at,
+    colour_map,
     few_ticks,
-    one_colour_map,
     polarity_legend,
-    polarity_map,
     write_at,
 )
 from async_tnt.views.figure_subject import Window, shown_evenly
@@ -173,8 +173,8 @@ def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float, **setti
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set(visible=True, color=PALE)
     signed = colours == "signed"
-    colour_map = polarity_map() if signed else one_colour_map(INK[colours])
-    return axes.imshow(cells, cmap=colour_map, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto", **settings)
+    shades = colour_map(*(OFF_TO_ON if signed else ("#ffffff", INK[colours])))
+    return axes.imshow(cells, cmap=shades, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto", **settings)
 
 
 def bin_ms(config: TNTConfig, k: int) -> str:
