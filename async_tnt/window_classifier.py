@@ -60,6 +60,7 @@ class WindowClassifier:
 
     Attributes
     ----------
+    classifier : the callable from a volume to logits.
     classes : class names; if none were given, "0", "1", ... after the first answer.
     decides_in_stretches : whether `decide_stretch` can be called.
     """
@@ -79,11 +80,6 @@ class WindowClassifier:
         self._tracks = np.empty((0, 4))
         self.exchange(classifier, confidence)
 
-    @property
-    def classifier(self) -> Classifier:
-        """The callable from a volume to logits."""
-        return self._classifier
-
     def exchange(self, classifier: Classifier, confidence: float | None = None) -> None:
         """Use another callable: one that takes volumes of the configuration's shape, and fits `confidence`, if set."""
         if not callable(classifier):
@@ -100,7 +96,7 @@ class WindowClassifier:
         of_map: Any = () if compiled is not None else getattr(classifier, "logits_shape", ())
         reader = compiled.reader if compiled is not None else ObjectReader(of_map) if len(of_map) == 3 else None
         _check_confidence(reader, confidence)
-        self._classifier, self._compiled, self._reader = classifier, compiled, reader
+        self.classifier, self._compiled, self._reader = classifier, compiled, reader
         self._tracks = self._new_tracks()
         self.decides_in_stretches = compiled is not None and reader is None and not self._config.needs_replay
 
@@ -117,7 +113,7 @@ class WindowClassifier:
         if self._reader is None:
             return np.empty((0, 4))
         shape = self._reader.shape
-        places = getattr(self._classifier, "places", None) or even_places(shape, self._config.sensor)
+        places = getattr(self.classifier, "places", None) or even_places(shape, self._config.sensor)
         tracks = new_tracks(places, shape, self._config.window_us)
         if len(self._tracks):  # no number is given twice in a stream
             tracks[0, NEXT_NUMBER] = self._tracks[0, NEXT_NUMBER]
@@ -166,9 +162,9 @@ class WindowClassifier:
     def _call(self, volume: TNTVolume) -> np.ndarray:
         """What another classifier answers, a copy."""
         try:
-            return np.asarray(self._classifier(volume.array)).astype(np.float32)
+            return np.asarray(self.classifier(volume.array)).astype(np.float32)
         except Exception as error:
-            if not hasattr(self._classifier, "state_dict"):
+            if not hasattr(self.classifier, "state_dict"):
                 raise
             raise TypeError(
                 "`classifier` must take an array (C, H, W); a torch module is wrapped, TorchClassifier(module), or "
