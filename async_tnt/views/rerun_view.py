@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from async_tnt.checks import needs_extra
+from async_tnt.checks import needs_extra, positive_int
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import EVENT_DTYPE, as_events
@@ -80,8 +80,7 @@ class RerunView:
         **settings: Unpack[Settings],
     ) -> None:
         rr = import_rerun()
-        if picture_us < 1:
-            raise ValueError(f"`picture_us` must be at least 1, got {picture_us}")
+        self._picture_us = positive_int("picture_us", picture_us)
         if out is not None and connect is not None:
             raise ValueError("`out` writes a file and `connect` goes to a viewer: give one of them")
         self.processor = as_processor(model, **settings)
@@ -90,7 +89,6 @@ class RerunView:
             raise ValueError(f"windows of a duration can be viewed, but not of {config.window_events} events")
         self.n_events = 0
         """Events shown so far."""
-        self._picture_us = int(picture_us)
         self._live = live
         raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
         self._raw = TNTVolume(raw_config, late=self.processor.late)
