@@ -31,17 +31,16 @@ FIELDS: dict[str, Callable[[str], Any]] = {
 SAMPLES = Path("samples")
 
 
-def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: bool = False, one: bool = False) -> None:
-    """FILEs, or `one`, and --model; with `onnx` also a model in an .onnx file, with `streams` also udp://... or a
-    camera."""
+def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool = False) -> None:
+    """FILEs, or `one`, and --model; with `live` also udp://... or a camera, and a model in an .onnx file."""
     bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
-    sources = "`camera`, udp://HOST:PORT, or " if streams else ""
-    kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if onnx else " or a .safetensors file"
+    sources = "`camera`, udp://HOST:PORT, or " if live else ""
+    kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if live else " or a .safetensors file"
     parser.add_argument(
         "files",
         nargs="?" if one else "*",
         metavar="FILE",
-        type=_file_or_stream if streams else Path,
+        type=_file_or_stream if live else Path,
         help=f"{sources}recordings ({', '.join(sorted(READERS))}); {bundled}",
     )
     parser.add_argument(

@@ -53,7 +53,7 @@ An .onnx file differs in the last digits of the probabilities and in latency, no
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_files(parser, onnx=True, streams=True)
+    add_files(parser, live=True)
     add_start(parser)
     add_triggers(parser)
     parser.add_argument(

@@ -40,7 +40,7 @@ that. Rerun's viewer collects usage data; `rerun analytics disable` stops that.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_files(parser, onnx=True, streams=True, one=True)
+    add_files(parser, live=True, one=True)
     add_start(parser)
     add_triggers(parser)
     add_pixels(parser)
