@@ -20,6 +20,7 @@ _VOLUME = types.Array(float32, 3, "C", readonly=True)
 _NETWORK = int64[::1], float32[::1], float32[::1], uint32[::1]
 _OBJECTS = int64[::1], float64[:, ::1], uint64[:, ::1], float64[:, ::1], float64[:, ::1]
 _TRACKS = float64[:, ::1], int64, boolean
+_DECISIONS = float32[:, ::1], float64[:, ::1], int64[:, ::1]
 
 ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     kernel.__name__: (kernel, arguments)
@@ -44,20 +45,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (locate_on_map, (float32[::1], *_OBJECTS, *_TRACKS)),
         (locate_cells, (_STATE, *_NETWORK, *_OBJECTS, *_TRACKS)),
         (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
-        (
-            absorb_and_decide,
-            (
-                _STATE,
-                *COLUMN_TYPES,
-                int64,
-                int64,
-                _TRIGGER,
-                *_NETWORK,
-                float32[:, ::1],
-                float64[:, ::1],
-                int64[:, ::1],
-            ),
-        ),
+        (absorb_and_decide, (_STATE, *COLUMN_TYPES, int64, int64, _TRIGGER, *_NETWORK, *_DECISIONS)),
     )
 }
 """Name -> (kernel, types of its arguments). What is built of others comes after them."""
