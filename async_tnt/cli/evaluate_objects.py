@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.options import size_of
 from async_tnt.cli.output import complain, say
 from async_tnt.evaluation.object_scores import ObjectScores, score_recording
 from async_tnt.evaluation.object_tables import find_tables, read_table
@@ -23,7 +22,6 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
     """Score the recordings of `args.dataset` that have tables of objects; print the report."""
     if given := [f"--{name}" for name in NOT_FOR_OBJECTS if getattr(args, name)]:
         raise ValueError(f"{args.model} finds objects: {', '.join(given)} cannot be used with it")
-    sensor = None if args.sensor is None else size_of(args.sensor)
     scores: dict[float, ObjectScores] = {}
     skipped: list[str] = []
     unknown: dict[str, int] = {}
@@ -33,7 +31,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         for path, file in tables:
             try:
                 table = read_table(file, model.classes)
-                recording = open_recording(path, sensor=sensor, strict=True)
+                recording = open_recording(path, sensor=args.sensor, strict=True)
                 if recording.sensor is None:
                     raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
                 found = score_recording(model.for_sensor(recording.sensor), recording, table)

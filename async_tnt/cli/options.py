@@ -15,7 +15,6 @@ from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
-from async_tnt.sources.sensor import format_size
 from async_tnt.triggers import LeakyIntegrator
 
 FIELDS: dict[str, Callable[[str], Any]] = {
@@ -155,11 +154,6 @@ def size_of(text: str) -> tuple[int, int]:
     return size
 
 
-def size_text(text: str) -> str:
-    """An argparse type: `346x260` as text, checked, so that a command keeps it as it was given."""
-    return format_size(size_of(text))
-
-
 def _integrator(text: str) -> LeakyIntegrator:
     try:
         threshold, leak_us = (float(number) for number in text.split(":"))
@@ -227,8 +221,9 @@ def command_words(
         value = getattr(args, action.dest)
         if action.type is Path or value == action.default or action.dest in leave_out:
             continue
-        if isinstance(value, tuple):  # a range
-            value = "-".join(f"{end:g}" for end in value)
+        if isinstance(value, tuple):  # a region, a range, or a size
+            separator = {"roi": ",", "size": "-"}.get(action.dest, "x")
+            value = separator.join(f"{number:g}" for number in value)
         values = value if isinstance(value, list) else [value]
         if action.dest in ("start_from", "network", "teacher"):
             values = [Path(one).name for one in values]

@@ -6,7 +6,7 @@ import argparse
 import contextlib
 from pathlib import Path
 
-from async_tnt.cli.options import paths_of, size_of, size_text
+from async_tnt.cli.options import paths_of, size_of
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import open_recording
@@ -20,7 +20,7 @@ def add_pixels(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     parser.add_argument(
         "--sensor",
-        type=size_text,
+        type=size_of,
         metavar="WxH",
         help="the camera's pixels, if the recording does not state them. Without --crop, they are those of the model; "
         "with it, a .bin has 34x34 by default",
@@ -31,7 +31,7 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
     """--roi, --crop and --mask."""
     parser.add_argument(
         "--roi",
-        type=_roi_text,
+        type=_region,
         metavar="X,Y,W,H",
         help="region of interest: leave out the events outside of W x H pixels, X,Y being the upper left one",
     )
@@ -62,26 +62,23 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
     ------
     ValueError, OSError : options that exclude each other; a mask file that is missing, damaged or not a mask.
     """
-    roi = None if args.roi is None else parse_roi(args.roi)
-    sensor = None if args.sensor is None else size_of(args.sensor)
     mask = None if args.mask is None else PackedMask.of(load_mask(args.mask), str(args.mask))
-    return PixelSelection(roi, args.crop, mask, sensor)
+    return PixelSelection(args.roi, args.crop, mask, args.sensor)
 
 
 def sensor_to_read(args: argparse.Namespace) -> Sensor | None:
     """The pixels that a map model is to read: of a region with --crop, of --sensor, or of the first file, if it states
     them."""
-    if args.roi is not None and args.crop:
-        return parse_roi(args.roi)[2:]
-    if args.sensor is not None:
-        return size_of(args.sensor)
+    given: Sensor | None = args.roi[2:] if args.roi is not None and args.crop else args.sensor
+    if given is not None:
+        return given
     for path in paths_of(args)[:1]:
         with contextlib.suppress(OSError, ValueError, ImportError):  # which is told when it is read
             return None if isinstance(path, str) else open_recording(path).sensor
     return None
 
 
-def parse_roi(text: str) -> Region:
+def _region(text: str) -> Region:
     """`100,80,34,34` as (100, 80, 34, 34). An argparse type."""
     try:
         left, top, width, height = (int(number) for number in text.split(","))
@@ -90,8 +87,3 @@ def parse_roi(text: str) -> Region:
             f"must be four whole numbers X,Y,WIDTH,HEIGHT, such as 100,80,34,34, got {text!r}"
         ) from None
     return left, top, width, height
-
-
-def _roi_text(text: str) -> str:
-    """The region as text, checked, so that a command keeps it as it was given. An argparse type."""
-    return ",".join(map(str, parse_roi(text)))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import command_words, of_windows, size_of, volume_of
+from async_tnt.cli.options import command_words, of_windows, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
@@ -158,7 +158,7 @@ def _read(
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
     pixels = _pixels_of(args, start)
-    given: dict[str, Any] = {"grid": size_of(args.grid)} if args.grid else {}
+    given: dict[str, Any] = {"grid": args.grid} if args.grid else {}
     given |= {"window_us": args.window_us} if args.window_us else {}
     config = start.config if start is not None else default_config(**given, **volume_of(args.volume))
     in_bins = args.motions == "resynthesized" and start is None and not args.volume

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import add_volume, number, positive_int, size_text, whole_number
+from async_tnt.cli.options import add_volume, number, positive_int, size_of, whole_number
 from async_tnt.cli.pixel_options import add_selection
 from async_tnt.simulation.picture_scene import LIGHTS
 
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sensor",
-        type=size_text,
+        type=size_of,
         metavar="WxH",
         help="the camera's, where recordings do not state it",
     )
@@ -105,9 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="US",
         help="of a window (default: 105000, or the longest one)",
     )
-    network.add_argument(
-        "--grid", type=size_text, metavar="WxH", help="of the volume (default: at most 120 pixels long)"
-    )
+    network.add_argument("--grid", type=size_of, metavar="WxH", help="of the volume (default: at most 120 pixels long)")
     add_volume(network, "ON and OFF counts, or 5 bins, by the data")
     network.add_argument("--everywhere", action="store_true", help="find objects anywhere: learn scenes of several")
     network.add_argument(
