@@ -30,7 +30,6 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.streams import WindowVolume, astream, stream, volumes
     from async_tnt.triggers import LeakyIntegrator
     from async_tnt.volume import TNTVolume
-    from async_tnt.volume_state import ReplayBufferFull
 else:  # type checkers use the imports above; __getattr__ would let every name pass
     from async_tnt.package import lazy_names
 
@@ -54,13 +53,12 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "streams": "WindowVolume astream stream volumes",
             "triggers": "LeakyIntegrator",
             "volume": "TNTVolume",
-            "volume_state": "ReplayBufferFull",
         },
     )
 
 __all__ = [
     "EVENT_DTYPE", "BackgroundReader", "CompiledClassifier", "CompiledRegressor", "Counts", "Decision",
-    "LeakyIntegrator", "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "ReplayBufferFull", "TNTConfig",
+    "LeakyIntegrator", "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "TNTConfig",
     "TNTVolume", "WindowVolume", "astream", "bundled_models", "event_columns", "load_model", "open_recording", "replay",
     "stream", "volumes", "warmup",
 ]  # fmt: skip

@@ -91,7 +91,7 @@ class Counts:
     """What became of the events since the volume was made or reset.
 
     Where windows do not overlap, every event is counted once, as kept or as dropped for one reason: received =
-    kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored + dropped_decided.
+    kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_decided.
     """
 
     received: int = 0
@@ -104,8 +104,6 @@ class Counts:
     """At the very start of its window, where TNT time is zero."""
     dropped_late: int = 0
     """Older than all open windows and not `dropped_decided`, or late under late="drop"."""
-    dropped_unstored: int = 0
-    """The replay buffer of landmark "window" or "regressor" was full."""
     dropped_decided: int = 0
     """Late, and all windows from the newest one that holds it up to the oldest open one were closed early by
     `confidence`."""

@@ -51,7 +51,7 @@ class Processor(TriggerAttributes):
         It is checked at every decision of the other triggers, or after every event if there are none. Events that
         still arrive for the window are counted as `dropped_decided`. Not for map models.
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
-    regressor, late, replay_events : see `TNTVolume`; a model has a compiled regressor of its own.
+    regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
 
     Copies and pickles continue the stream, bit for bit. The four triggers, from `every_us` to `activity`, and
     `classifier` are attributes, too, and may change between calls. A call while another one is running, in another
@@ -85,14 +85,13 @@ class Processor(TriggerAttributes):
         confidence: float | None = None,
         activity: LeakyIntegrator | None = None,
         late: Late = "accept",
-        replay_events: int = 1 << 20,
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence, activity))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
-        self._windows = WindowScheduler(self.config, hop_us, start_us, replay_events, regressor)
+        self._windows = WindowScheduler(self.config, hop_us, start_us, regressor)
         self._prepare(regressor)
         self.reset()
 
@@ -174,8 +173,6 @@ class Processor(TriggerAttributes):
                     first = self._absorb_stretch(columns, first, decisions)
                 else:
                     self._advance(int(columns.t[first]), decisions)
-        if self.config.needs_replay:
-            windows.warn()
         return decisions
 
     def _absorb_until_decision(self, columns: Columns, first: int, decisions: list[Decision]) -> int:

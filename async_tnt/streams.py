@@ -33,7 +33,6 @@ class Settings(TypedDict, total=False):
     confidence: float | None
     activity: LeakyIntegrator | None
     late: Late
-    replay_events: int
 
 
 def stream(

@@ -32,9 +32,6 @@ class TNTVolume:
     config : TNTConfig.
     late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before the
         open window are always dropped and counted.
-    replay_events : for landmarks `window` and `regressor`: how many events of a window are stored for the replay
-        (a window of `window_events` is always stored whole). The rest are counted as `dropped_unstored`, with one
-        warning; a regressor does not see them either.
     regressor : for landmark `regressor` only: any callable from the window's raw volume (without the transform:
         float32, shape (C, H, W), read-only, valid during the call) to a finite landmark (x, y) in grid pixels. A
         model's own is `CompiledRegressor(model)`. It is called when `array`, `landmark` or `counts` is read after
@@ -60,7 +57,6 @@ class TNTVolume:
         config: TNTConfig,
         *,
         late: Late = "accept",
-        replay_events: int = 1 << 20,
         regressor: Regressor | None = None,
     ) -> None:
         check_regressor(config, regressor)
@@ -73,7 +69,7 @@ class TNTVolume:
         self._running = Running("TNTVolume")
         self._replay = None
         if config.needs_replay:
-            self._replay = ReplayBuffer(config, replay_events, regressor)
+            self._replay = ReplayBuffer(config, regressor)
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
@@ -118,11 +114,6 @@ class TNTVolume:
         """Count late events at or after `start_us` as `dropped_decided`, for as long as the open window is open."""
         self._ints[S.DECIDED_FROM_US] = start_us
 
-    def warn(self) -> None:
-        """Issue the warnings that the last packet made due."""
-        if self._replay is not None:
-            self._replay.warn()
-
     def _empty(self, start_us: int, limit_us: int) -> None:
         empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
         if self._replay is not None:
@@ -150,7 +141,6 @@ class TNTVolume:
         while first < n:
             n_closed += self._open_next(int(columns.t[first]))
             first = self.absorb(columns, first, n)
-        self.warn()
         return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
@@ -270,21 +260,18 @@ class TNTVolume:
     @property
     def counts(self) -> Counts:
         """What became of the events, see `Counts`."""
-        unstored = 0
         if self._replay is not None:
             self._replay.run(self._buffer, self._array)
-            unstored = self._replay.n_unstored
         received, kept, late, tau_zero = (int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO))
         dropped = self._decoder.n_dropped
         decided = self.n_dropped_decided
-        outside = received - kept - late - tau_zero - unstored - decided
+        outside = received - kept - late - tau_zero - decided
         return Counts(
             received=received + dropped,
             kept=kept,
             dropped_outside=outside,
             dropped_tau_zero=tau_zero,
             dropped_late=late + dropped,
-            dropped_unstored=unstored,
             dropped_decided=decided,
         )
 

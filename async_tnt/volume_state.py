@@ -2,7 +2,7 @@
 
 Events are stored, and replayed when the volume is read, where only then is known
 
-landmark `window`      the centroid of all the window's events so far, including those that could not be stored
+landmark `window`      the centroid of all the window's events so far
 landmark `regressor`   a network's estimate from the raw volume of the same events
 `window_events`        the time of the window's newest event, by which times are scaled
 """
@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import itertools
 import math
-import warnings
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import Running, one_at_a_time, positive_int, short
+from async_tnt.checks import Running, one_at_a_time, short
 from async_tnt.config import TNTConfig
 from async_tnt.events import Columns, empty_columns
 from async_tnt.kernels import state as S
@@ -27,10 +26,8 @@ from async_tnt.kernels.readout import cells_to_float32, empty_volume
 MAX_EVENTS = 1 << 53  # 28 years at 10 million events a second; sums stay far from the end of int64
 Regressor = Callable[[np.ndarray], Any]
 FIRST_CAPACITY = 4096
-UNCHANGED_BY_REPLAY = (
-    *(S.N, S.SUM_X, S.SUM_Y, S.NEWEST_US, S.START_US, S.LIMIT_US),
-    *(S.RECEIVED, S.LATE, S.DECIDED, S.DECIDED_FROM_US),
-)
+MAX_STORED = 1 << 26  # events of a window without `window_events`: 870 MB; a clock that stands still would store on
+UNCHANGED_BY_REPLAY = S.LIMIT_US, S.RECEIVED, S.DECIDED_FROM_US
 _epochs = itertools.count(1)
 
 
@@ -85,76 +82,49 @@ def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
 # -- events that are stored until the read ------------------------------------------------------------------
 
 
-class ReplayBufferFull(UserWarning):
-    """A window held more events than the replay buffer; the others are missing from its volume."""
-
-
 class ReplayBuffer:
     """The events of one window, and their replay, about the landmark and with the duration that are known by then.
+
+    Memory grows with the window.
 
     Parameters
     ----------
     config : of the volume that they are replayed into.
-    capacity : how many events are stored at most; memory grows up to that as needed. A window of a given number of
-        events is always stored whole.
     regressor : the callable of landmark `regressor`; None: another landmark.
     """
 
-    def __init__(self, config: TNTConfig, capacity: int, regressor: Regressor | None) -> None:
-        capacity = positive_int("replay_events", capacity)
-        self.capacity = config.window_events or capacity
+    def __init__(self, config: TNTConfig, regressor: Regressor | None) -> None:
         self._n_most = config.window_events or MAX_EVENTS
         self._config = config
         self._regressor = regressor
         self._raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
         self._raw = None if regressor is None else new_state(self._raw_config)
-        self._columns = empty_columns(min(FIRST_CAPACITY, self.capacity))
+        self._columns = empty_columns(FIRST_CAPACITY)
         self._running = Running("Processor or TNTVolume")
         self.reset()
 
     def reset(self) -> None:
         """All counts zero, no window open."""
-        self.n_unstored = 0
         self._closed_kept = 0  # counts of closed windows; the open window's change with every replay
         self._closed_tau_zero = 0
-        self._warning_due = False
 
     def open(self) -> None:
         """Begin a window, without events."""
-        self.n = 0
         self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
         self._is_replayed = True
-        self._warned = False
 
     @one_at_a_time
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
         """Absorb events up to the volume's limit; returns the first one not absorbed."""
-        if min(self.n + last - first, self.capacity) > self._columns.t.size:
+        n_before = _n_events(buffer)
+        if n_before + last - first > self._columns.t.size:
             before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
-            self._grow(self.n + int(np.count_nonzero(before_limit)))
-        n_in_window, n_before = _n_events(buffer), self.n
-        first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n, self._n_most)
-        n_new = _n_events(buffer) - n_in_window
-        if n_new:
+            self._grow(n_before, n_before + int(np.count_nonzero(before_limit)))
+        first = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self._n_most)
+        if _n_events(buffer) > n_before:
             self._landmark = None
             self._is_replayed = False
-        n_missing = n_new - (self.n - n_before)
-        if n_missing:
-            self.n_unstored += n_missing
-            self._warning_due = self._warning_due or not self._warned
-            self._warned = True
         return first
-
-    def warn(self) -> None:
-        """Warn once a window that the buffer is full; after the packet, because a warning may be raised as an error."""
-        if self._warning_due:
-            self._warning_due = False
-            warnings.warn(
-                f"the replay buffer of {self.capacity} events is full; further events are missing from the window's "
-                "volume and counted as dropped_unstored (raise replay_events, or shorten window_us)",
-                ReplayBufferFull,
-                stacklevel=5,
-            )
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
         """The landmark (x, y) in grid pixels of a window with events, where it is deferred; computed once, until new
@@ -180,7 +150,7 @@ class ReplayBuffer:
         if config.window_events is not None:
             set_duration(raw, config, _duration_us(buffer))
         empty_volume(raw, array, int(ints[S.START_US]), int(ints[S.LIMIT_US]), next_epoch())
-        absorb(raw, *self._columns[:4], 0, self.n)
+        absorb(raw, *self._columns[:4], 0, _n_events(buffer))
         cells_to_float32(raw, array, config.bins)
         array.flags.writeable = False
         return array
@@ -201,10 +171,10 @@ class ReplayBuffer:
             buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*self._landmark)
         if config.window_events is not None:
             set_duration(buffer, config, _duration_us(buffer))
-        saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
-        empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US], next_epoch())
+        saved, n = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}, _n_events(buffer)
+        empty_volume(buffer, array, int(ints[S.START_US]), S.NEVER_US, next_epoch())
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
-        absorb(buffer, *self._columns[:4], 0, self.n)
+        absorb(buffer, *self._columns[:4], 0, n)
         for slot, value in saved.items():
             ints[slot] = value
         self._is_replayed = True
@@ -216,12 +186,17 @@ class ReplayBuffer:
         self._closed_kept = int(ints[S.KEPT])
         self._closed_tau_zero = int(ints[S.TAU_ZERO])
 
-    def _grow(self, n: int) -> None:
-        n = min(n, self.capacity)
+    def _grow(self, n_stored: int, n: int) -> None:
+        n = min(n, self._n_most)
+        if n > MAX_STORED and self._config.window_events is None:
+            raise ValueError(
+                f"a window must have at most {MAX_STORED} events where they are stored (landmark `window` or "
+                f"`regressor`), got {n}: shorten `window_us`"
+            )
         if n > self._columns.t.size:
-            larger = empty_columns(min(self.capacity, max(n, 2 * self._columns.t.size)))
+            larger = empty_columns(max(n, 2 * self._columns.t.size))
             for old, new in zip(self._columns[:4], larger[:4], strict=True):
-                new[: self.n] = old[: self.n]
+                new[:n_stored] = old[:n_stored]
             self._columns = larger
 
 

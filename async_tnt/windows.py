@@ -28,7 +28,7 @@ class WindowScheduler:
 
     Parameters
     ----------
-    config, replay_events, regressor : see `TNTVolume`.
+    config, regressor : see `TNTVolume`.
     hop_us : distance between the starts of windows; at most window_us, its default. Not with `window_events`.
     start_us : start of the first window; None: at the first event. Not with `window_events`.
     """
@@ -38,7 +38,6 @@ class WindowScheduler:
         config: TNTConfig,
         hop_us: int | None,
         start_us: int | None,
-        replay_events: int,
         regressor: Regressor | None,
     ) -> None:
         self._window_us = window_us = config.window_us
@@ -58,7 +57,7 @@ class WindowScheduler:
             got = f"{self.hop_us}: {n_volumes} windows would be open at once"
             raise ValueError(f"`hop_us` must be at least {smallest}, got {got}")
         self.start_us = None if start_us is None else checked_time("start_us", start_us)
-        self.volumes = [TNTVolume(config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)]
+        self.volumes = [TNTVolume(config, regressor=regressor) for _ in range(n_volumes)]
         self.reset()
 
     def reset(self) -> None:
@@ -121,11 +120,6 @@ class WindowScheduler:
         self._n_received += absorbed - first
         for volume in islice(self._open, 1, None):
             volume.absorb(columns, first, absorbed)
-
-    def warn(self) -> None:
-        """Issue the warnings that the last packet made due."""
-        for volume in self.volumes:
-            volume.warn()
 
     def open_due(self, t_us: int) -> bool:
         """Open the windows that hold `t_us`, or else the next one, so that at least one is open; empty ones before them

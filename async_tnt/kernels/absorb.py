@@ -80,21 +80,19 @@ def absorb_one(buffer, t, x, y, p):
 
 
 @compiled
-def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_stored, n_most):
+def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_most):
     """`absorb` for a volume that can be made only when it is read: count, sum, and store the events.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place, except for its cells.
     t, x, y, p, first, last : as for `absorb`.
-    stored_t, stored_x, stored_y, stored_p : columns. Updated in place from `n_stored` on; events that do not fit
-        are summed and not stored.
+    stored_t, stored_x, stored_y, stored_p : columns, with room for them. Updated in place, behind the window's events.
     n_most : int. Events that the window holds at most.
 
     Returns
     -------
-    first : int. The first event not absorbed (at or after LIMIT_US, or the window is full).
-    n_stored : int. Events stored now.
+    int : the first event not absorbed (at or after LIMIT_US, or the window is full).
     """
     ints = buffer.view(np.int64)
     while first < last and t[first] < ints[S.LIMIT_US] and ints[S.N] < n_most:
@@ -102,15 +100,14 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
         if t[first] < ints[S.START_US]:
             _count_late(ints, t[first])
         else:
+            n = ints[S.N]
+            stored_t[n] = t[first]
+            stored_x[n] = x[first]
+            stored_y[n] = y[first]
+            stored_p[n] = p[first]
             _count_event(ints, t[first], x[first], y[first])
-            if n_stored < stored_t.size:
-                stored_t[n_stored] = t[first]
-                stored_x[n_stored] = x[first]
-                stored_y[n_stored] = y[first]
-                stored_p[n_stored] = p[first]
-                n_stored += 1
         first += 1
-    return first, n_stored
+    return first
 
 
 @compiled

@@ -32,7 +32,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (absorb, (_STATE, *COLUMN_TYPES, int64, int64)),
         (absorb_without_gil, (_STATE, *COLUMN_TYPES, int64, int64)),
         (absorb_one, (_STATE, int64, int64, int64, int64)),
-        (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64, int64)),
+        (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64)),
         (cells_to_float32, (_STATE, _ARRAY, int64)),
         (schedule, (_TRIGGER, int64, int64)),
         (advance_triggers, (_TRIGGER, _STATE, int64[::1], int64, int64)),

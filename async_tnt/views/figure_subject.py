@@ -138,7 +138,7 @@ class Window:
     def _volume(self, config: TNTConfig) -> TNTVolume:
         """A configuration's volume after all events."""
         regressor = self.subject.regressor() if config.needs_regressor else None
-        volume = TNTVolume(config, replay_events=max(1, self.events.size), regressor=regressor)
+        volume = TNTVolume(config, regressor=regressor)
         volume.open(self.start_us)
         volume.update(self.events)
         return volume

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 from deciding import CONFIG, at, total_and_size
-from made import random_events, random_model
+from made import random_model
 
-from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, ReplayBufferFull
+from async_tnt import CompiledClassifier, LeakyIntegrator, Processor
 
 BY_3 = CONFIG.replace(window_events=3)
 
@@ -35,21 +35,6 @@ def test_answers_that_are_refused(answer, classes, message):
     processor = Processor(CONFIG, classifier=lambda volume: answer, classes=classes)
     with pytest.raises(ValueError, match=f"`classifier` must return {message}"):
         processor.fire()
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_full_replay_buffer_warns_after_the_packet_is_processed():
-    """A warning may be an error: nothing may be half done then."""
-    events = random_events(40, seed=5, duration_us=4000)
-    strict, quiet = (
-        Processor(CONFIG.replace(landmark="window"), classifier=total_and_size, replay_events=2, hop_us=500)
-        for _ in range(2)
-    )
-    with pytest.raises(ReplayBufferFull):
-        strict.push(events)
-    with pytest.warns(ReplayBufferFull):
-        quiet.push(events)
-    assert quiet.counts == strict.counts and quiet.counts.received == 40
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ import numpy as np
 from async_tnt.kernels.absorb import store_events
 t, x, p, block = np.ones(1, np.int64), np.ones(1, np.uint16), np.ones(1, np.uint8), np.zeros(60)
 block.view(np.int64)[25] = 5
-store_events(block, t, x, x, p, 0, 1, t, x, x, p, 0, 9)
+store_events(block, t, x, x, p, 0, 1, t, x, x, p, 9)
 print(block.view(np.int64)[31])
 """
 

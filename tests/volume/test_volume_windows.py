@@ -8,7 +8,7 @@ import pytest
 from deciding import total_and_size
 from made import random_events, random_model
 
-from async_tnt import CompiledRegressor, Processor, ReplayBufferFull, TNTConfig, TNTVolume
+from async_tnt import CompiledRegressor, Processor, TNTConfig, TNTVolume
 
 CONFIG = TNTConfig(window_us=1000, landmark="center", t_max=1.0)
 OF_REGRESSOR = CONFIG.replace(landmark="regressor")
@@ -54,45 +54,29 @@ def test_what_is_refused():
         TNTVolume(CONFIG).open(-1)
     with pytest.raises(TypeError, match=r"`start_us` must be a whole number, got 0\.5"):
         TNTVolume(CONFIG).open(0.5)
-    with pytest.raises(ValueError, match="`replay_events` must be at least 1, got 0"):
-        TNTVolume(TNTConfig(landmark="window"), replay_events=0)
     with pytest.raises(ValueError, match=r"`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"):
         _ = TNTVolume(CONFIG).flow
 
 
-@pytest.mark.parametrize("landmark", ["window", "regressor"])
-@pytest.mark.parametrize("size", [7, 90])
-def test_a_full_replay_buffer_warns_once_a_window_and_counts(landmark, size):
-    """The volume is that of the events that are stored; the centroid is that of all."""
-    config = CONFIG.replace(landmark=landmark)
-    regressor = {"regressor": brightest} if landmark == "regressor" else {}
-    full, short = opened(config, replay_events=40, **regressor), opened(config, **regressor)
-    for start_us in (0, 1000):
-        full.open(start_us), short.open(start_us)
-        events = random_events(90, seed=8, duration_us=1000, start_us=start_us)
-        short.update(events[:40])
-        with pytest.warns(ReplayBufferFull, match="the replay buffer of 40 events is full") as warned:
-            for first in range(0, 90, size):
-                full.update(events[first : first + size])
-                _ = full.array
-        assert len(warned) == 1
-        a, b = full.counts, short.counts
-        assert (a.kept + a.dropped_outside, a.dropped_tau_zero) == (b.kept + b.dropped_outside, b.dropped_tau_zero)
-        if landmark == "regressor":
-            assert full.array.tobytes() == short.array.tobytes() and full.landmark == short.landmark
-        else:
-            assert full.landmark == pytest.approx((events["x"].mean(), events["y"].mean()))
-    assert (a.received, a.dropped_unstored, full.n_events) == (180, 100, 90)
-
-
-def test_the_replay_buffer_grows_to_its_bound_and_loses_nothing():
-    whole, cut = (opened(CONFIG.replace(landmark="window"), replay_events=10_000) for _ in range(2))
+def test_the_replay_buffer_grows_and_loses_nothing():
+    whole, cut = (opened(CONFIG.replace(landmark="window")) for _ in range(2))
     events = random_events(9_000, seed=10, duration_us=1000)
     whole.update(events)
     for part in np.array_split(events, 9):
         cut.update(part)
     assert whole.array.any() and cut.array.tobytes() == whole.array.tobytes()
-    assert cut.counts == whole.counts and cut.counts.dropped_unstored == 0
+    assert cut.counts == whole.counts and cut.counts.received == cut.n_events == 9_000
+    assert cut.landmark == pytest.approx((events["x"].mean(), events["y"].mean()))
+
+
+def test_a_clock_that_stands_still_is_not_stored_without_end(monkeypatch):
+    monkeypatch.setattr("async_tnt.volume_state.MAX_STORED", 5_000)
+    volume, packet = opened(CONFIG.replace(landmark="window")), random_events(3_000, seed=10, duration_us=1000)
+    volume.update(packet)
+    before = volume.array.tobytes(), volume.counts
+    with pytest.raises(ValueError, match=r"a window must have at most 5000 events .*, got 6000: shorten `window_us`"):
+        volume.update(packet)
+    assert (volume.array.tobytes(), volume.counts) == before
 
 
 # -- a regressor that is missing, out of place, fails, or returns what cannot be a landmark ----------------------
