@@ -107,14 +107,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _show(recording: Recording, select: Callable[[Any], Any], view: RerunView, speed: float) -> None:
-    packets = map(select, recording)
-    if speed == math.inf:
-        with progress(recording.n_events, printable(recording.path.name)) as bar:
-            for packet in packets:
-                view.push(packet)
-                bar.update(len(packet))
-    else:
-        _push_all(replay(packets, speed), view)
+    with progress(recording.n_events, printable(recording.path.name)) as bar:
+        for packet in replay(map(select, recording), speed):
+            view.push(packet)
+            bar.update(len(packet))
     complain_late(str(recording.path), view.processor.counts.dropped_late, view.n_events, "--start-us")
 
 
