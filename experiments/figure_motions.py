@@ -8,22 +8,28 @@ Two windows of one recording (the first ones, or those of --windows), or one of 
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.networks.loading import load_model
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.views.figure_style import (
     OFF,
     ON,
     SMALL,
     TEXT,
     axes_at,
+    check_picture,
     headline,
     new_figure,
     polarity_legend,
+    save,
+    styled,
     write_at,
 )
-from async_tnt.views.figure_subject import Window, shown_evenly
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 from async_tnt.views.figure_window import (
     GAP,
     MOST_DOTS,
@@ -33,8 +39,8 @@ from async_tnt.views.figure_window import (
     layers_of_window,
     transform_words,
 )
-from experiments.figure_script import flow_of, grid_xy, run
-from experiments.script_options import exit_with
+from async_tnt.volume import TNTVolume
+from experiments.script_options import exit_with, plain_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,8 +153,56 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
         axes.plot(*zip(*means, strict=True), color="black", lw=2, solid_capstyle="round")
 
 
+def windows_of(files: list[str], model_name: str, numbers: list[int] | None) -> list[Window]:
+    """Two windows: the first ones of one recording, or the first of each of two, unless there are numbers.
+
+    Raises
+    ------
+    ValueError : more than two files; no such window.
+    """
+    if len(files) > 2:
+        raise ValueError(f"two windows of one recording or of two are drawn, got {len(files)} recordings")
+    subjects = [subject_of(name, model_name) for name in files]
+    if numbers is None:
+        numbers = [1, 2] if len(files) == 1 else [1, 1]
+    pair = 2 * subjects if len(files) == 1 else subjects
+    return [subject.window(number) for subject, number in zip(pair, numbers, strict=True)]
+
+
+def subject_of(name: str, model_name: str = "digits") -> Subject:
+    """A recording, or the bundled one of a digit, as a model sees it."""
+    path = sample_recordings()[int(name)] if name.isdigit() else Path(name)
+    model = load_model(model_name)
+    return Subject(path.name, open_recording(path).read(), model.config, model, model_name)
+
+
+def grid_xy(window: Window) -> np.ndarray:
+    """Each event's pixel on the volume's grid: float64, shape (2, N)."""
+    gain_x, gain_y = window.subject.config.to_grid(1.0, 1.0)
+    return np.stack([window.events["x"] * gain_x, window.events["y"] * gain_y])
+
+
+def flow_of(window: Window) -> tuple[float, float]:
+    """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events move."""
+    volume = TNTVolume(window.subject.config.replace(landmark="line", remove_flow=False))
+    volume.open(window.start_us)
+    volume.update(window.events)
+    return volume.flow
+
+
 def main(argv: list[str] | None = None) -> int:
-    return run("figure_motions", __doc__, draw_motions, argv, n_windows=2)
+    """Draw the picture."""
+    parser = plain_parser("figure_motions", __doc__)
+    parser.add_argument("files", nargs="*", default=["3"], help="recordings, or digits of bundled ones (default: 3)")
+    parser.add_argument("--model", default="digits", help="a bundled model or a file (default: %(default)s)")
+    parser.add_argument("--windows", type=int, nargs=2, help="numbers, counted from 1 (default: each file's first)")
+    parser.add_argument("--picture", type=Path, required=True, metavar="FILE", help=".png, .svg or .pdf")
+    parser.add_argument("--dpi", type=int, default=150)
+    args = parser.parse_args(argv)
+    check_picture(args.picture)
+    with styled():
+        save(draw_motions(*windows_of(args.files, args.model, args.windows)), args.picture, args.dpi)
+    return 0
 
 
 if __name__ == "__main__":

@@ -28,6 +28,8 @@ EARLY = (
     "raw-motions",
 )
 """Rows of `against_time`."""
+STEPS = 1_000, 3_000, 8_000, 20_000, 40_000, 60_000
+"""Of `curves`."""
 
 
 def _accuracies() -> dict[str, Any]:
@@ -171,6 +173,17 @@ def against_time() -> str:
                 rows.append([f"{column}: {ROWS[row].title}", *early, short(of["mean"])])
     times = next(of for part in _accuracies().values() for c in part.values() if (of := c["against_time_ms"]))
     return table(["", *(f"{ms} ms" for ms in times), "105 ms"], rows)
+
+
+def curves() -> str:
+    """Of the long trainings: how many held-out windows are right, and their loss, after so many steps."""
+    rows = []
+    for name, history in results("table")["curves"].items():
+        row, trained_on, _ = name.rsplit("-", 2)
+        at = [next(epoch for epoch in history if epoch["iterations"] >= steps) for steps in STEPS]
+        cells = (f"{short(epoch['per_window'])} / {short(epoch['validation_loss'])}" for epoch in at)
+        rows.append([f"{trained_on}: {ROWS[row].title}", *cells])
+    return table(["trained on", *(f"{steps:,} steps" for steps in STEPS)], rows)
 
 
 @of_report("equivariance")
