@@ -150,7 +150,7 @@ def _read(
     """
     from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.data import dataset_data
-    from async_tnt.training.groups import check_share, groups_by_pattern
+    from async_tnt.training.groups import groups_by_pattern
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
     from async_tnt.training.scenes import SceneMaker
@@ -175,7 +175,6 @@ def _read(
 
     if start is None:
         check_network(settings.network, seen(config), everywhere=args.everywhere)
-    check_share(args.validation)
     groups_by_pattern((), args.groups or "")
     camera = None
     if args.camera is not None:

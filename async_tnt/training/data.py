@@ -263,6 +263,8 @@ def _split(
     folder: Path, names: tuple[str, ...], labels: np.ndarray, pattern: str | None, share: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray, str, str]:
     """Which recordings and pictures to train on and which to hold out; by what, and how many."""
+    if not 0 <= share < 1:
+        raise ValueError(f"`validation` must be in [0, 1), got {share}")
     files = [file_of(name) for name in names]
     if pattern is not None:
         together, how = groups_by_pattern(files, pattern), f"group ({pattern})"

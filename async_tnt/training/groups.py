@@ -85,7 +85,6 @@ def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tup
     -------
     train, held_out : as `hold_out_groups`.
     """
-    check_share(share)
     if any(file_of(name) != name for name in names):
         return None
     held_out = np.zeros(len(labels), bool)
@@ -118,7 +117,6 @@ def hold_out_groups(
     train, held_out : int64 indices, increasing. Each class keeps a recording to train on: one that has a single group
         is not held out.
     """
-    check_share(share)
     of = np.unique(np.asarray(groups), return_inverse=True)[1]
     place = np.argsort(rng.permutation(of.max(initial=-1) + 1))  # of each group in a random order
     by_group = np.argsort(place[of], kind="stable")
@@ -157,15 +155,8 @@ def hold_out_end(times_us: np.ndarray, share: float) -> tuple[np.ndarray, np.nda
     >>> learned, held_out
     (array([0, 1, 2, 3, 4, 5, 6]), array([8, 9]))
     """
-    check_share(share)
     order = np.argsort(times_us, kind="stable")
     n_held_out = round(share * len(order)) if len(order) >= MIN_WINDOWS else 0
     if n_held_out == 0:
         return order, order[:0]
     return order[: -n_held_out - 1], order[-n_held_out:]
-
-
-def check_share(share: float) -> None:
-    """Refuse a share of recordings to hold out that is not in [0, 1)."""
-    if not 0 <= share < 1:
-        raise ValueError(f"the share that is held out must be in [0, 1), got {share}")

@@ -183,6 +183,8 @@ def test_who_was_seen_in_training_is_not_held_out(tmp_path):
 
     assert held_out_by(0) == "recording"
     assert held_out_by(1, groups="/(.)") == "group (/(.))"
+    with pytest.raises(ValueError, match=r"`validation` must be in \[0, 1\), got 1"):
+        held_out_by(0, validation=1)
     rows = ["recording,group", *(f"{name},{name.split('/')[1][0]}" for name in files)]
     (tmp_path / "groups.csv").write_text("\n".join(rows))
     assert held_out_by(1) == "group (groups.csv)"
