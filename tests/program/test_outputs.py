@@ -18,6 +18,7 @@ from async_tnt.files import Replacement, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixel_masks import save_mask
+from async_tnt.sources.pixel_selection import PixelSelection
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="FIFOs, devices and links of POSIX")
 
@@ -37,7 +38,7 @@ def view(path):
 
 def collect(path):
     sample = sample_recordings()[1]
-    task = task_of("1.bin", sample, job_of("digits", load_model("digits")))
+    task = task_of("1.bin", sample, job_of("digits", load_model("digits"), PixelSelection()))
     collect_results(evaluate_recording, [task], partial(run_all, workers=1), path)
 
 

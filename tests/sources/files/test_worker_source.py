@@ -84,7 +84,7 @@ def test_files_are_read_as_often_as_asked_at_once_and_after_damage(tmp_path):
         np.testing.assert_array_equal(recordings[k].read(), made_events(50, seed=k))
     assert worker_source._idle[os.getpid()] is before
     assert [[len(packet) for packet in packets] for packets in zip(*recordings, strict=True)] == [[50] * 3]
-    next(recordings[0]._source.blocks())  # not to its end
+    next(recordings[0].source.blocks())  # not to its end
     np.testing.assert_array_equal(recordings[0].read(), made_events(50, seed=0))
     paths[2].write_bytes(paths[0].read_bytes()[:100])
     with pytest.raises(ValueError, match=r"2.aedat4: not a readable AEDAT4 file"):
