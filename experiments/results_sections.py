@@ -168,6 +168,7 @@ SECTIONS = (
         {
             thesis.thesis_rows: "The thesis' own rows; in brackets its numbers, from the official split and simulated "
             f"motions of its own, which were probably like {THESIS_SET!r}",
+            thesis.curves: "60,000 steps: held-out windows right / their loss",
             thesis.thesis_sets: "On nine sets of 30 simulated motions; bold: better or worse than the Baseline",
             thesis.effects: "What the gain depends on",
             thesis.comparison: "The comparison: 3,000 steps, t_max 2, five seeds",

@@ -133,16 +133,23 @@ def test_statements_of_the_results_page_hold():
     ]
     assert [round(share, 3) for share in f1] == [0.983, 0.973, 0.984, 0.982, 0.963] and scenes["noise"] == 0
     assert round(tables.results("car_scenes")["models"][0]["cars"]["end"], 3) == 0.707
-    holm = {(d["row"], d["against"], d["column"]): d["holm"] for d in tables.results("table")["differences"]}
+    differences = {(d["row"], d["against"], d["column"]): d for d in tables.results("table")["differences"]}
     for column in ("1/all", "1/sim"):
-        of = {
-            name: holm[f"{name}-translated", "raw-translated", column] for name in (*INPUTS, *IMAGES) if name != "raw"
-        }
+        names = [name for name in (*INPUTS, *IMAGES) if name != "raw"]
+        of = {name: differences[f"{name}-translated", "raw-translated", column]["holm"] for name in names}
         assert {name for name, p in of.items() if p < 0.05} == {"mean_time", "time_surface"}
     effects = {(e["trained_on"], e["row"], e["effect"]): e for e in tables.results("table")["effects"]}
     for effect, mean in zip([*list(FACTORS)[:2], list(FACTORS)[3]], (0.165, 0.120, 0.078), strict=True):
         found = effects["all", "thesis-tnt", effect]
         assert round(found["mean"], 3) == mean and found["holm"] < 0.05
+    for row, against, column, mean in (
+        ("thesis-regress", "thesis-baseline", "1/all", 0.048),
+        ("thesis-regress", "thesis-baseline", "1/others", 0.079),
+        ("raw-translated", "raw", "1/all", 0.078),
+    ):
+        found = differences[row, against, column]
+        assert round(found["mean"], 3) == mean and found["holm"] < 0.05
+    assert not differences["regressor-translated", "raw-translated", "1/all"]["holm"] < 0.05
     finder = tables.results("map_times")["models"]["digits-everywhere"]
     us = {case: of["median"] for case, of in finder["times_us"]["640x480"].items()}
     assert [round(us[case], -2) for case in ("1,000 events", "dense", "onnxruntime_run")] == [1600, 66_400, 54_700]
