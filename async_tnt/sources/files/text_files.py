@@ -3,11 +3,12 @@
 UZH    t x y p between blanks, t in seconds; before them, optionally, a line with the sensor's `width height`
        240 180
        0.003811000 96 133 0
-       Digits become microseconds, to the nearest one, without a float in between.
+       Seconds become microseconds, to the nearest one.
 CSV    commas, semicolons or tabs between the columns, t in whole microseconds; a header says which column is which
        (t|ts|timestamp, x, y, p|on|polarity|pol; others are skipped), without one they are t, x, y, p
 
-Polarity is 0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments.
+Polarity is 0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments. NumPy's `loadtxt` reads the
+rows, as float64: whole numbers below 2**53 are exact.
 
 References
 ----------
@@ -17,26 +18,26 @@ Mueggler, Rebecq, Gallego, Delbruck, Scaramuzza 2017, The Event-Camera Dataset a
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.event_forms import NAMES, the_name
-from async_tnt.events import structured
-from async_tnt.kernels.text import BLANKS, ODD, SKIPPED, P, T, X, Y, parse_rows
-from async_tnt.sources.files.source import CorruptData, Source, block_columns
+from async_tnt.event_forms import NAMES, Four, the_name
+from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
 from async_tnt.sources.sensor import Sensor
 
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 18
 MAX_ROW_BYTES = 1 << 16
 COMMENTS = ("#", "%")
 SEPARATORS = ",;\t"
-ROLES = {"t": T, "x": X, "y": Y, "p": P}
 UZH_ROW = "`t x y p`, t in seconds"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_WORD = re.compile("true|false", re.IGNORECASE)
+_NO_EVENT = re.compile(rb"^[ \t\r]*(?:[#%].*)?$", re.MULTILINE)
 
 
 @dataclass
@@ -46,9 +47,9 @@ class TextSource(Source):
     Parameters
     ----------
     start, line : the first row: where it begins, in bytes, and its line number, counted from 1.
-    roles : what each column is (see `kernels.text`).
-    separator : the character between columns; BLANKS: any number of spaces and tabs.
-    decimals : 6 where times are seconds, 0 where they are microseconds.
+    columns : what each column is: t, x, y, p, or "" where it is skipped.
+    separator : the character between columns; None: any number of spaces and tabs.
+    unit_us : of t, in microseconds.
     expected : what a row looks like, for messages.
     """
 
@@ -57,37 +58,56 @@ class TextSource(Source):
     path: Path
     start: int
     line: int
-    roles: Sequence[int]
-    separator: int
-    decimals: int
+    columns: Sequence[str]
+    separator: str | None
+    unit_us: float
     expected: str
     sensor: Sensor | None = None
 
     def blocks(self) -> Iterator[np.ndarray]:
-        columns = block_columns()
-        roles, seen = np.array(self.roles, np.int64), np.zeros(2, np.int64)
+        return valid_blocks(self._parsed())
+
+    def _parsed(self) -> Iterator[Four]:
+        """Columns of whole numbers, part by part."""
         line = self.line
         for text, is_whole in self._chunks():
-            data = np.frombuffer(text, np.uint8)
-            pos = 0
-            while pos < len(text):
-                n, stop, status = parse_rows(data, pos, len(text), roles, self.separator, self.decimals, seen, *columns)
-                if n and not is_whole and status != ODD and stop == len(text) and self.roles[-1] in (T, X, Y):
-                    status = ODD  # the last number of the file may have lost its last digits
-                    n -= 1
-                    stop = text.rstrip().rfind(b"\n") + 1
-                if n:
-                    yield structured(columns, n)
-                if status == ODD:
-                    line += text.count(b"\n", 0, stop)
-                    row = text[stop : stop + 200].split(b"\n")[0].decode("utf-8", "backslashreplace").strip()
-                    cut = "" if is_whole or text.find(b"\n", stop) < len(text) - 1 else ", and the file ends there"
-                    raise CorruptData(f"line {line}: expected {self.expected}, got {row[:80]!r}{cut}")
-                pos = stop
-            line += text.count(b"\n")
+            rows = _NO_EVENT.sub(b"", text).decode("utf-8", "backslashreplace").split("\n")
+            # the last number of the file may have lost its last digits, a polarity has one
+            n = len(rows) if is_whole or self.columns[-1] in ("", "p") else len(rows) - 2
+            columns = self._columns(rows[:n])
+            if columns is None:
+                n = bisect_left(range(n), True, key=lambda k: self._columns(rows[: k + 1]) is None)
+                columns = self._columns(rows[:n])
+            if columns is not None:
+                yield columns
+            if n < len(rows):
+                cut = "" if is_whole or n < len(rows) - 2 else ", and the file ends there"
+                raise CorruptData(f"line {line + n}: expected {self.expected}, got {rows[n].strip()[:80]!r}{cut}")
+            line += len(rows) - 1
+
+    def _columns(self, rows: list[str]) -> Four | None:
+        """Rows as columns t, x, y, p of whole numbers; None where they are not."""
+        if not any(rows):
+            empty = np.zeros(0, np.int64)
+            return empty, empty, empty, empty
+        row = np.dtype([(name or f"skipped {i}", "f8" if name else "S1") for i, name in enumerate(self.columns)])
+        # calling a function for each polarity is slow: only where some may be words
+        words: Any = {self.columns.index("p"): _polarity} if _WORD.search("\n".join(rows)) else None
+        try:
+            table = np.loadtxt(
+                rows, row, comments=None, delimiter=self.separator, converters=words, encoding="utf-8", ndmin=1
+            )
+        except ValueError:
+            return None
+        t = np.rint(table["t"] * self.unit_us) if self.unit_us != 1.0 else table["t"]
+        columns = t, table["x"], table["y"], table["p"]
+        if not all(((column == np.rint(column)) & (np.abs(column) < 1 << 53)).all() for column in columns):
+            return None
+        t, x, y, p = (column.astype(np.int64) for column in columns)
+        return t, x, y, p
 
     def _chunks(self) -> Iterator[tuple[bytes, bool]]:
-        """Whole rows, and whether the last of them has a line end (the file's last may not)."""
+        """Whole rows, and whether the last of them has a line end (the file's last may not; here it gets one)."""
         with self.path.open("rb") as file:
             file.seek(self.start)
             rest, line = b"", self.line
@@ -103,6 +123,12 @@ class TextSource(Source):
                 rest += chunk[end:]
             if rest:
                 yield rest[:MAX_ROW_BYTES] + b"\n", False
+
+
+def _polarity(word: str) -> float:
+    """A polarity as a number or as False or True."""
+    names = {"false": 0.0, "true": 1.0}
+    return names[word.lower()] if word.lower() in names else float(word)
 
 
 class _Row(NamedTuple):
@@ -163,7 +189,7 @@ def open_uzh_text(path: Path) -> Source:
                 f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, {times[1]}, ...); "
                 "if they are microseconds, write t,x,y,p with commas: CSV's times are microseconds"
             )
-    return TextSource(path, start, line, (T, X, Y, P), BLANKS, 6, UZH_ROW, sensor)
+    return TextSource(path, start, line, tuple("txyp"), None, 1e6, UZH_ROW, sensor)
 
 
 def open_csv(path: Path) -> Source:
@@ -172,7 +198,7 @@ def open_csv(path: Path) -> Source:
     first = next((row for row in rows if not row.is_comment), None)
     if first is None:
         _, start, _, line = rows[-1] if rows else _Row("", 0, 0, 1)
-        return TextSource(path, start, line, tuple(ROLES.values()), ord(","), 0, "t,x,y,p")
+        return TextSource(path, start, line, tuple("txyp"), ",", 1.0, "t,x,y,p")
     text, start, end, line = first
     separator, columns = _split(text)
     if len(columns) < 4:
@@ -196,14 +222,14 @@ def open_csv(path: Path) -> Source:
                 f"{path}: without a header there must be four columns t, x, y, p, got {len(columns)} in "
                 f"{text[:80]!r} at line {line}; with one, further columns are skipped"
             )
-        header = list(ROLES)
-    roles = [SKIPPED] * len(header)
-    for field, role in ROLES.items():
+        header = list("txyp")
+    roles = [""] * len(header)
+    for field in "txyp":
         try:
-            roles[header.index(the_name(field, header, "the header"))] = role
+            roles[header.index(the_name(field, header, "the header"))] = field
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
-    return TextSource(path, start, line, roles, ord(separator), 0, separator.join(header) + ", t in whole microseconds")
+    return TextSource(path, start, line, roles, separator, 1.0, separator.join(header) + ", t in whole microseconds")
 
 
 def _split(text: str) -> tuple[str, list[str]]:
