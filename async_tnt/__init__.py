@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.sources.playback import replay
     from async_tnt.sources.queue import PacketQueue
     from async_tnt.streams import WindowVolume, astream, stream, volumes
-    from async_tnt.triggers import LeakyIntegrator
     from async_tnt.volume import TNTVolume
 else:  # type checkers use the imports above; __getattr__ would let every name pass
     from async_tnt.package import lazy_names
@@ -51,14 +50,13 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "sources.playback": "replay",
             "sources.queue": "PacketQueue",
             "streams": "WindowVolume astream stream volumes",
-            "triggers": "LeakyIntegrator",
             "volume": "TNTVolume",
         },
     )
 
 __all__ = [
     "EVENT_DTYPE", "BackgroundReader", "CompiledClassifier", "CompiledRegressor", "Counts", "Decision",
-    "LeakyIntegrator", "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "TNTConfig",
+    "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "TNTConfig",
     "TNTVolume", "WindowVolume", "astream", "bundled_models", "event_columns", "load_model", "open_recording", "replay",
     "stream", "volumes", "warmup",
 ]  # fmt: skip

@@ -29,7 +29,7 @@ WHOLE_NETWORK = {"set_input", "forward"}
 REGRESSOR = WHOLE_NETWORK | {"centroid"}
 LOCATOR = {"locate_cells"}
 OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
-EVENT_TRIGGERS = {"advance_triggers", "why_due"}
+EVENT_TRIGGERS = {"until_due", "why_due"}
 
 
 def warmup(model: Model | TNTConfig | None = None) -> float:

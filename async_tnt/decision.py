@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-Trigger = Literal["window", "every_us", "every_events", "activity", "confidence", "fire", "end"]
+Trigger = Literal["window", "every_us", "every_events", "confidence", "fire", "end"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Decision:
     complete: bool
     """Whether this decision closes the window: at its end, or early by `confidence`; not at the end of the stream."""
     trigger: Trigger
-    """What caused it: `window` (which closed), `every_us`, `every_events`, `activity`, `confidence` (which closed the
+    """What caused it: `window` (which closed), `every_us`, `every_events`, `confidence` (which closed the
     window), `fire` (on demand), `end` (of the stream)."""
     objects: tuple[Object, ...] | None = None
     """What a map model has found, the likeliest first; None with any other model."""

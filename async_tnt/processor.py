@@ -19,9 +19,9 @@ from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
-from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
+from async_tnt.kernels.trigger import NOT_DUE, until_due, why_due
 from async_tnt.networks.model import Model
-from async_tnt.triggers import LeakyIntegrator, TriggerAttributes, Triggers, TriggerSettings
+from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import STRETCH, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
@@ -50,11 +50,10 @@ class Processor(TriggerAttributes):
     confidence : close the window early, with a last decision, as soon as the likeliest class has this probability.
         It is checked at every decision of the other triggers, or after every event if there are none. Events that
         still arrive for the window are counted as `dropped_decided`. Not for map models.
-    activity : a `LeakyIntegrator`: decide also when much happens in little time.
     regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
 
-    Copies and pickles continue the stream, bit for bit. The four triggers, from `every_us` to `activity`, and
-    `classifier` are attributes, too, and may change between calls. A call while another one is running, in another
+    Copies and pickles continue the stream, bit for bit. The three triggers, from `every_us` to `confidence`,
+    and `classifier` are attributes, too, and may change between calls. A call while another one is running, in another
     thread or further up in the same, is a RuntimeError.
 
     Examples
@@ -83,13 +82,12 @@ class Processor(TriggerAttributes):
         every_us: int | None = None,
         every_events: int | None = None,
         confidence: float | None = None,
-        activity: LeakyIntegrator | None = None,
         late: Late = "accept",
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
-        self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence, activity))
+        self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._windows = WindowScheduler(self.config, hop_us, start_us, regressor)
         self._prepare(regressor)
@@ -103,7 +101,7 @@ class Processor(TriggerAttributes):
         """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
         self._decoder.reset()
         self._windows.reset()
-        self._triggers.forget()
+        self._triggers.begin_window(0, None)
         self._classifier.forget()
         if self.start_us is not None:
             self._open_windows(self.start_us)
@@ -182,10 +180,10 @@ class Processor(TriggerAttributes):
         windows, oldest = self._windows, self._windows.oldest
         n_before = oldest.n_events
         last = min(columns.n, first + windows.room)
-        stop, fires = advance_triggers(self._triggers.state, oldest.buffer, columns.t, first, last)
+        stop = until_due(self._triggers.state, n_before, first, last)
         absorbed = windows.absorb(columns, first, stop)
         if not windows.is_full:  # or else decided as a whole
-            self._accept(self._decide_if_due(n_before, fires), oldest.newest_us, decisions)
+            self._accept(self._decide_if_due(n_before), oldest.newest_us, decisions)
         return absorbed
 
     def _absorb_stretch(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
@@ -199,10 +197,10 @@ class Processor(TriggerAttributes):
         self._accept(new, oldest.newest_us, decisions)
         return absorbed
 
-    def _decide_if_due(self, n_before: int, fires: bool = False) -> list[Decision]:
+    def _decide_if_due(self, n_before: int) -> list[Decision]:
         """Decide if the oldest window's newest event made that due; it held `n_before` events before."""
         oldest, triggers = self._windows.oldest, self._triggers
-        why = why_due(triggers.state, n_before, oldest.n_events, fires)
+        why = why_due(triggers.state, n_before, oldest.n_events)
         if why == NOT_DUE:
             return []
         decision = self._classifier.decide(oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence)
@@ -332,7 +330,7 @@ class Processor(TriggerAttributes):
         """Compile what these settings call, so that no event has to wait for it, and choose the ways of events."""
         settings, overlap = self._triggers.settings, self._windows.overlap
         compile_for(self.config, self.classifier, regressor, settings, self.late != "accept")
-        direct = not overlap and self.late == "accept" and settings.activity is None
+        direct = not overlap and self.late == "accept"
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = settings.by_event
         alone = settings.every_us is None or not overlap  # else time passes for several windows at once

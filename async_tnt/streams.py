@@ -14,7 +14,6 @@ from async_tnt.events import Late
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
-from async_tnt.triggers import LeakyIntegrator
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import Classifier
 from async_tnt.windows import TimeUnitCheck
@@ -31,7 +30,6 @@ class Settings(TypedDict, total=False):
     every_us: int | None
     every_events: int | None
     confidence: float | None
-    activity: LeakyIntegrator | None
     late: Late
 
 

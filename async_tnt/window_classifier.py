@@ -23,7 +23,6 @@ Classifier = Callable[[np.ndarray], Any]
 TRIGGER_NAMES: dict[int, Any] = {
     T.LOOK: "",
     T.BY_EVENTS: "every_events",
-    T.BY_ACTIVITY: "activity",
     T.BY_CONFIDENCE: "confidence",
     T.BY_TIME: "every_us",
 }
@@ -222,8 +221,7 @@ class WindowClassifier:
         absorbed, end = first, FULL
         while end == FULL:
             n_rows = last - absorbed
-            every_events = int(triggers.view(np.int64)[T.EVERY_EVENTS])
-            if triggers[T.THRESHOLD] == np.inf and every_events:
+            if every_events := int(triggers.view(np.int64)[T.EVERY_EVENTS]):
                 n_rows = n_rows // every_events + 1
             logits = np.empty((min(ROWS, n_rows), n_classes), np.float32)
             probabilities = np.empty(logits.shape)

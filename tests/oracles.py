@@ -23,7 +23,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from async_tnt import LeakyIntegrator, TNTConfig, TNTVolume
+from async_tnt import TNTConfig, TNTVolume
 
 
 def fma(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -129,23 +129,18 @@ class Oracle:
         self.next_start_us = start_us
         self.decided_from_us = math.inf  # start of the last windows in a row that confidence closed
         self.newest_us = -1  # of all events, for `late`
-        self.potential, self.charged_us = 0.0, 0
         self.n_decided = 0  # events of the oldest window at its last decision
         self.passed_us = 0  # moments up to this one are over
+        self.close_calls = 0  # probabilities so near the level that exp's last bit decides
         self.received = self.dropped_late = self.dropped_decided = 0
-        self.close_calls = 0  # potentials so near the threshold that exp's last bit decides
         self.every_us: int | None = None
         self.every_events: int | None = None
         self.confidence: float | None = None
-        self.activity: LeakyIntegrator | None = None
         self.change(**triggers)
         if start_us is not None:
             self._open_windows(start_us)
 
     def change(self, **triggers: object) -> None:
-        """Another activity begins as on a new stream: no potential, and none charged before."""
-        if triggers.get("activity", self.activity) != self.activity:
-            self.potential, self.charged_us = 0.0, 0
         vars(self).update(triggers)
 
     def push(self, event: tuple[int, int, int, int]) -> list[Values]:
@@ -168,15 +163,13 @@ class Oracle:
             if window.start_us <= t_us:
                 window.volume.update_one(*event)
                 window.times.append(t_us)
-        trigger = "activity" if self._charge(t_us) else ""
-        if self.every_events is not None and len(oldest.times) % self.every_events == 0:
-            trigger = "every_events"
-        only_confidence = self.confidence is not None and not (self.every_us or self.every_events or self.activity)
+        by_events = self.every_events is not None and len(oldest.times) % self.every_events == 0
+        only_confidence = self.confidence is not None and not (self.every_us or self.every_events)
         if len(oldest.times) == self.config.window_events:
             decisions.append(self._decision(oldest, "window", complete=True)[0])
             self._close(decided=False, now_us=max(oldest.times))
-        elif trigger or only_confidence:
-            decisions += self._decide(oldest, trigger, now_us=max(oldest.times))
+        elif by_events or only_confidence:
+            decisions += self._decide(oldest, "every_events" if by_events else "", now_us=max(oldest.times))
         return decisions
 
     def push_all(self, events: np.ndarray) -> list[Values]:
@@ -236,21 +229,6 @@ class Oracle:
         else:
             self.decided_from_us = min(self.decided_from_us, oldest.start_us) if decided else math.inf
         self.n_decided, self.passed_us = 0, now_us
-
-    def _charge(self, t_us: int) -> bool:
-        """v <- v exp(-dt / leak_us) + charge; True, and zero again, where it reaches the threshold."""
-        if self.activity is None:
-            return False
-        if t_us > self.charged_us:
-            self.potential *= math.exp(-(t_us - self.charged_us) / self.activity.leak_us)
-            self.charged_us = t_us
-        self.potential += self.activity.charge
-        difference = self.potential - self.activity.threshold
-        self.close_calls += 0 < abs(difference) < 1e-12
-        if difference < 0:
-            return False
-        self.potential = 0.0
-        return True
 
     def _decide(self, oldest: Window, trigger: str, now_us: int) -> list[Values]:
         """A decision of the oldest window, which may close it."""

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
-from async_tnt import CompiledRegressor, LeakyIntegrator, Processor, TNTConfig, TNTVolume
+from async_tnt import CompiledRegressor, Processor, TNTConfig, TNTVolume
 
 CONFIG = TNTConfig(sensor=(30, 24), grid=(14, 12), bins=3, window_us=1000, t_max=2.0)
 KINDS = {
@@ -50,8 +50,7 @@ SETTINGS = {
     "every event": {"every_events": 1},
     "confidence": {"confidence": 0.4},
     "confidence every 3 events, overlapping": {"confidence": 0.38, "every_events": 3, "hop_us": 250},
-    "activity": {"activity": LeakyIntegrator(5, 300.0), "hop_us": 450},
-    "activity and every_us": {"activity": LeakyIntegrator(3, 90.0), "every_us": 300},
+    "every 5 events and every_us, overlapping": {"every_events": 5, "every_us": 300, "hop_us": 450},
 }
 
 

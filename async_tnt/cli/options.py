@@ -15,7 +15,6 @@ from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
-from async_tnt.triggers import LeakyIntegrator
 
 FIELDS: dict[str, Callable[[str], Any]] = {
     "representation": str,
@@ -73,18 +72,11 @@ def add_triggers(parser: argparse.ArgumentParser) -> None:
         help="decide and close the window early once the likeliest class has probability P; checked at the "
         "decisions of the other triggers, or else after every event",
     )
-    parser.add_argument(
-        "--activity",
-        type=_integrator,
-        metavar="N:US",
-        help="decide also at bursts of activity: when a potential that grows by 1 with each event and leaks with the "
-        "time constant US microseconds reaches N",
-    )
 
 
 def triggers_of(args: argparse.Namespace) -> dict[str, Any]:
     """Keyword arguments of `Processor`."""
-    return {name: getattr(args, name) for name in ("every_us", "every_events", "confidence", "activity")}
+    return {name: getattr(args, name) for name in ("every_us", "every_events", "confidence")}
 
 
 def paths_of(args: argparse.Namespace) -> list[Any]:
@@ -152,16 +144,6 @@ def size_of(text: str) -> tuple[int, int]:
     if not all(1 <= side <= MAX_SIDE for side in size):
         raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT with sides in [1, {MAX_SIDE}] pixels, got {text!r}")
     return size
-
-
-def _integrator(text: str) -> LeakyIntegrator:
-    try:
-        threshold, leak_us = (float(number) for number in text.split(":"))
-        return LeakyIntegrator(threshold, leak_us)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"must be two positive numbers, events:microseconds, such as 60:4000, got {short(text)}"
-        ) from None
 
 
 def add_volume(parser: argparse._ActionsContainer, default: str) -> None:

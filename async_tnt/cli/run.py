@@ -40,7 +40,6 @@ the class of the highest mean probability over its closed windows.
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
   async-tnt run --confidence 0.95            decide each window as soon as the class is certain
-  async-tnt run --activity 60:4000           decide when 60 events arrive within about 4 ms
   async-tnt run udp://127.0.0.1:3333         events from the network, until Ctrl-C
   async-tnt run camera --every-us 2000 --keep-up 20    a camera, at most 20 ms behind (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels

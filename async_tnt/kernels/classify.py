@@ -67,9 +67,9 @@ def absorb_and_decide(
                 break
             why = T.BY_TIME if n_before > times[T.N_DECIDED] else T.NOT_DUE
         else:
-            stop, fires = T.advance_triggers(trigger, buffer, t, first, last)
+            stop = T.until_due(trigger, n_before, first, last)
             first = absorb(buffer, t, x, y, p, first, stop)
-            why = T.why_due(trigger, n_before, ints[S.N], fires)
+            why = T.why_due(trigger, n_before, ints[S.N])
         if why != T.NOT_DUE:
             best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n])
             if best < 0:

@@ -12,7 +12,7 @@ from .objects import locate_cells, locate_on_map, score_map
 from .readout import cells_to_float32, empty_volume
 from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
 from .sync_input import set_input
-from .trigger import advance_triggers, schedule, why_due
+from .trigger import schedule, until_due, why_due
 
 _STATE = _TRIGGER = float64[::1]
 _ARRAY = float32[:, :, ::1]
@@ -35,8 +35,8 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64)),
         (cells_to_float32, (_STATE, _ARRAY, int64)),
         (schedule, (_TRIGGER, int64, int64)),
-        (advance_triggers, (_TRIGGER, _STATE, int64[::1], int64, int64)),
-        (why_due, (_TRIGGER, int64, int64, boolean)),
+        (until_due, (_TRIGGER, int64, int64, int64)),
+        (why_due, (_TRIGGER, int64, int64)),
         (softmax, (float32[::1], float64[::1])),
         (set_input, (_VOLUME, int64[::1], float32[::1])),
         (forward, _NETWORK),

@@ -10,7 +10,7 @@ from networks.cases import NETWORKS
 from numba.core.registry import CPUDispatcher
 from oracles import forward
 
-from async_tnt import CompiledClassifier, LeakyIntegrator, Model, Processor, TNTConfig, TNTVolume, kernels
+from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, kernels
 from async_tnt.kernels import classify
 
 
@@ -109,7 +109,6 @@ def overflowing(**settings) -> list[Processor]:
     [
         ({"every_events": 1}, 1500),
         ({"confidence": 1.0}, 7),
-        ({"activity": LeakyIntegrator(0.5, 1000.0)}, 1500),
         ({"every_events": 1, "late": "drop"}, 1),
     ],
 )

@@ -4,7 +4,6 @@ The classifier's two logits are the events' number and 0, so that after n events
 1 / (1 + exp(-n)): .731, .881, .953, .982, .993 ...
 """
 
-import math
 from functools import cache
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from deciding import summary
 from made import random_model, thesis_model
 
-from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, TNTConfig
+from async_tnt import CompiledClassifier, Processor, TNTConfig
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none", polarity="unsigned")
 
@@ -130,37 +129,6 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         (0, 1, 2, 3, 4, 1000),
         [("window", 0, 4, 5), ("end", 1000, 1000, 1)],
     ),
-    # -- activity
-    "activity fires where it reaches the threshold": (  # 1, 1 + 1/e = 1.368, 1 + 1.368/e = 1.503; then from 0 again
-        {"activity": LeakyIntegrator(1.37, 10.0)},
-        range(0, 90, 10),
-        [("activity", 0, 20, 3), ("activity", 0, 50, 6), ("activity", 0, 80, 9), ("end", 0, 80, 9)],
-    ),
-    "activity counts across windows": (
-        {"activity": LeakyIntegrator(4.0, math.inf)},
-        (0, 1, 2, 3, 4, 1000, 1001, 5000, 5001, 5002, 5003, 9000, 9001),
-        [
-            ("activity", 0, 3, 4),
-            ("window", 0, 4, 5),
-            ("window", 1000, 1001, 2),
-            ("activity", 5000, 5000, 1),
-            ("window", 5000, 5003, 4),
-            ("activity", 9000, 9000, 1),
-            ("end", 9000, 9001, 2),
-        ],
-    ),
-    "late events do not charge": (
-        {"activity": LeakyIntegrator(2.0, 1e9), "start_us": 5000},
-        (5000, 4000, 3000, 2000, 5001),
-        [("end", 5000, 5001, 2)],
-        (0, 3),
-    ),
-    "events of a window that was closed early do not charge": (
-        {"activity": LeakyIntegrator(2.0, 1e9), "confidence": 0.85},
-        (0, 0, 1, 2, 3, 4, 1000, 1000),
-        [("confidence", 0, 0, 2), ("confidence", 1000, 1000, 2)],
-        (4, 0),
-    ),
     # -- windows of a number of events
     "a window of events is decided with its last one, and the next begins with the one after": (
         BY_3,
@@ -211,16 +179,6 @@ def test_a_level_that_is_just_reached(way, n_classes, probability):
             assert summary(push(processor)) == ([("confidence", 0, 0, 1)] if closes else [])
 
 
-@pytest.mark.parametrize(("last", "fires"), [(10, True), (11, False)])
-def test_another_activity_begins_as_on_a_new_stream(classifier, last, fires):
-    """Earlier events count neither as charge nor as time: 0.4 at 9 us, then 0.4/e + 0.4 = 0.547 or 0.4/e^2 + 0.4."""
-    processor = Processor(CONFIG, classifier=classifier, activity=LeakyIntegrator(1.5, 1.0), start_us=0)
-    assert processor.push(at(10)) == []
-    processor.activity = LeakyIntegrator(0.5, 1.0, 0.4)
-    assert processor.push(at(9)) == []  # older than the newest, and accepted
-    assert bool(processor.push(at(last))) == fires
-
-
 def test_a_trigger_that_is_changed_in_midstream_looks_ahead(classifier):
     processor = Processor(CONFIG, classifier=classifier)
     processor.push(at(0, 450))
@@ -231,7 +189,7 @@ def test_a_trigger_that_is_changed_in_midstream_looks_ahead(classifier):
 
 def test_no_events_no_decisions(classifier):
     """Time passes with events only."""
-    triggers = {"every_us": 1, "every_events": 1, "confidence": 0.01, "activity": LeakyIntegrator(0.1, 1.0)}
+    triggers = {"every_us": 1, "every_events": 1, "confidence": 0.01}
     processor = Processor(CONFIG, classifier=classifier, start_us=0, **triggers)
     for empty in (None, [], at()):
         assert processor.push(empty) == []

@@ -8,7 +8,7 @@ import pytest
 from deciding import CONFIG, at, total_and_size
 from made import random_model
 
-from async_tnt import CompiledClassifier, LeakyIntegrator, Processor
+from async_tnt import CompiledClassifier, Processor
 
 BY_3 = CONFIG.replace(window_events=3)
 
@@ -64,7 +64,6 @@ CHANGEABLE = [
     ("confidence", 1.01, ValueError, "`confidence` must be a probability in (0, 1], got 1.01"),
     ("confidence", math.nan, ValueError, "`confidence` must be a probability in (0, 1], got nan"),
     ("confidence", "high", TypeError, "`confidence` must be a number, got 'high'"),
-    ("activity", 5, TypeError, "`activity` must be a LeakyIntegrator(threshold, leak_us), got 5"),
     ("classifier", 7, TypeError, "`classifier` must be callable, got int"),
     (
         "classifier",
@@ -77,7 +76,7 @@ CHANGEABLE = [
 
 @pytest.mark.parametrize("name, value, error, message", CHANGEABLE)
 def test_bad_changes_are_refused_and_change_nothing(name, value, error, message):
-    good = {"every_us": 70, "every_events": 5, "confidence": 0.999, "activity": LeakyIntegrator(3.0, 500.0)}
+    good = {"every_us": 70, "every_events": 5, "confidence": 0.999}
     good["classifier"] = total_and_size
     with pytest.raises(error, match=f"^{re.escape(message)}$"):
         Processor(CONFIG, **good | {name: value})
@@ -87,13 +86,3 @@ def test_bad_changes_are_refused_and_change_nothing(name, value, error, message)
     assert {name: getattr(processor, name) for name in good} == good
     with pytest.raises(AttributeError, match="every_ms"):
         processor.every_ms = 5
-
-
-def test_bad_integrators():
-    for arguments, message in (
-        ((0, 3.0), "`threshold` must be a positive number, got 0"),
-        ((3.0, math.nan), "`leak_us` must be a positive number, got nan"),
-        ((3.0, 3.0, "3"), "`charge` must be a number, got '3'"),
-    ):
-        with pytest.raises((ValueError, TypeError), match=f"^{message}$"):
-            LeakyIntegrator(*arguments)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model
 from oracles import Oracle, as_values
 
-from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, TNTConfig
+from async_tnt import CompiledClassifier, Processor, TNTConfig
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=2, window_us=1000, t_max=2.0, transform="none")
 TNT = CONFIG.replace(transform="tnt")
@@ -31,17 +31,10 @@ def compiled(config: TNTConfig) -> CompiledClassifier:
     return CompiledClassifier(replace(model, weights=model.weights | loud))
 
 
-integrators = st.builds(
-    LeakyIntegrator,
-    threshold=st.sampled_from([0.5, 1.0, 2.0, 3.5, 9.0]),
-    leak_us=st.sampled_from([1.0, 30.0, 400.0, 5e4, float("inf")]),
-    charge=st.sampled_from([1.0, 0.4, 2.5]),
-)
 TRIGGERS = {
     "every_us": st.sampled_from([None, None, 1, 77, 500, 1000, 3000]),
     "every_events": st.sampled_from([None, None, 1, 2, 3, 30]),
     "confidence": st.sampled_from([None, None, 0.4, 0.7, 0.95, 1.0]),
-    "activity": st.none() | integrators,
 }
 triggers = st.fixed_dictionaries(TRIGGERS)
 change = st.one_of(*(st.tuples(st.just(name), values) for name, values in TRIGGERS.items()))

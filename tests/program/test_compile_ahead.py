@@ -12,7 +12,7 @@ STREAMS = """
 import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from async_tnt import CompiledClassifier, EVENT_DTYPE, LeakyIntegrator, Processor, TNTConfig, warmup
+from async_tnt import CompiledClassifier, EVENT_DTYPE, Processor, TNTConfig, warmup
 from made import random_model
 
 def compiled():
@@ -24,7 +24,7 @@ def compiled():
 records = np.zeros(4, EVENT_DTYPE)
 records["t"] = [0, 3, 50_000, 250_000]
 columns = tuple(records[name].copy() for name in ("t", "x", "y", "p"))
-TRIGGERS = {}, {"every_events": 1}, {"activity": LeakyIntegrator(1, 1000)}, {"confidence": 0.5, "late": "drop"}
+TRIGGERS = {}, {"every_events": 1}, {"confidence": 0.5, "late": "drop"}
 
 def stream_all(model, **networks):
     for settings in TRIGGERS:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made import random_events, random_model
 
-from async_tnt import LeakyIntegrator, Processor, TNTConfig, load_model
+from async_tnt import Processor, TNTConfig, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SAMPLES = sample_recordings()
@@ -33,7 +33,6 @@ def test_it_classifies_the_bundled_samples(program, tmp_path, monkeypatch):
         ("--every-us 20000", {"every_us": 20_000}),
         ("--start-us 0 --hop-us 52500", {"start_us": 0, "hop_us": 52_500}),
         ("--every-events 100 --confidence .95", {"every_events": 100, "confidence": 0.95}),
-        ("--activity 80:6000 --every-us 9000", {"activity": LeakyIntegrator(80, 6000), "every_us": 9000}),
     ],
 )
 def test_options_are_the_settings_of_the_processor(program, options, settings):

@@ -60,7 +60,6 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
         ("check --prefixes x", "argument --prefixes: "),
         ("view --speed 0", "argument --speed: must be a positive number, got '0'"),
         ("run --confidence 0", "argument --confidence: must be a probability in (0, 1], got '0'"),
-        ("run --activity 60:0", "must be two positive numbers, events:microseconds, such as 60:4000, got '60:0'"),
         ("train x --seed -1", "argument --seed: must be a whole number of at least 0, got '-1'"),
         ("train x --epochs 0", "argument --epochs: must be a whole number of at least 1, got '0'"),
         ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
