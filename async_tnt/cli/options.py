@@ -207,7 +207,7 @@ def command_words(
             separator = {"roi": ",", "size": "-"}.get(action.dest, "x")
             value = separator.join(f"{number:g}" for number in value)
         values = value if isinstance(value, list) else [value]
-        if action.dest in ("start_from", "network", "teacher"):
+        if action.dest in ("network", "teacher"):
             values = [Path(one).name for one in values]
         text = shlex.join(map(str, values))
         name = action.option_strings[0]

@@ -6,7 +6,6 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,7 @@ from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import has_part
-from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import format_size
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ def main(args: argparse.Namespace) -> int:
     with needs_extra("train", "training needs torch"):
         import torch  # noqa: F401
         from tnt_reference import Classifier  # noqa: F401
-    from async_tnt.training.run_folder import RUN_FILES, has_checkpoint
+    from async_tnt.training.run_folder import RUN_FILES, begin_again, has_checkpoint
 
     run_folder = args.out.parent / "runs" / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
@@ -59,6 +58,8 @@ def main(args: argparse.Namespace) -> int:
     _check_options(args, run_folder)
     try:
         with locked_folder(run_folder, "command.lock"):
+            if args.restart:
+                begin_again(run_folder)
             return _train(args, run_folder)
     except KeyboardInterrupt:
         kept = f"what is finished is kept in {run_folder}. Give the same command again to resume."
@@ -81,14 +82,6 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
             raise ValueError("--test needs recordings of a camera in DATASET/Test; pictures there are not recorded")
     elif args.camera or args.follow or args.light != "both":
         raise ValueError("--camera, --follow and --light are for pictures; DATASET holds none")
-    if args.start_from:
-        given = [
-            f"--{name.replace('_', '-')}" for name in ("network", "grid", "window_us", "volume") if getattr(args, name)
-        ]
-        if given:
-            raise ValueError(f"{', '.join(given)} must come without --start-from: volume and network are that model's")
-        if Path(args.start_from).resolve() == args.out.resolve():
-            raise ValueError("--out must be another file than --start-from, which an interrupted training needs again")
     if args.test and not has_part(args.dataset, "Test"):
         raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")
     parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
@@ -100,9 +93,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.fitting import fit
     from async_tnt.training.run_folder import plot_curves
 
-    start = of_windows(load_model(args.start_from), args.start_from) if args.start_from else None
     teachers = [of_windows(load_model(name), name) for name in args.teacher]
-    data, settings = _read(args, start, teachers, run_folder)
+    data, settings = _read(args, teachers, run_folder)
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
@@ -111,8 +103,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         data,
         settings,
         run_folder,
-        start=start,
-        motions=_other_motions(args, data, settings, start, run_folder),
+        motions=_other_motions(args, data, settings, run_folder),
         teachers=teachers,
         record={"command": _command(args)},
         progress=progress,
@@ -141,9 +132,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     return 0
 
 
-def _read(
-    args: argparse.Namespace, start: Model | None, teachers: list[Model], run_folder: Path
-) -> tuple[TrainingData, TrainSettings]:
+def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> tuple[TrainingData, TrainSettings]:
     """The windows of DATASET, and how to train on them.
 
     What the options rule out, and a run with another volume, network or seed, is refused before any recording is read.
@@ -157,11 +146,11 @@ def _read(
     from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
-    pixels = _pixels_of(args, start)
+    pixels = _pixels_of(args)
     given: dict[str, Any] = {"grid": args.grid} if args.grid else {}
     given |= {"window_us": args.window_us} if args.window_us else {}
-    config = start.config if start is not None else default_config(**given, **volume_of(args.volume))
-    in_bins = args.motions == "resynthesized" and start is None and not args.volume
+    config = default_config(**given, **volume_of(args.volume))
+    in_bins = args.motions == "resynthesized" and not args.volume
     config = with_bins(config) if in_bins else config
     BatchVolumes(config)
     has_pictures = bool(find_pictures(args.dataset))
@@ -173,16 +162,15 @@ def _read(
     def seen(config: TNTConfig) -> TNTConfig:
         return SceneMaker(config).config if args.everywhere else config
 
-    if start is None:
-        check_network(settings.network, seen(config), everywhere=args.everywhere)
+    check_network(settings.network, seen(config), everywhere=args.everywhere)
     groups_by_pattern((), args.groups or "")
     camera = None
     if args.camera is not None:
         if pixels.sensor is None:
             raise ValueError("--camera needs --sensor WxH, the camera's pixels")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor)
-    fitted = set() if start is not None else {"grid", "window_us"} - given.keys()
-    fitted |= set() if start is not None or args.volume or in_bins else {"bins"}
+    fitted = {"grid", "window_us"} - given.keys()
+    fitted |= set() if args.volume or in_bins else {"bins"}
     later = {"sensor", *fitted} | ({"representation"} if "bins" in fitted else set())
     volume = {name: value for name, value in config.to_dict().items() if name not in later}
     if pixels.sensor is not None and not pixels.crop:
@@ -192,8 +180,8 @@ def _read(
         args.dataset,
         config,
         pixels=pixels,
-        sensor_source="`sensor`" if args.sensor else "--mask" if args.mask else "--start-from",
-        classes=next((model.classes for model in (start, *teachers) if model is not None), None),
+        sensor_source="`sensor`" if args.sensor else "--mask",
+        classes=teachers[0].classes if teachers else None,
         validation=args.validation,
         groups=args.groups,
         fitted=fitted,
@@ -204,32 +192,23 @@ def _read(
         workers=available_cores(),
         progress=progress,
     )
-    if start is None:
-        check_network(settings.network, seen(data.config), everywhere=args.everywhere)
+    check_network(settings.network, seen(data.config), everywhere=args.everywhere)
     return data, settings_for(data.config, len(data.training), **wanted)
 
 
-def _pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
-    """Which pixels of DATASET to train on; refuses others than those of `start`, a model to continue from."""
+def _pixels_of(args: argparse.Namespace) -> PixelSelection:
+    """Which pixels of DATASET to train on."""
     pixels = selection_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
             "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
             f"got {format_size(pixels.region)}"
         )
-    if start is None:
-        return pixels
-    sensor = start.config.sensor
-    if not pixels.crop and pixels.sensor not in (None, sensor):
-        raise ValueError(
-            f"--sensor must be that of --start-from, {format_size(sensor)}, got {format_size(pixels.sensor)}"
-        )
-    PixelSelector(pixels, sensor)  # refuses a region or a mask that does not fit the model
-    return pixels if pixels.crop else replace(pixels, sensor=sensor)
+    return pixels
 
 
 def _other_motions(
-    args: argparse.Namespace, data: TrainingData, settings: TrainSettings, start: Model | None, run_folder: Path
+    args: argparse.Namespace, data: TrainingData, settings: TrainSettings, run_folder: Path
 ) -> Motions | None:
     """The windows under other motions, made in the run folder or found there; None with --motions recorded."""
     from async_tnt.resynthesis.calibration import side_by_side, unlike
@@ -243,7 +222,7 @@ def _other_motions(
     # refuses another run before the work
     load_checkpoint(
         run_folder,
-        identity_of(data.config, settings, data.training, data.validation, start, data.classes, motion_settings),
+        identity_of(data.config, settings, data.training, data.validation, None, data.classes, motion_settings),
     )
     motions = resynthesize(
         data.training,
@@ -300,7 +279,7 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
 
 def _command(args: argparse.Namespace) -> str:
     """The command as given, without paths; but --mask is kept, as it decides what is learned."""
-    words = command_words("async-tnt train", args, add_arguments, leave_out=("json",))
+    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "restart"))
     return words if args.mask is None else f"{words} --mask MASK"
 
 

@@ -115,11 +115,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "of channels, (width, height), n_classes",
     )
     network.add_argument(
-        "--start-from",
-        metavar="MODEL",
-        help="continue from a model, with its --seed",
-    )
-    network.add_argument(
         "--teacher",
         nargs="+",
         default=[],
@@ -135,12 +130,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"
     )
+    network.add_argument("--restart", action="store_true", help="begin again, instead of resuming what is there")
 
 
 def check_everywhere(args: argparse.Namespace) -> None:
     """Refuse what does not go with --everywhere."""
     if args.everywhere:
-        given = {"--start-from": args.start_from, "--teacher": args.teacher, "--motions": args.motions != "recorded"}
+        given = {"--teacher": args.teacher, "--motions": args.motions != "recorded"}
         if some := [name for name, value in given.items() if value]:
             raise ValueError(
                 f"{', '.join(some)} must come without --everywhere, which learns scenes from the beginning"

@@ -43,7 +43,7 @@ from async_tnt.training.run_folder import other_run, windows_checksum
 from async_tnt.training.windows import Windows
 from async_tnt.views.figure_resynthesis import RefusedWindow, ResynthesizedWindow
 
-MANIFEST = "motions.json"
+MANIFEST = "motions.json"  # see `run_folder.MADE`
 N_CALIBRATION = 128
 """Windows that pixels are calibrated on."""
 MOST_WINDOWS, MOST_EVENTS = 500, 300_000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,8 @@ from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
+MADE = "motions", "pictures"
+"""Folders of what was made from the data; motions.json and pictures.json in them say what."""
 FORMAT = 8  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 
@@ -41,6 +44,15 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
         part.write_bytes(content.getbuffer())
     text = json.dumps({"settings": state["identity"], "history": state["history"]}, indent=1)
     write_text(run_folder / HISTORY, text)
+
+
+def begin_again(run_folder: Path) -> None:
+    """Delete what trainings have left there: what was learned so far, and the motions and pictures that were made."""
+    for name in RUN_FILES:
+        (run_folder / name).unlink(missing_ok=True)
+    for name in MADE:
+        if (run_folder / name / f"{name}.json").is_file():
+            shutil.rmtree(run_folder / name)
 
 
 def has_checkpoint(run_folder: Path) -> bool:
