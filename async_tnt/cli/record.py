@@ -31,9 +31,9 @@ DESCRIPTION = """Record a camera or a network stream, a file of its class at a t
   async-tnt train gestures --out gestures.safetensors
 
 Each run writes a new file, gestures/wave/DATE_TIME.dat, in Prophesee's DAT format, which faery and Metavision read,
-too; what is there is never replaced. Times count from its first event. Beside it, DATE_TIME.json says what recorded it.
-After Ctrl-C (exit code 130) the recording is complete up to then. In a terminal the last events are shown meanwhile.
-Exit code 2 if no event came, or the camera was unplugged: what came before is kept.
+too; what is there is never replaced. Times count from its first event. Beside it, DATE_TIME.json says what recorded it,
+with a camera's settings. After Ctrl-C (exit code 130) the recording is complete up to then. In a terminal the last
+events are shown meanwhile. Exit code 2 if no event came, or the camera was unplugged: what came before is kept.
 """
 EVERY_S = 0.1
 COLUMNS, ROWS = 64, 20
@@ -120,9 +120,10 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
         "events": n_events,
         "left_out_as_earlier": n_early,
         "counts": source.summary(),
+        "settings": getattr(source, "settings", {}),
         "async_tnt": __version__,
     }
-    write_text(path.with_suffix(".json"), json.dumps(about, indent=1) + "\n")
+    write_text(path.with_suffix(".json"), json.dumps(about, indent=1, default=str) + "\n")
     say(f"{path}: {n_events:,} events, {n_on / n_events:.0%} ON; {source.summary()}")
     if n_early:
         complain(f"{path}: {n_early:,} events were earlier than the first packet, and are left out")

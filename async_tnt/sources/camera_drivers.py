@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import import_module
 from typing import Any, Protocol
@@ -31,6 +32,11 @@ DV_KINDS = {  # the same by dv-processing's names, which do not tell a DAVIS346 
     "DVXPLORER_M": ("dvxplorer", "dvxplorer-m"),
     "DVXPLORER_S": ("dvxplorer", "dvxplorer-s"),
 }
+DV_SETTINGS = (
+    *("ContrastThresholdOn", "ContrastThresholdOff", "ReadoutFPS", "GlobalHold", "BackgroundActivityFilter"),
+    *("RefractoryPeriodFilter", "SkipFilter", "CropAreaEvents", "CropArea", "FirmwareVersion", "LogicVersion"),
+)
+"""What a dv-processing camera is asked for: `getReadoutFPS` and so on."""
 ALL_KINDS = sorted({kind for kinds in (*NEUROMORPHIC_KINDS.values(), *DV_KINDS.values()) for kind in kinds})
 
 
@@ -63,6 +69,8 @@ class Device(Protocol):
     """It updates what the library reports as lost while it is read; `Camera` does the rest."""
     handle: Any
     """The library's own object."""
+    settings: dict[str, Any]
+    """Name -> value of what decides which events it sends, when it was opened, as far as the library tells."""
 
     def read(self) -> np.ndarray | None:
         """The next packet, a structured array in new memory; None if there is none now.
@@ -149,6 +157,8 @@ class NeuromorphicDevice:
         self.counts = CameraCounts(overflows=0)
         properties = self.handle.properties()
         self.sensor = int(properties.width), int(properties.height)
+        # opened without a configuration, a camera has the default one of its model
+        self.settings = asdict(import_module(type(properties).__module__).Configuration())
 
     def read(self) -> np.ndarray | None:
         status, packet = next(self.handle)
@@ -193,6 +203,10 @@ class DvDevice:
         if resolution is None:
             raise RuntimeError("it has no stream of events")
         self.sensor = int(resolution[0]), int(resolution[1])
+        self.settings = {}
+        for name in DV_SETTINGS:
+            with suppress(Exception):  # this camera has none, or does not tell it
+                self.settings[name] = getattr(self.handle, f"get{name}")()
 
     def read(self) -> np.ndarray | None:
         running = self.handle.isRunning()  # first, as events from before the end can be read after it

@@ -33,12 +33,13 @@ class Camera:
     ----------
     name : the camera's model and serial number, and the library that reads it.
     sensor : (width, height) in pixels, as the library reports it.
+    settings : name -> value of its biases, filters and the like when it was opened, as far as the library tells.
     """
 
     def __init__(self, device: Device, name: str) -> None:
         self.name = name
         self._device = device
-        self.sensor = device.sensor
+        self.sensor, self.settings = device.sensor, device.settings
         self._counts = device.counts
         self._clock = Clock(MAX_JUMP_S)
         self._closing = threading.Event()

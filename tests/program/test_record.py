@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from listening import free_port, send_in_parts
 from made import random_events
+from sources.test_cameras import PlayedDevice, made_events
 
 from async_tnt.cli import record
+from async_tnt.sources.cameras import Camera
 from async_tnt.sources.files.prophesee import dat_header, dat_records
 from async_tnt.sources.files.recording import open_recording
 
@@ -94,6 +96,17 @@ def test_an_interrupted_recording_is_complete_up_to_then(sent, program, tmp_path
     code, out, _ = program("record", f"udp://127.0.0.1:{sent}", "--sensor", "64x48", "--class", "a", "--out", tmp_path)
     (path,) = (tmp_path / "a").glob("*.dat")
     assert code == 130 and "5,000 events" in out and open_recording(path).n_events == 5_000
+
+
+def test_of_an_unplugged_camera_what_came_before_is_kept_with_its_settings(program, tmp_path, monkeypatch):
+    device = PlayedDevice(made_events(5, 9, 30), OSError("no such device"), sensor=(34, 34))
+    monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
+    code, out, err = program("record", "camera", "--class", "wave", "--out", tmp_path)
+    (path,) = (tmp_path / "wave").glob("*.dat")
+    assert code == 2 and "3 events" in out and "the camera is gone after 3 events" in err.splitlines()[-1]
+    assert open_recording(path).read()["t"].tolist() == [0, 4, 25]
+    about = json.loads(path.with_suffix(".json").read_text())
+    assert (about["source"], about["settings"]) == ("EVK4 0042 by played", device.settings) and device.n_closed
 
 
 @pytest.mark.parametrize(

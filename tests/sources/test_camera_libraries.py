@@ -4,6 +4,7 @@ The compiled part of neuromorphic-drivers makes its packets itself and lets nobo
 classes of the same names and fields stand for them, with arrays of the library's dtypes. dv-processing makes stores.
 """
 
+import json
 import time
 from types import SimpleNamespace
 
@@ -90,6 +91,15 @@ class Dv:
     def getEventResolution(self):
         return 346, 260
 
+    def getBackgroundActivityFilter(self):
+        return True
+
+    def getFirmwareVersion(self):
+        return 6
+
+    def getCropArea(self):
+        raise RuntimeError("not supported")
+
     def isRunning(self):
         return bool(self._packets)
 
@@ -146,6 +156,17 @@ def test_every_model_opens_by_each_of_its_kinds(library):
             camera = opened(library([random_events(9)], model), f"camera:{kind}:{SERIAL}")
             assert camera.name == f"{model} {SERIAL} by played"
             assert len(read_until_unplugged(camera)) == 1 and camera.device is None
+
+
+@of_both
+def test_settings_are_what_the_library_tells_when_the_camera_is_opened(library):
+    """A setting that a camera does not have, or does not tell, is not among them."""
+    settings = opened(library()).settings
+    if library is Dv:
+        assert settings == {"BackgroundActivityFilter": True, "FirmwareVersion": 6}
+    else:
+        assert settings["biases"].keys() >= {"diff_on", "diff_off", "refr"}
+    json.dumps(settings, default=str)
 
 
 def test_a_file_of_dv_processing_read_as_a_camera(tmp_path):

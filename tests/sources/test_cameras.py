@@ -47,7 +47,7 @@ class PlayedDevice:
         self.packets = list(packets)
         self.sensor, self.read_s = sensor, read_s
         self.counts = CameraCounts()
-        self.handle = object()
+        self.handle, self.settings = object(), {"biases": {"diff_on": 3}}
         self.n_reads = self.n_closed = 0
         self._lock = threading.Lock()
 
