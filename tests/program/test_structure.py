@@ -97,3 +97,10 @@ def test_messages_tell_how_to_install_extras_that_exist():
     extras = re.findall(r"""needs_extra\("(\w+)"|async_tnt\[(\w+)\]|\(extra(?:: | `)(\w+)[`)]""", texts)
     known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert len(extras) > 20 and {name for names in extras for name in names if name} <= set(known)
+
+
+def test_the_pages_name_the_release():
+    """The newest entry of the changelog, and what a citation names."""
+    changes, citation = ((ROOT / name).read_text(encoding="utf-8") for name in ("CHANGELOG.md", "CITATION.cff"))
+    assert re.search("^## (.+)$", changes, re.MULTILINE)[1] == async_tnt.__version__
+    assert f"\nversion: {async_tnt.__version__}\n" in citation
