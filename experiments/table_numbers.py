@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from experiments.table_rows import COLUMNS, GROUPS, QUESTIONS, ROWS, SETS, THESIS
+from experiments.table_rows import COLUMNS, QUESTIONS, ROWS, SETS, THESIS
 
 Right = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
 """(row, column) -> seed -> which windows are right: int8, (motions, digits), -1 where a digit has no window."""
@@ -135,33 +135,10 @@ def holm(p: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def text_table(table: dict[str, Any]) -> str:
-    """The table in columns of plain text, a part for each group; the thesis' numbers are below ours."""
-    lines = []
-    for group in GROUPS:
-        rows, columns = _part(table, group)
-        headings = [column.replace("confounded", "conf.") for column in columns]
-
-        def line(title: str, cells: Sequence[str], headings: Sequence[str] = headings) -> str:
-            widths = (max(16, len(heading) + 2) for heading in headings)
-            return f"{title:<40}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
-
-        if rows:
-            lines += ["", line(group, headings)]
-        for row in rows:
-            title = "  " + ROWS[row].title.replace("`", "")
-            lines.append(line(title, [cell(table[row].get(c)) for c in columns]))
-            if row in THESIS:
-                numbers = [short(THESIS[row][c]) if c in THESIS[row] else "" for c in columns]
-                lines.append(line("    in the thesis", numbers))
-    return "\n".join(lines[1:])
-
-
 def markdown_table(table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()) -> str:
     """The rows of groups in Markdown, in these columns or in all; the thesis' numbers follow in brackets."""
-    parts = [_part(table, group) for group in groups]
-    rows = [row for of_group, _ in parts for row in of_group]
-    columns = columns or in_order(column for _, of_group in parts for column in of_group)
+    rows = [row for group in groups for row in table if row in ROWS and ROWS[row].group == group]
+    columns = columns or in_order(column for row in rows for column in table[row])
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
     for row in rows:
         cells = []
@@ -170,12 +147,6 @@ def markdown_table(table: dict[str, Any], groups: Sequence[str], columns: Sequen
             cells.append(cell(table[row].get(column)) + ("" if thesis is None else f" ({short(thesis)})"))
         lines.append(f"| {ROWS[row].title} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
-
-
-def _part(table: dict[str, Any], group: str) -> tuple[list[str], list[str]]:
-    """The rows of a group and their columns."""
-    rows = [row for row in table if row in ROWS and ROWS[row].group == group]
-    return rows, in_order(column for row in rows for column in table[row])
 
 
 def cell(part: dict[str, Any] | None) -> str:

@@ -17,7 +17,7 @@ from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
-from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
+from experiments.script_options import add_folder, data_folder, exit_with, plain_parser, writable_file
 from experiments.table_rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
 DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
@@ -48,6 +48,8 @@ examples:
   python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows thesis --out table
                                                                                the thesis' own rows
   python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows raw line --seeds 0 1 --images 100
+  python -m experiments.thesis_table --rows raw-span raw --into experiments/results/table.json
+                                                                               the pages' results, rows at a time
 """
 
 
@@ -112,6 +114,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     out = parser.add_argument_group("results")
     add_folder(out, "--out", "networks, results.json, table.md (default: table; with --smoke: table-smoke)")
+    out.add_argument(
+        "--into",
+        type=writable_file,
+        metavar="FILE",
+        help="put the results into this one, too, which has those of other rows: experiments/results/table.json",
+    )
     out.add_argument("--json", action="store_true", help="print the results as one JSON object")
 
 
@@ -139,7 +147,8 @@ def main(argv: list[str] | None = None) -> int:
         from tnt_reference import Classifier  # noqa: F401
     from experiments.table_data import RealFolder, make_set
     from experiments.table_factors import effects
-    from experiments.table_numbers import aggregate, differences, markdown_table, text_table
+    from experiments.table_merge import merged
+    from experiments.table_numbers import aggregate, differences, markdown_table
     from experiments.table_runs import right_of, run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
@@ -166,7 +175,7 @@ def main(argv: list[str] | None = None) -> int:
             "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
             args,
             add_arguments,
-            leave_out=("json", "workers"),
+            leave_out=("into", "json", "workers"),
         ),
         "data": {**data.description, "simulated": {name: made.parameters for name, made in simulated.items()}},
         "rows": {
@@ -194,11 +203,15 @@ def main(argv: list[str] | None = None) -> int:
     }
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
     groups = dict.fromkeys(ROWS[name].group for name in table)
-    write_text(args.out / "table.md", "\n\n".join(markdown_table(table, [group]) for group in groups) + "\n")
+    tables = "\n\n".join(markdown_table(table, [group]) for group in groups)
+    write_text(args.out / "table.md", tables + "\n")
+    if args.into is not None:
+        there = json.loads(args.into.read_text(encoding="utf-8"))
+        write_text(args.into, json.dumps(merged(there, record), indent=1) + "\n")
     if args.json:
         say(json.dumps(record))
     else:
-        say(*text_table(table).splitlines(), *_in_words(record, args, time.monotonic() - started))
+        say(*tables.splitlines(), *_in_words(record, args, time.monotonic() - started))
     return 0
 
 

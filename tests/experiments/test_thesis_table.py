@@ -26,7 +26,8 @@ from experiments.table_data import (  # noqa: E402
     trained_on,
 )
 from experiments.table_factors import FACTORS, effects  # noqa: E402
-from experiments.table_numbers import aggregate, differences, interval, markdown_table, text_table  # noqa: E402
+from experiments.table_merge import merged  # noqa: E402
+from experiments.table_numbers import aggregate, differences, holm, interval, markdown_table  # noqa: E402
 from experiments.table_rows import QUESTIONS, ROWS, SETS, Run  # noqa: E402
 
 
@@ -101,12 +102,31 @@ def test_numbers_and_tables_by_hand():
     assert part["seeds"] == {"0": 0.98, "1": 1.0}
     assert part["per_motion"]["saccade 2"]["mean"] == pytest.approx(0.495)
     assert table["thesis-tnt"]["all/bell"]["deviation"] is None
-    lines = text_table(table).splitlines()
-    assert lines[0].split() == ["thesis", "all/all", "all/bell", "all/centre", "bright"]
-    assert lines[2].split() == ["in", "the", "thesis", ".981", ".592"]
-    assert lines[4].split() == ["comparison", "all/all"] and lines[5].split() == ["raw", ".990", "±", ".014"]
     assert markdown_table(table, ["comparison"]).splitlines()[2] == "| raw | .990 ± .014 |"
     assert markdown_table(table, ["thesis"]).splitlines()[2] == "| TNT | .960 (.981) | .500 | .600 (.592) |"
+
+
+def test_results_put_into_a_file_of_more_rows():
+    """What is new replaces, what is not stays, and p is adjusted over both."""
+    old = results("table")
+    assert merged(old, old) == old
+    row, column = "thesis-tnt", "all/sim"
+    before = next(d for d in old["differences"] if (d["row"], d["column"]) == (row, column))
+    effect = {**old["effects"][0], "mean": 0.5, "p": 0.0}
+    cells = {row: {column: {**old["table"][row][column], "mean": 0.25}}}
+    new = {**old, "command": "again", "seeds": [7], "machine": {"cpu": "another"}, "table": cells, "effects": [effect]}
+    new |= {"rows": {}, "validation": {}, "curves": {"x": []}, "differences": [{**before, "mean": 0.125, "p": 0.9}]}
+    found = merged(old, new)
+    assert found["table"][row][column]["mean"] == 0.25 and found["machine"]["cpu"] == "another"
+    assert found["table"][row]["1/sim"] == old["table"][row]["1/sim"] and list(found["table"]) == list(old["table"])
+    assert found["seeds"] == [0, 1, 2, 3, 4, 7] and found["command"] == f"{old['command']}; again"
+    assert found["curves"] == {**old["curves"], "x": []} and found["rows"] == old["rows"]
+    of = [d for d in found["differences"] if d["question"] == before["question"]]
+    assert [d["mean"] for d in of if (d["row"], d["column"]) == (row, column)] == [0.125] and len(of) > 30
+    assert [d["holm"] for d in of] == holm([d["p"] for d in of]) != [d["holm"] for d in old["differences"][: len(of)]]
+    assert found["differences"][len(of) :] == old["differences"][len(of) :]
+    assert [e["mean"] for e in found["effects"]] == [0.5, *(e["mean"] for e in old["effects"][1:])]
+    assert [e["holm"] for e in found["effects"]] == holm([e["p"] for e in found["effects"]])
 
 
 def test_an_interval_by_hand():
@@ -261,7 +281,7 @@ def test_rows_with_resynthesis(nmnist, mnist, tmp_path, experiment):
     words += ["--nmnist", nmnist, "--mnist", mnist, "--images", 2, "--iterations", 4, "--batch", 16, "--workers", 1]
     code, printed, _ = experiment("thesis_table", *words)
     record = json.loads((tmp_path / "results.json").read_text())
-    assert code == 0 and "conf./all" in printed
+    assert code == 0 and "confounded/all" in printed
     motions = record["rows"]["raw-moved"]["motions"]["confounded"]
     assert motions["windows"] == 40 == motions["with_path"] and motions["variations"] == 2  # no more than epochs
     assert record["table"]["raw-moved"]["confounded/sim"]["windows"] == 60
