@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--groups",
         metavar="PATTERN",
         help=r"a regular expression, such as 'user\d+': files in whose names it finds the same text stay together "
-        "(default: by DATASET/groups.csv, or the last of each class by number, or at random)",
+        "(default: the last of each class by number, or at random)",
     )
     held_out.add_argument("--test", action="store_true", help="at the end, classify the folder Test")
     seen = parser.add_argument_group("what is learned from")

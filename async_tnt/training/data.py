@@ -16,15 +16,7 @@ from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
-from async_tnt.training.groups import (
-    GROUPS_FILE,
-    groups_by_pattern,
-    groups_by_table,
-    groups_table,
-    hold_out_end,
-    hold_out_groups,
-    hold_out_last,
-)
+from async_tnt.training.groups import groups_by_pattern, hold_out_end, hold_out_groups, hold_out_last
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.settings import default_grid, with_bins
 from async_tnt.training.simulated_pictures import check_pictures, find_pictures, with_pictures
@@ -90,8 +82,8 @@ def dataset_data(
     config : its sensor is replaced by that of the events.
     pixels, sensor_source, classes : as for `read_dataset`.
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
-    groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder or in its
-        `Train`, or else by number: the last recordings of each class.
+    groups : a regular expression, see `groups_by_pattern`; by default the last recordings of each class by number, or
+        some at random.
     fitted : what of `config` becomes the default of this data set. "grid": that of the sensor, see `default_grid`;
         "window_us": where no recording is as long as a window, windows become as long as the longest one; "bins": time
         bins where pixels fire often, see `with_bins`.
@@ -124,7 +116,7 @@ def dataset_data(
     names = (*recordings.names, *(picture.name for picture in of_pictures))
     labels = np.concatenate([recordings.labels, np.array([one.label for one in of_pictures], np.int64)])
     kinds = 2 * labels + (np.arange(len(labels)) >= len(recordings))  # of pictures as large a share as of recordings
-    learned, held_out, how, counted = _split(folder, names, kinds, groups, validation, seed)
+    learned, held_out, how, counted = _split(names, kinds, groups, validation, seed)
     held_out_names = tuple(names[r] for r in held_out)
     about: dict[str, Any] = {}
     if of_pictures:
@@ -174,7 +166,9 @@ def dataset_data(
     )
     notes.append(f"held out by {how}: {counted}")
     if how == BY_NUMBER and record["held_out_recordings"]:
-        notes.append("the first of them may follow the last learned ones within seconds: see groups.csv")
+        notes.append(
+            "the first of them may follow the last learned ones within seconds; `groups` keeps such recordings together"
+        )
     single = [one for k, one in enumerate(dataset.classes) if counts[one] and k not in validating.labels]
     if single and validation:
         notes.append(f"not held out, as there is only one short recording, or one group of them: {', '.join(single)}")
@@ -260,7 +254,7 @@ def _with_ends(training: Windows, validation: Windows, share: float, n_real: int
 
 
 def _split(
-    folder: Path, names: tuple[str, ...], labels: np.ndarray, pattern: str | None, share: float, seed: int
+    names: tuple[str, ...], labels: np.ndarray, pattern: str | None, share: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray, str, str]:
     """Which recordings and pictures to train on and which to hold out; by what, and how many."""
     if not 0 <= share < 1:
@@ -268,8 +262,6 @@ def _split(
     files = [file_of(name) for name in names]
     if pattern is not None:
         together, how = groups_by_pattern(files, pattern), f"group ({pattern})"
-    elif (table := groups_table(folder)) is not None:
-        together, how = groups_by_table(names, table), f"group ({GROUPS_FILE})"
     else:
         last = hold_out_last(names, labels, share)
         if last is not None:

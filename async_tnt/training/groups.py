@@ -6,23 +6,16 @@ as new ones will.
 
 from __future__ import annotations
 
-import csv
 import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from collections.abc import Sequence
+from pathlib import PurePosixPath
 
 import numpy as np
 
 from async_tnt.sources.labelled_recordings import file_of
 
-GROUPS_FILE = "groups.csv"
 MIN_WINDOWS = 10
 """Of a session, to hold out its last ones."""
-
-
-def groups_table(folder: Path) -> Path | None:
-    """A data set's table of groups, beside its classes; None without one."""
-    return next((path for of in (folder, folder / "Train") if (path := of / GROUPS_FILE).is_file()), None)
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
@@ -43,36 +36,6 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
             raise ValueError(f"`groups` must be found in the name of every recording, but {pattern!r} is not in {name}")
         groups.append("/".join(part or "" for part in found.groups()) or found[0])
     return groups
-
-
-def groups_by_table(names: Sequence[str], path: Path) -> list[str]:
-    """The groups in a CSV file with columns `recording` (`class/file`, or the file alone) and `group`.
-
-    Raises
-    ------
-    ValueError : other columns, a recording in two groups, or one that is missing.
-    """
-    table: dict[str, str] = {}
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file)
-            if not {"recording", "group"} <= set(rows.fieldnames or ()):
-                raise ValueError(f"{path}: expected columns recording and group, got {rows.fieldnames or 'none'}")
-            for row in rows:
-                name, group = row["recording"] or "", row["group"] or ""
-                if table.setdefault(name, group) != group:
-                    raise ValueError(f"{path}: line {rows.line_num}: {name} is in groups {table[name]} and {group}")
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not a CSV file: {error}") from None
-    groups = [_first_in(table, (name, file_of(name), PurePosixPath(file_of(name)).name)) for name in names]
-    missing = [name for name, group in zip(names, groups, strict=True) if not group]
-    if missing:
-        raise ValueError(f"{path}: every recording must have a group, {missing[0]} has none")
-    return [group for group in groups if group]
-
-
-def _first_in(table: Mapping[str, str], names: Sequence[str]) -> str | None:
-    return next((table[name] for name in names if name in table), None)
 
 
 def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray] | None:

@@ -5,12 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from async_tnt.training.groups import (
-    groups_by_pattern,
-    groups_by_table,
-    hold_out_groups,
-    hold_out_last,
-)
+from async_tnt.training.groups import groups_by_pattern, hold_out_groups, hold_out_last
 
 
 def test_a_pattern_groups_by_its_parentheses_or_by_all_it_finds():
@@ -21,22 +16,6 @@ def test_a_pattern_groups_by_its_parentheses_or_by_all_it_finds():
         groups_by_pattern(names, "led")
     with pytest.raises(ValueError, match=r"`groups` must be a regular expression, got '\(': "):
         groups_by_pattern(names, "(")
-
-
-def test_a_table_names_files_alone_or_with_their_class_and_every_recording(tmp_path):
-    path = tmp_path / "groups.csv"
-    path.write_text("\ufeffgroup,recording,note\nana,wave/1.npz,first\nbo,2.npz,\n", encoding="utf-8")
-    assert groups_by_table(["wave/1.npz", "clap/2.npz"], path) == ["ana", "bo"]
-    for table, message in (
-        (b"recording,group\n2.npz,a\n", r"every recording must have a group, wave/1.npz has none"),
-        (b"recording,group\n1.npz,\n", r"every recording must have a group, wave/1.npz has none"),
-        (b"recording,group\n1.npz,a\n1.npz,b\n", r"line 3: 1.npz is in groups a and b"),
-        (b"file,person\n", r"expected columns recording and group, got \['file', 'person'\]"),
-        (b"\xff\xfe\x00recording", r"not a CSV file: "),
-    ):
-        path.write_bytes(table)
-        with pytest.raises(ValueError, match=rf"groups.csv: {message}"):
-            groups_by_table(["wave/1.npz"], path)
 
 
 def test_of_numbered_recordings_the_last_are_held_out():

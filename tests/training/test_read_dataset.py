@@ -169,7 +169,7 @@ def test_a_recording_longer_than_35_minutes_is_refused(tmp_path):
 
 
 def test_who_was_seen_in_training_is_not_held_out(tmp_path):
-    """By a pattern or by a table; by recording where nothing is known."""
+    """By a pattern; by recording where nothing is known."""
     files = [f"{kind}/{'abcde'[k % 5]}{k}.npz" for kind in ("upright", "flat") for k in range(10)]
     for k, name in enumerate(files):
         write(tmp_path / name, bar("flat", k, n=50))
@@ -185,6 +185,3 @@ def test_who_was_seen_in_training_is_not_held_out(tmp_path):
     assert held_out_by(1, groups="/(.)") == "group (/(.))"
     with pytest.raises(ValueError, match=r"`validation` must be in \[0, 1\), got 1"):
         held_out_by(0, validation=1)
-    rows = ["recording,group", *(f"{name},{name.split('/')[1][0]}" for name in files)]
-    (tmp_path / "groups.csv").write_text("\n".join(rows))
-    assert held_out_by(1) == "group (groups.csv)"

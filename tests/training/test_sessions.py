@@ -107,7 +107,7 @@ def test_only_texts_and_the_other_part_may_lie_beside_sessions(tmp_path):
     write_session(tmp_path, "a", ("flat",))
     found = find_recordings(tmp_path)
     write_session(tmp_path / "Test", "c", ("flat",))
-    (tmp_path / "groups.csv").touch()
+    (tmp_path / "notes.csv").touch()
     assert find_recordings(tmp_path) == found and find_recordings(tmp_path, "Test").keys() == {"flat"}
     write(tmp_path / "b.npz", part("flat", 0, 0))
     with pytest.raises(ValueError, match=r"b\.npz has no table b_labels\.csv, as others have"):
