@@ -46,14 +46,14 @@ def main(args: argparse.Namespace) -> int:
     with needs_extra("train", "training needs torch"):
         import torch  # noqa: F401
         from tnt_reference import Classifier  # noqa: F401
-    from async_tnt.training.run_folder import RUN_FILES, begin_again, has_checkpoint
+    from async_tnt.training.run_folder import CHECKPOINT, RUN_FILES, begin_again
 
     run_folder = args.out.parent / "runs" / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
     beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, CURVES)]
     check_ours(beside, ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
-    if run_folder.is_dir() and not has_checkpoint(run_folder):
+    if run_folder.is_dir() and not (run_folder / CHECKPOINT).exists():
         check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
     _check_options(args, run_folder)
     try:

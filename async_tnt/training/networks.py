@@ -70,10 +70,7 @@ def residual(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
         Residual(48),
         nn.MaxPool2d(2),
         *_conv(48, 96),
-        nn.AdaptiveAvgPool2d(1),
-        nn.Flatten(),
-        nn.Dropout(0.2),
-        nn.Linear(96, n_classes),
+        *_head(96, n_classes, nn.Dropout(0.2)),
     )
 
 
@@ -138,8 +135,8 @@ def _separable(channels: int, n_filters: int) -> list[nn.Module]:
     return [*_conv(channels, channels, groups=channels), *_conv(channels, n_filters, 1)]
 
 
-def _head(channels: int, n_classes: int) -> list[nn.Module]:
-    return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(channels, n_classes)]
+def _head(channels: int, n_classes: int, *between: nn.Module) -> list[nn.Module]:
+    return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), *between, nn.Linear(channels, n_classes)]
 
 
 def landmark_network(channels: int, n_filters: int = 20) -> nn.Module:

@@ -54,11 +54,6 @@ class Pipeline(nn.Module):
         raw_scale: float = 1.0,
     ) -> None:
         super().__init__()
-        if config.needs_regressor != (regressor is not None):
-            raise ValueError(
-                f"landmark 'regressor' and a `regressor` network go together: got landmark {config.landmark!r}, "
-                f"transform {config.transform!r} and regressor {type(regressor).__name__}"
-            )
         self.config, self.classifier, self.regressor = config, classifier, regressor
         self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
         self.register_buffer("raw_scale", torch.tensor(raw_scale, dtype=torch.float32))
@@ -86,8 +81,7 @@ class Pipeline(nn.Module):
 
     def landmarks(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
         """(N, 2): the regressor's landmarks, float64, in grid pixels."""
-        if self.regressor is None:
-            raise ValueError(f"only landmark 'regressor' has landmarks to compute, got {self.config.landmark!r}")
+        assert self.regressor is not None
         raw = torch.from_numpy(self._raw_volumes(windows, draws))
         landmarks: torch.Tensor = self.regressor(self._on_device(raw, self.raw_scale))
         return landmarks.double()

@@ -135,11 +135,7 @@ class _Chunk:
     around_us: np.ndarray
     window_us: int
     variations: int
-    folder: Path
-
-    @property
-    def file(self) -> Path:
-        return self.folder / f"{self.part}_{self.first:06}.npz"
+    file: Path
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process: with the events of these windows and their neighbours instead of all."""
@@ -153,8 +149,8 @@ def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variat
     around_us = config.window_us * windows.neighbours(config.window_us)  # of those that may be seen
     chunks = []
     for first in range(0, len(windows), step):
-        some = slice(first, first + step)
-        chunks.append(_Chunk(part, first, windows[some], around_us[some], config.window_us, variations, folder))
+        some, file = slice(first, first + step), folder / f"{part}_{first:06}.npz"
+        chunks.append(_Chunk(part, first, windows[some], around_us[some], config.window_us, variations, file))
     return chunks
 
 

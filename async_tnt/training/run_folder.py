@@ -55,11 +55,6 @@ def begin_again(run_folder: Path) -> None:
             shutil.rmtree(run_folder / name)
 
 
-def has_checkpoint(run_folder: Path) -> bool:
-    """Whether a training has begun there."""
-    return (run_folder / CHECKPOINT).exists()
-
-
 def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any] | None:
     """The state that `save_checkpoint` wrote into the folder; None if there is none yet.
 

@@ -122,7 +122,7 @@ class SceneMaker:
 
     def _add(self, volume: np.ndarray, own: np.ndarray, middle: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Add a recording's volume to a scene's, its middle where a place is, in whole cells. Returns that place."""
-        scale, in_cells = _cells_a_pixel(self.config), middle * _cells_a_pixel(self.crops)
+        scale, in_cells = np.array(self.config.to_grid(1, 1)), middle * self.crops.to_grid(1, 1)
         left, top = np.rint(place * scale - in_cells).astype(int)
         (_, height, width), (_, rows, columns) = volume.shape, own.shape
         y0, y1, x0, x1 = max(0, top), min(height, top + rows), max(0, left), min(width, left + columns)
@@ -156,8 +156,3 @@ def _middles(windows: Windows) -> np.ndarray:
             both = [np.percentile(column[first:last], OUTER) for column in (windows.recordings.x, windows.recordings.y)]
             middles[i] = np.mean(both, axis=1)
     return middles
-
-
-def _cells_a_pixel(config: TNTConfig) -> np.ndarray:
-    cells: np.ndarray = (np.array(config.grid) - 1) / (np.array(config.sensor) - 1)
-    return cells

@@ -46,8 +46,6 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
             raise ValueError("landmark 'regressor' needs a network; volumes of a data set have none")
         self._volumes = BatchVolumes(config)
         data = read_dataset(folder, part=part, pixels=PixelSelection(sensor=config.sensor), sensor_source="`config`")
-        if data.sensor != config.sensor:
-            raise ValueError(f"{folder}: recordings of sensor {data.sensor}, but `config` has {config.sensor}")
         self.classes = data.classes
         self.windows = make_windows(data.recordings, config.window_us)
 
