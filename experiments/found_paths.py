@@ -19,9 +19,8 @@ import numpy as np
 
 from async_tnt.resynthesis import MotionPath, Reconstruction
 from async_tnt.resynthesis.moving_image import cell_for
-from async_tnt.resynthesis.pixels import part_of
 from async_tnt.resynthesis.reconstruction import SPAN
-from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels
+from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels, part_of
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments import made_hands
 from experiments.bench_moments import made_columns

@@ -17,9 +17,8 @@ import numpy as np
 
 from async_tnt.events import structured
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import SimulatedPixels, part_of
-from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction
-from async_tnt.simulation.measured_pixels import Columns, measure_pixels
+from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
+from async_tnt.simulation.measured_pixels import Columns, measure_pixels, part_of
 
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Of the longest refractory time that the intervals allow."""

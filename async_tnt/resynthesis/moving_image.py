@@ -37,8 +37,7 @@ from functools import cached_property
 import numpy as np
 
 from async_tnt.kernels.moving_image import contrast_frames, evidence_terms
-from async_tnt.resynthesis.pixels import part_of
-from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, is_after_pulse
+from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, is_after_pulse, part_of
 
 N_FRAMES = 16
 BAND = np.pi / 2  # of the frequencies that a path is found by, in radians per cell

@@ -8,15 +8,16 @@ sensor's smaller side (3 of 34 pixels) beside.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage, centre_of, find_images, finer
 from async_tnt.resynthesis.paths import MotionPath, PathFinder
-from async_tnt.resynthesis.pixels import SimulatedPixels, part_of
-from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels
+from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, part_of
 from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.random_motion import random_motion
+from async_tnt.simulation.simulator import PixelModel
 
 N_PICTURES = 52
 """Pictures of a window; the light runs straight between them."""
@@ -27,6 +28,34 @@ SPAN = 3
 OTHER_LENGTHS, PLACE_SHARE = (0.5, 2.0), 1 / 11
 BATCH = 64
 """Windows at a time: some 40 MB of spectra and images."""
+THRESHOLD_SPREAD, REFRACTORY_SPREAD = 0.1, 0.4
+
+
+@dataclass(frozen=True)
+class SimulatedPixels:
+    """The sensor that re-synthesized events come from.
+
+    Parameters
+    ----------
+    measured : what the recordings tell.
+    scale : thresholds, in units of those that images are measured in; `calibration` finds it.
+    """
+
+    measured: MeasuredPixels
+    scale: float = 1.0
+
+    def draw(self, rng: np.random.Generator) -> PixelModel:
+        """The pixels of one window, drawn by `rng`: thresholds and refractory time vary from window to window."""
+        scale = self.scale * np.exp(THRESHOLD_SPREAD * rng.standard_normal())
+        spread = rng.uniform(1 - REFRACTORY_SPREAD, 1 + REFRACTORY_SPREAD)
+        return PixelModel(
+            threshold_on=scale * self.measured.step_on,
+            threshold_off=scale * self.measured.step_off,
+            refractory_us=self.measured.refractory_us * spread,
+            noise_hz=self.measured.noise_hz,
+            noise_on_share=self.measured.noise_on_share,
+            after_share=self.measured.after_share,
+        )
 
 
 class MovedImage:

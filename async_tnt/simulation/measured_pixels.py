@@ -47,6 +47,14 @@ class MeasuredPixels:
         return self.step_on / self.step_off
 
 
+def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
+    """The events of `span` windows with `window` in their middle; times since the first one's start."""
+    t, x, y, p = window
+    before_us = (span - 1) // 2 * window_us
+    first, last = np.searchsorted(t, (-before_us, window_us + before_us))
+    return t[first:last] + before_us, x[first:last], y[first:last], p[first:last]
+
+
 def is_after_pulse(window: Columns) -> np.ndarray:
     """Which events follow one of the other sign at their pixel within `AFTER_US`: bool, (n,)."""
     t, x, y, p = window

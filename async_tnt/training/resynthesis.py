@@ -28,9 +28,8 @@ from async_tnt.files import write_text
 from async_tnt.progress import Bar, no_progress
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
-from async_tnt.resynthesis.pixels import SimulatedPixels, part_of
-from async_tnt.resynthesis.reconstruction import N_PICTURES, shares
-from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.resynthesis.reconstruction import N_PICTURES, SimulatedPixels, shares
+from async_tnt.simulation.measured_pixels import MeasuredPixels, part_of
 from async_tnt.training.moved_windows import (
     Motions,
     MotionSettings,

@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight
 
-from async_tnt.resynthesis import Reconstruction
+from async_tnt.resynthesis import Reconstruction, SimulatedPixels
 from async_tnt.resynthesis.moving_image import cell_for
-from async_tnt.resynthesis.pixels import SimulatedPixels, part_of
-from async_tnt.simulation.measured_pixels import MeasuredPixels
+from async_tnt.simulation.measured_pixels import MeasuredPixels, part_of
 from async_tnt.simulation.random_motion import minimum_jerk
 from async_tnt.simulation.simulator import PixelModel, simulate
 from experiments.found_paths import NOISE, noise_windows
