@@ -16,8 +16,8 @@ from async_tnt.training.data import TrainingData
 from async_tnt.training.evaluation import evaluate
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
+from async_tnt.training.objectives import SceneScores
 from async_tnt.training.pipeline import pipeline_of
-from async_tnt.training.scene_scores import SceneScores
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
 

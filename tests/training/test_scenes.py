@@ -15,9 +15,9 @@ from tnt_reference import event_volume
 from async_tnt import Model, Processor, TNTConfig, load_model
 from async_tnt.training import scenes as module
 from async_tnt.training.augment import Augmentation, unchanged
+from async_tnt.training.objectives import SceneScores
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.scene_scores import SceneScores
 from async_tnt.training.scenes import SceneMaker
 from async_tnt.training.windows import Windows
 
@@ -113,7 +113,8 @@ def test_a_network_that_computes_no_numbers_finds_nothing():
     assert scores.after(pipeline, 1.0).there.sum() > 20
     with torch.no_grad():
         net[0].bias.fill_(np.nan)
-    assert (scores.after(pipeline, 1.0).found.sum(), scores.f1(pipeline)) == (0, 0.0)
+    found = scores.after(pipeline, 1.0)
+    assert (found.found.sum(), found.f1) == (0, 0.0)
 
 
 @pytest.fixture(scope="module")
