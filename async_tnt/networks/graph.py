@@ -33,21 +33,10 @@ release that cannot run it refuses the file.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from async_tnt.checks import short
-from async_tnt.networks.layer_parameters import (
-    FINITE,
-    LIMIT,
-    MAX_SIDE,
-    NOT_NEGATIVE,
-    PADDING,
-    POSITIVE,
-    SIDES,
-    Check,
-)
+from async_tnt.networks.layer_operations import ELEMENTWISE, MAX_SIDE, OPERATIONS, Layer, Operation, Shape
 
 VOLUME = "volume"
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
@@ -59,10 +48,7 @@ MAX_PRODUCTS = 1 << 37
 """Multiplications of one pass, an addition in a pool counting as 16: some seconds on one core. At 640 x 480
 VGG16 has 2**36.5."""
 
-Layer = Mapping[str, Any]
 Network = Mapping[str, Sequence[Layer]]
-Shape = tuple[int, ...]
-"""(C, H, W), or (N,)."""
 
 
 def layer_shapes(
@@ -174,7 +160,7 @@ def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, S
     return op.shape(layer, [shapes[name] for name in inputs], _weights(layer, op, tensors))
 
 
-def _weights(layer: Layer, op: _Operation, tensors: Mapping[str, Shape]) -> dict[str, Shape]:
+def _weights(layer: Layer, op: Operation, tensors: Mapping[str, Shape]) -> dict[str, Shape]:
     """Role -> shape."""
     if not op.roles:
         return {}
@@ -189,150 +175,3 @@ def _weights(layer: Layer, op: _Operation, tensors: Mapping[str, Shape]) -> dict
     if lost:
         raise ValueError(f"no tensor is named {lost[0]!r}")
     return {role: tuple(tensors[name]) for role, name in weights.items()}
-
-
-ShapeRule = Callable[[Layer, list[Shape], dict[str, Shape]], Shape]
-
-
-@dataclass(frozen=True)
-class _Operation:
-    """Parameters, roles of weights (True: needed), the number of inputs (2: or more), and the shape of the output."""
-
-    shape: ShapeRule
-    parameters: Mapping[str, Check]
-    roles: Mapping[str, bool]
-    n_inputs: int = 1
-
-
-def _windowed(layer: Layer, shape: Shape, dilation: Sequence[int] = (1, 1)) -> tuple[int, int]:
-    """Sides of the output of a convolution or pooling."""
-    if len(shape) != 3:
-        raise ValueError(f"its input must be a map (C, H, W), got {shape}")
-    top, left, bottom, right = layer["padding"]
-    sides = []
-    for axis, side in enumerate((shape[1] + top + bottom, shape[2] + left + right)):
-        reach = (layer["kernel"][axis] - 1) * dilation[axis] + 1
-        if reach > side:
-            raise ValueError(
-                f"its kernel reaches over {reach} places, its input has {side} with the padding (input {shape})"
-            )
-        sides.append((side - reach) // layer["stride"][axis] + 1)
-    return sides[0], sides[1]
-
-
-def _expect(role: str, shape: Shape, expected: Shape) -> None:
-    if shape != expected:
-        raise ValueError(f"its {role} must have shape {expected} here, got {shape}")
-
-
-def _conv(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    sides = _windowed(layer, inputs[0], layer["dilation"])
-    channels, groups = inputs[0][0], layer["groups"]
-    n_filters = weights["weight"][0] if weights["weight"] else 0
-    if channels % groups or n_filters % groups or n_filters == 0:
-        raise ValueError(f"{groups} groups must divide its {channels} channels and {n_filters} filters")
-    _expect("weight", weights["weight"], (n_filters, channels // groups, *layer["kernel"]))
-    _expect("bias", weights.get("bias", (n_filters,)), (n_filters,))
-    return n_filters, *sides
-
-
-def _dense(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len(inputs[0]) != 1:
-        raise ValueError(f"its input must be flat, got {inputs[0]}: a flatten belongs before it")
-    n_units = weights["weight"][0] if weights["weight"] else 0
-    if n_units == 0:
-        raise ValueError("it must have at least one unit")
-    _expect("weight", weights["weight"], (n_units, *inputs[0]))
-    _expect("bias", weights.get("bias", (n_units,)), (n_units,))
-    return (n_units,)
-
-
-def _batch_norm(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    for role, shape in weights.items():
-        _expect(role, shape, inputs[0][:1])
-    return inputs[0]
-
-
-def _prelu(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if weights["slope"] != (1,):
-        _expect("slope", weights["slope"], inputs[0][:1])
-    return inputs[0]
-
-
-def _same(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    return inputs[0]
-
-
-def _clip(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    low, high = layer["low"], layer["high"]
-    if low is not None and high is not None and low > high:
-        raise ValueError(f"`low` must be at most `high`, got {low} and {high}")
-    return inputs[0]
-
-
-def _pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    sides = _windowed(layer, inputs[0])
-    top, left, bottom, right = layer["padding"]
-    if max(top, bottom) >= layer["kernel"][0] or max(left, right) >= layer["kernel"][1]:
-        raise ValueError(f"padding {layer['padding']} must be less than kernel {layer['kernel']}")
-    return inputs[0][0], *sides
-
-
-def _adaptive_pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    rows, columns = layer["size"]
-    return _global_pool(layer, inputs, weights)[0], rows, columns
-
-
-def _global_pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len(inputs[0]) != 3:
-        raise ValueError(f"its input must be a map (C, H, W), got {inputs[0]}")
-    return inputs[0][0], 1, 1
-
-
-def _add(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len(set(inputs)) > 1:
-        raise ValueError(f"its inputs must have one shape, got {', '.join(map(str, inputs))}")
-    return inputs[0]
-
-
-def _concat(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len({shape[1:] for shape in inputs}) > 1 or len({len(shape) for shape in inputs}) > 1:
-        raise ValueError(f"its inputs must differ in their channels only, got {', '.join(map(str, inputs))}")
-    return sum(shape[0] for shape in inputs), *inputs[0][1:]
-
-
-def _flatten(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    return (math.prod(inputs[0]),)
-
-
-def _centroid(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
-    if len(inputs[0]) != 3 or inputs[0][0] != 1:
-        raise ValueError(f"its input must be a heatmap (1, H, W), got {inputs[0]}")
-    return (2,)
-
-
-ELEMENTWISE = "log1p", "sigmoid", "tanh", "silu", "gelu", "gelu_tanh", "hardswish", "hardsigmoid"
-"""Functions of each number by itself, without parameters."""
-_WINDOW = {"kernel": SIDES, "stride": SIDES, "padding": PADDING}
-OPERATIONS: dict[str, _Operation] = {
-    "conv": _Operation(_conv, {**_WINDOW, "dilation": SIDES, "groups": POSITIVE}, {"weight": True, "bias": False}),
-    "dense": _Operation(_dense, {}, {"weight": True, "bias": False}),
-    "batch_norm": _Operation(
-        _batch_norm, {"epsilon": NOT_NEGATIVE}, {"mean": True, "variance": True, "weight": False, "bias": False}
-    ),
-    "relu": _Operation(_same, {}, {}),
-    "leaky_relu": _Operation(_same, {"slope": FINITE}, {}),
-    "prelu": _Operation(_prelu, {}, {"slope": True}),
-    "clip": _Operation(_clip, {"low": LIMIT, "high": LIMIT}, {}),
-    **{name: _Operation(_same, {}, {}) for name in ELEMENTWISE},
-    "max_pool": _Operation(_pool, _WINDOW, {}),
-    "average_pool": _Operation(_pool, _WINDOW, {}),
-    "sum_pool": _Operation(_pool, _WINDOW, {}),
-    "inside_average_pool": _Operation(_pool, _WINDOW, {}),
-    "adaptive_average_pool": _Operation(_adaptive_pool, {"size": SIDES}, {}),
-    "global_average_pool": _Operation(_global_pool, {}, {}),
-    "add": _Operation(_add, {}, {}, n_inputs=2),
-    "concat": _Operation(_concat, {}, {}, n_inputs=2),
-    "flatten": _Operation(_flatten, {}, {}),
-    "heatmap_centroid": _Operation(_centroid, {}, {}),
-}

@@ -15,7 +15,8 @@ import numpy as np
 from async_tnt.checks import plain_array, short
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, Shape, layer_shapes, tensors_of
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
+from async_tnt.networks.layer_operations import Shape
 from async_tnt.networks.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.objects import Places, places_of
 

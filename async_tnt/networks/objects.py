@@ -10,7 +10,8 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.kernels import objects as K
-from async_tnt.networks.graph import VOLUME, Layer, Shape
+from async_tnt.networks.graph import VOLUME
+from async_tnt.networks.layer_operations import Layer, Shape
 
 REACH = 4
 """Places that an object may move from one decision to the next, and be the same one."""

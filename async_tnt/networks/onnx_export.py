@@ -15,7 +15,8 @@ import numpy as np
 
 from async_tnt.checks import needs_extra
 from async_tnt.config import TNTConfig
-from async_tnt.networks.graph import CLASSIFIER, VOLUME, Layer, layer_shapes, tensors_of
+from async_tnt.networks.graph import CLASSIFIER, VOLUME, layer_shapes, tensors_of
+from async_tnt.networks.layer_operations import Layer
 from async_tnt.networks.model import FORMAT, Model
 from async_tnt.networks.model_file import read_description
 from async_tnt.networks.uneven_windows import adaptive_matrix

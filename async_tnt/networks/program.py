@@ -15,7 +15,7 @@ from async_tnt.kernels.forward import forward
 from async_tnt.kernels.simd import LANES
 from async_tnt.kernels.sync_input import set_input
 from async_tnt.networks import graph
-from async_tnt.networks.graph import Layer
+from async_tnt.networks.layer_operations import Layer
 from async_tnt.networks.steps import Map, Step, steps_of
 
 

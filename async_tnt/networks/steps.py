@@ -15,7 +15,8 @@ import numpy as np
 
 from async_tnt.kernels.functions import FUNCTIONS
 from async_tnt.kernels.program import FUNCTION, MAXIMUM, MIX, SUM
-from async_tnt.networks.graph import VOLUME, Layer, layer_shapes
+from async_tnt.networks.graph import VOLUME, layer_shapes
+from async_tnt.networks.layer_operations import Layer
 from async_tnt.networks.uneven_windows import adaptive_shares, inside_shares, place_weights
 
 
@@ -295,8 +296,7 @@ class _Lowering:
     def _flatten(self, layer: Layer, inputs: list[Map]) -> Map:
         return inputs[0]  # dense layers know their input as a map
 
-    def _heatmap_centroid(self, layer: Layer, inputs: list[Map]) -> Map:
-        return inputs[0]
+    _heatmap_centroid = _flatten  # no step: see `steps_of`
 
 
 def _window(layer: Layer) -> dict[str, Any]:

@@ -21,7 +21,8 @@ import torch
 from torch import nn
 
 from async_tnt.config import TNTConfig
-from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME, Layer
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME
+from async_tnt.networks.layer_operations import Layer
 from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 from async_tnt.training.augment import Draws
