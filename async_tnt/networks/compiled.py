@@ -63,12 +63,9 @@ class CompiledClassifier:
         self.network, self.steps = self._program.arrays, self._program.steps
         self._input = VolumeInput(self.shape)
         self.logits_shape = model.logits_shape
-        program = self._program
-        self.reader = (
-            None
-            if self.places is None
-            else ObjectReader(self.logits_shape, program.output_layout, program.output_changes)
-        )
+        self.reader: ObjectReader | None = None
+        if self.places is not None:
+            self.reader = ObjectReader(self.logits_shape, self._program.output_layout, self._program.output_changes)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)

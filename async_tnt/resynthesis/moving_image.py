@@ -95,8 +95,10 @@ class MovingImage:
 
     @cached_property
     def band_prior(self) -> np.ndarray:
-        """Q of the band's frequencies, (F,), x changes fastest."""
-        return (ROUGHNESS * squared_differences(*self.band) + LEVEL).ravel()
+        """Q of the band's frequencies, (F,), x changes fastest; |D|^2 is the power of neighbours' differences."""
+        qx, qy = self.band
+        squared: np.ndarray = 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]
+        return (ROUGHNESS * squared + LEVEL).ravel()
 
     def frames(self, windows: Sequence[Columns], pixels: MeasuredPixels, span: int = 1) -> np.ndarray:
         """c: the change of log luminance since the start, (N, K, rows, columns), from the events but for after-pulses
@@ -213,12 +215,6 @@ def centre_of(image: np.ndarray) -> np.ndarray:
         angle = np.angle((power.sum(axis) * np.exp(2j * np.pi * np.arange(n) / n)).sum())
         centre.append(angle % (2 * np.pi) / (2 * np.pi) * n)
     return np.array(centre)
-
-
-def squared_differences(qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
-    """|D(q)|^2 = 4 - 2 cos qx - 2 cos qy, (ny, nx): the power of neighbours' differences."""
-    laplacian: np.ndarray = 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]
-    return laplacian
 
 
 def fft_size(least: int) -> int:

@@ -102,15 +102,14 @@ def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Modul
     )
 
 
-NETWORKS: dict[str, Build] = {
-    "thesis": thesis,
-    "conv4": conv4,
-    "residual": residual,
-    "separable": separable,
-    "map": object_map,
+NETWORKS: dict[str, tuple[Build, int]] = {
+    "thesis": (thesis, 4),
+    "conv4": (conv4, 8),
+    "residual": (residual, 16),
+    "separable": (separable, 8),
+    "map": (object_map, 8),
 }
-SMALLEST = {"thesis": 4, "conv4": 8, "residual": 16, "separable": 8, "map": 8}
-"""The least side of a grid."""
+"""Name -> network, and the least side of a grid for it."""
 
 
 class Residual(nn.Module):
@@ -177,9 +176,10 @@ def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: in
         return _own(name, channels, grid, n_classes)
     if name not in NETWORKS:
         raise ValueError(f"a network must be one of {', '.join(NETWORKS)}, or FILE.py:FUNCTION; got {name!r}")
-    if min(grid) < SMALLEST[name]:
-        raise ValueError(f"network {name!r} needs a grid of at least {SMALLEST[name]}x{SMALLEST[name]}, got {grid}")
-    return NETWORKS[name](channels, grid, n_classes)
+    build, smallest = NETWORKS[name]
+    if min(grid) < smallest:
+        raise ValueError(f"network {name!r} needs a grid of at least {smallest}x{smallest}, got {grid}")
+    return build(channels, grid, n_classes)
 
 
 def _own(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:

@@ -86,6 +86,7 @@ def identity_of(
     teachers: Sequence[Model] = (),
 ) -> dict[str, Any]:
     """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it is the same."""
+    own_file = settings.network.rpartition(":")[0]  # "module.py:build"
     return _plain(
         {
             **config.to_dict(),
@@ -96,7 +97,7 @@ def identity_of(
             "data": windows_checksum(training, validation),
             "classes": classes,
             "motions": None if motions is None else asdict(motions),
-            "network_file": network_checksum(settings.network) if ":" in settings.network else None,
+            "network_file": zlib.crc32(Path(own_file).read_bytes()) if own_file else None,
             "start": 0 if start is None else weights_checksum(start),
             "teachers": [weights_checksum(teacher) for teacher in teachers],
         }
@@ -112,11 +113,6 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 def weights_checksum(model: Model) -> int:
     """Of all weights of a model."""
     return zlib.crc32(b"".join(w.tobytes() for w in model.weights.values()))
-
-
-def network_checksum(network: str) -> int:
-    """Of the file of an own network, "module.py:build"."""
-    return zlib.crc32(Path(network.rsplit(":", 1)[0]).read_bytes())
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:

@@ -16,7 +16,7 @@ from training.gestures import write_set  # noqa: E402
 from async_tnt import CompiledClassifier, TNTConfig  # noqa: E402
 from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
-from async_tnt.training.networks import NETWORKS, SMALLEST, build_network, landmark_network  # noqa: E402
+from async_tnt.training.networks import NETWORKS, build_network, landmark_network  # noqa: E402
 from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
@@ -95,7 +95,7 @@ def test_the_first_two_are_the_references_with_the_same_initial_weights():
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_smallest_grid(name):
-    side = SMALLEST[name]
+    side = NETWORKS[name][1]
     assert build_network(name, 2, (side, side), 3).eval()(torch.zeros(1, 2, side, side)).shape == (
         (1, 4, 2, 2) if name == "map" else (1, 3)
     )
