@@ -15,8 +15,7 @@ from torch import fx, nn
 from torch.nn import functional as F
 
 from async_tnt.networks.conversion_check import expect_form
-from async_tnt.networks.torch_arithmetic import add_rule, div_rule, mul_rule, sub_rule
-from async_tnt.networks.torch_layers import Call, LayerList
+from async_tnt.networks.torch_layers import Call, LayerList, float_array
 
 
 class HeatmapCentroid(nn.Module):
@@ -141,6 +140,62 @@ def _mean(made: LayerList, call: Call) -> str:
     return pooled if call["keepdim"] else made.add("flatten", call, [pooled])
 
 
+def _add(made: LayerList, call: Call) -> str:
+    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
+    x, constant = _with_constant(call)
+    if constant is None:
+        return made.add("add", call, [call["input"], call["other"]])
+    return _affine(made, call, x, shift=constant)
+
+
+def _sub(made: LayerList, call: Call) -> str:
+    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
+    x, constant = _with_constant(call)
+    if constant is None or x is not call["input"]:
+        raise NotImplementedError("a difference other than a map less a constant has no compiled form")
+    return _affine(made, call, x, shift=-constant)
+
+
+def _mul(made: LayerList, call: Call) -> str:
+    x, constant = _with_constant(call)
+    if constant is None:
+        raise NotImplementedError("a product of two maps has no compiled form")
+    return _affine(made, call, x, factor=constant)
+
+
+def _div(made: LayerList, call: Call) -> str:
+    x, constant = _with_constant(call)
+    if constant is None or x is not call["input"] or call.arguments.get("rounding_mode"):
+        raise NotImplementedError("a quotient other than a map by a constant has no compiled form")
+    return _affine(made, call, x, factor=1 / constant)
+
+
+def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
+    """The two operands: what is computed from the volume first, and the other one where it is a constant."""
+    x, other = call["input"], call["other"]
+    if isinstance(other, fx.Node):
+        x, other = other, x
+    if isinstance(other, (int, float)):
+        return x, torch.tensor(float(other), dtype=torch.float64)
+    return x, other.detach() if isinstance(other, torch.Tensor) else None
+
+
+def _affine(made: LayerList, call: Call, x: Any, factor: Any = None, shift: Any = None) -> str:
+    """As a batch norm: a constant of one number, or of one for each channel."""
+    channels, *sides = made.shape(x)
+    weights = {}
+    for role, values in {"weight": factor, "bias": shift, "mean": torch.zeros(1), "variance": torch.ones(1)}.items():
+        if values is None:
+            continue
+        shape = list(values.shape)
+        while shape[:1] == [1]:
+            del shape[0]
+        expect_form(shape in ([], [channels, *[1] * len(sides)]), f"a constant of shape {list(values.shape)} here")
+        weights[role] = f"{made.prefix}{call.node.name}.{role}"
+        made.weights[weights[role]] = float_array(values.reshape(-1).expand(channels))
+    return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
+
+
 def _cat(made: LayerList, call: Call) -> str:
     expect_form(call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),")
     expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
@@ -214,8 +269,8 @@ AVERAGE_POOL = Operation(
 ADAPTIVE_POOL = Operation(_adaptive_pool, {"output_size": None})
 MEAN = Operation(_mean, {"dim": None, "keepdim": False})
 TWO = ("input", "other")
-ADD, SUB = (Operation(rule, {"alpha": 1}, inputs=TWO) for rule in (add_rule, sub_rule))
-MUL, DIV = Operation(mul_rule, inputs=TWO), Operation(div_rule, {"rounding_mode": None}, inputs=TWO)
+ADD, SUB = (Operation(rule, {"alpha": 1}, inputs=TWO) for rule in (_add, _sub))
+MUL, DIV = Operation(_mul, inputs=TWO), Operation(_div, {"rounding_mode": None}, inputs=TWO)
 GELU = Operation(_gelu, {"approximate": "none"})
 RELU, SIGMOID, TANH, LOG1P = map(_function, ("relu", "sigmoid", "tanh", "log1p"))
 SILU, HARDSWISH, HARDSIGMOID = map(_function, ("silu", "hardswish", "hardsigmoid"))
