@@ -63,7 +63,9 @@ class OnnxClassifier:
         self._session, inputs, outputs, exported = open_session(source, name, self.threads)
         try:
             self.shape = check_input(inputs, shape)
-            check_output(outputs)
+            if len(outputs) != 1 or outputs[0].type != "tensor(float)":
+                wanted = f"one output, logits {LOGITS}, tensor(float)"
+                raise ValueError(f"the network must have {wanted}; got {_listed(outputs)}")
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
@@ -214,12 +216,6 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
     if channels * height * width > MAX_CELLS:
         raise ValueError(f"the network's input must have at most {MAX_CELLS:_} cells, got {_spelled(sides)}")
     return channels, height, width
-
-
-def check_output(outputs: list[Any]) -> None:
-    """Refuse a network that does not have one output, float32."""
-    if len(outputs) != 1 or outputs[0].type != "tensor(float)":
-        raise ValueError(f"the network must have one output, logits {LOGITS}, tensor(float); got {_listed(outputs)}")
 
 
 def _listed(values: list[Any]) -> str:

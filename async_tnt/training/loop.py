@@ -161,7 +161,7 @@ def train(
             bar.clear()
             report(history[-1])
 
-    return TrainResult(export(final, classes, {}, objective.config), history)
+    return TrainResult(export(final, classes, objective.config), history)
 
 
 def _check(

@@ -194,9 +194,7 @@ def input_scale(config: TNTConfig, windows: Windows, n: int = 512) -> float:
     return float(1.0 / np.sqrt(max(mean_square, 1e-12)))
 
 
-def export(
-    pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any], config: TNTConfig | None = None
-) -> Model:
+def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | None = None) -> Model:
     """The finished model; its first layers absorb their input's scale, so that they take raw volumes.
 
     conv1(scale V) = w * (scale V) = (scale w) * V
@@ -209,7 +207,7 @@ def export(
     ValueError : the classifier does not compute one logit for each class, or a layer does not fit.
     """
     config = config or pipeline.config
-    model = Model.from_torch(pipeline.classifier, config, classes, record=record, regressor=pipeline.regressor)
+    model = Model.from_torch(pipeline.classifier, config, classes, regressor=pipeline.regressor)
     weights, network = dict(model.weights), dict(model.network)
     for name, scale in ((CLASSIFIER, pipeline.scale), (REGRESSOR, pipeline.raw_scale)):
         if name not in network or scale == 1:

@@ -75,7 +75,7 @@ def test_the_loss_reaches_every_layer_and_the_exported_pipeline_equals_the_refer
         optimizer.step()
     assert min(float(w.grad.abs().max()) for w in pipeline.regressor.parameters()) > 0
     assert (pipeline.landmarks(windows) - 16.5).abs().max() > 0.05
-    model = export(pipeline, ("a", "b", "c"), {})
+    model = export(pipeline, ("a", "b", "c"))
     reference = tnt_reference.Pipeline(
         pipeline_of(model).classifier,
         **reference_settings(CONFIG),

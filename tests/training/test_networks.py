@@ -68,7 +68,7 @@ def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_pa
     pipeline.eval()
     with torch.no_grad():
         expected = pipeline(windows).numpy()
-        model = load_model(export(pipeline, ("a", "b", "c"), {}).save(tmp_path / "m.safetensors"))
+        model = load_model(export(pipeline, ("a", "b", "c")).save(tmp_path / "m.safetensors"))
         again = pipeline_before_export(model, windows)(windows).numpy()
     compiled = CompiledClassifier(model)
     found = np.array([compiled(volume) for volume in BatchVolumes(config)(windows)])
