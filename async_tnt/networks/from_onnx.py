@@ -82,7 +82,8 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     ValueError : see `compare`; or onnxruntime cannot open the file.
     """
     session, (given,), *_ = open_session(str(path), str(path), 1)
-    dtype, softmax = input_type(proto), ends_in_softmax(proto)
+    dtype = input_type(proto)
+    softmax = any(node.op_type == "Softmax" for node in proto.graph.node)  # at the end, or it has no layers
     n = given.shape[0] if given.shape and isinstance(given.shape[0], int) else 1  # some files fix a batch
     compiled = CompiledClassifier(model)
 
@@ -100,7 +101,7 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
 
 def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tuple[Layers, dict[str, np.ndarray]]:
     """The layers of a network of one input (N, C, H, W), here of this shape (C, H, W), and their weights. A softmax at
-    its end is left out, see `ends_in_softmax`.
+    its end is left out.
 
     Conv, Gemm, MatMul with a constant, BatchNormalization, sums and products with constants of one number or one for
     each channel; Relu, LeakyRelu, PRelu, Clip, Sigmoid, HardSigmoid, Tanh, HardSwish, Gelu, x Sigmoid(x), Log of x + 1;
@@ -142,11 +143,6 @@ def _inputs(model: onnx.ModelProto) -> list[onnx.ValueInfoProto]:
     """Without the weights, which old files list, too."""
     constants = {tensor.name for tensor in model.graph.initializer}
     return [value for value in model.graph.input if value.name not in constants]
-
-
-def ends_in_softmax(model: onnx.ModelProto) -> bool:
-    """Whether the network's output are probabilities instead of logits."""
-    return any(node.op_type == "Softmax" and node.output[0] == model.graph.output[0].name for node in model.graph.node)
 
 
 def input_type(model: onnx.ModelProto) -> np.dtype:

@@ -18,8 +18,6 @@ from async_tnt.networks.onnx_export import Exported, read_metadata
 if TYPE_CHECKING:
     import onnxruntime
 
-Shape = tuple[int, int, int]
-
 
 class OnnxClassifier:
     """A classifier in an ONNX file, run by onnxruntime: volume (C, H, W) -> logits (n_classes,).
@@ -194,7 +192,7 @@ def open_session(
     return session, inputs, outputs, exported
 
 
-def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
+def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, int, int]:
     """The shape (C, H, W) of a network's volumes; `shape` where it leaves sides open."""
     sides = tuple(inputs[0].shape) if inputs else ()
     one_volume = len(sides) == 4 and (sides[0] == 1 or not isinstance(sides[0], int))

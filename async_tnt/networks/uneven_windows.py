@@ -6,9 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-Span = tuple[int, int]
-"""From and until which place."""
-
 
 def inside_shares(n: int, n_inputs: int, kernel: int, stride: int, before: int) -> np.ndarray:
     """Along one axis, of a pooling over the places inside the input: see `shares_of`."""
@@ -37,7 +34,7 @@ def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
     return matrix[:, before : before + n_inputs]
 
 
-def shares_of(spans: Sequence[Span], n_inputs: int, stride: int, before: int, kernel: int) -> np.ndarray:
+def shares_of(spans: Sequence[tuple[int, int]], n_inputs: int, stride: int, before: int, kernel: int) -> np.ndarray:
     """(places, taps): what each tap adds to the mean over the part of a place's span that lies inside the input.
 
     Tap i of place k is the input k stride - before + i.

@@ -41,11 +41,6 @@ class MeasuredPixels:
     noise_on_share: float = 0.5
     after_share: float = 0.0
 
-    @property
-    def ratio(self) -> float:
-        """Of the ON threshold to the OFF threshold."""
-        return self.step_on / self.step_off
-
 
 def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
     """The events of `span` windows with `window` in their middle; times since the first one's start."""

@@ -40,7 +40,8 @@ def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None
     leak_hz = rng.uniform(0, LEAK_HZ)
     after_share, hot_share = (rng.uniform(0, most) * (rng.random() < 0.5) for most in (AFTER_SHARE, HOT_SHARE))
     if camera is not None:
-        ratio, after_share = (known * between(1 / NEAR, NEAR) for known in (camera.ratio, camera.after_share))
+        known = camera.step_on / camera.step_off, camera.after_share
+        ratio, after_share = (number * between(1 / NEAR, NEAR) for number in known)
         noise_hz, noise_on_share, leak_hz = camera.noise_hz * between(1 / NEAR, NEAR), camera.noise_on_share, 0.0
         refractory_us = rng.uniform(0, 1) * camera.refractory_us
     return PixelModel(

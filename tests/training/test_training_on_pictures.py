@@ -147,7 +147,7 @@ def test_a_camera_is_measured(tmp_path):
     x, y = rng.integers(0, 24, len(t)), rng.integers(0, 20, len(t))
     np.savez(tmp_path / "a.npz", t=t, x=x, y=y, p=rng.random(len(t)) < 2 / 3)
     camera = measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
-    assert camera.ratio == pytest.approx(0.5, rel=0.05)
+    assert camera.step_on / camera.step_off == pytest.approx(0.5, rel=0.05)
     with pytest.raises(ValueError, match="shorter than a window of 5000000 us"):
         measure_camera(tmp_path / "a.npz", 5_000_000, SENSOR)
 
