@@ -66,9 +66,22 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
     ------
     ValueError : the folder holds another run, and what differs; the checkpoint is damaged, or of another release.
     """
-    state = _read(run_folder / CHECKPOINT)
-    if state is None:
+    path = run_folder / CHECKPOINT
+    if not path.exists():
         return None
+    import torch
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.testzip() is not None:  # torch.load does not compare checksums
+                raise zipfile.BadZipFile
+        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        written = state["identity"]["format"]
+    except Exception as error:  # a damaged archive surfaces as any of a dozen types
+        kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
+        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
+    if written != FORMAT:
+        raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
     differ = [name for name, value in _plain(known).items() if state["identity"].get(name) != value]
     if differ:
         raise other_run(run_folder, ", ".join(sorted(differ)))
@@ -134,25 +147,6 @@ def other_run(run_folder: Path, what: str) -> ValueError:
         f"{run_folder}: the folder holds a run with other {what}; delete it to start again, or train into another "
         "file (`out`)"
     )
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    if not path.exists():
-        return None
-    import torch
-
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if archive.testzip() is not None:  # torch.load does not compare checksums
-                raise zipfile.BadZipFile
-        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        written = state["identity"]["format"]
-    except Exception as error:  # a damaged archive surfaces as any of a dozen types
-        kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
-        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
-    if written != FORMAT:
-        raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
-    return state
 
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
