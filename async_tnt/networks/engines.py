@@ -47,7 +47,13 @@ def choose_engine(
     if config is not None:
         return _of_other_program(Path(name_or_path), config)
     if is_onnx(name_or_path):
-        return _of_file(Path(name_or_path))
+        classifier = OnnxClassifier(name_or_path)
+        if classifier.exported is None:
+            raise ValueError(
+                f"{name_or_path}: an ONNX network without a configuration of this package, which defines how events "
+                "become its volume; give one, `config`: a file of what `async-tnt info` prints of a model as JSON"
+            )
+        return Engine(classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
     model = load_model(name_or_path)
     if map_sensor is not None and model.places is not None:
         model = model.for_sensor(map_sensor)
@@ -57,16 +63,6 @@ def choose_engine(
 def is_onnx(name_or_path: str | Path) -> bool:
     """Whether the suffix is .onnx, in upper or lower case."""
     return Path(name_or_path).suffix.lower() == ".onnx"
-
-
-def _of_file(path: Path) -> Engine:
-    classifier = OnnxClassifier(path)
-    if classifier.exported is None:
-        raise ValueError(
-            f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
-            "volume; give one, `config`: a file of what `async-tnt info` prints of a model as JSON"
-        )
-    return Engine(classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
 
 
 def _of_other_program(path: Path, config: Path) -> Engine:

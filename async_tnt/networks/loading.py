@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -66,19 +66,14 @@ def load_model(
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
     try:
-        return _model_of(weights, metadata)
+        if metadata.get("sha256") not in (None, checksum_of(weights, metadata)):
+            raise ValueError("its checksum differs; copy or download it again")
+        own_config, own_classes, record = read_description(metadata, "network")
+        for name, values in weights.items():
+            if values.dtype != np.float32:
+                raise ValueError(f"`{name}` must be float32, got {values.dtype}")
+        return Model(own_config, weights, own_classes, record, network=json.loads(metadata["network"]))
     except NotImplementedError as error:
         raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
     except (TypeError, ValueError, RecursionError) as error:  # the last: JSON nested too deep
         raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
-
-
-def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
-    """The model in a file, checked; raises NotImplementedError for a network that this release cannot run."""
-    if metadata.get("sha256") not in (None, checksum_of(weights, metadata)):
-        raise ValueError("its checksum differs; copy or download it again")
-    config, classes, record = read_description(metadata, "network")
-    for name, values in weights.items():
-        if values.dtype != np.float32:
-            raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-    return Model(config, weights, classes, record, network=json.loads(metadata["network"]))
