@@ -27,15 +27,20 @@ if TYPE_CHECKING:
 
 OPSET, IR_VERSION = 13, 7
 MAX_BYTES = 1 << 31  # of a protobuf message
-PLAIN = {
-    "relu": "Relu",
-    "sigmoid": "Sigmoid",
-    "tanh": "Tanh",
-    "global_average_pool": "GlobalAveragePool",
-    "add": "Sum",
-    "flatten": "Flatten",
+PLAIN: dict[str, tuple[str, dict[str, Any]]] = {
+    "relu": ("Relu", {}),
+    "sigmoid": ("Sigmoid", {}),
+    "tanh": ("Tanh", {}),
+    "hardsigmoid": ("HardSigmoid", {"alpha": 1 / 6, "beta": 0.5}),
+    "max_pool": ("MaxPool", {}),
+    "average_pool": ("AveragePool", {"count_include_pad": 1}),
+    "inside_average_pool": ("AveragePool", {"count_include_pad": 0}),
+    "global_average_pool": ("GlobalAveragePool", {}),
+    "add": ("Sum", {}),
+    "concat": ("Concat", {"axis": 1}),
+    "flatten": ("Flatten", {}),
 }
-"""Layers without parameters, as ONNX calls them."""
+"""Layers that are one node without weights: what ONNX calls them, and its attributes other than the window's."""
 BLANK = 64 * "0"  # in place of the checksum while it is computed
 
 
@@ -107,7 +112,8 @@ class _Nodes:
             self._names[layer["name"]] = name
             inputs = [self._names[value] for value in layer["inputs"]]
             if layer["op"] in PLAIN:
-                self.add(PLAIN[layer["op"]], inputs, name)
+                op, attributes = PLAIN[layer["op"]]
+                self.add(op, inputs, name, **attributes, **(_window(layer) if "kernel" in layer else {}))
             else:
                 getattr(self, f"_{layer['op']}")(layer, inputs, name)
         self.output = self._names[layers[-1]["name"]]
@@ -173,37 +179,22 @@ class _Nodes:
     def _hardswish(self, layer: Layer, inputs: list[str], name: str) -> None:
         self.add("Mul", [*inputs, self.add("HardSigmoid", inputs, f"{name}.factor", alpha=1 / 6, beta=0.5)], name)
 
-    def _hardsigmoid(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("HardSigmoid", inputs, name, alpha=1 / 6, beta=0.5)
-
     def _scale(self, value: str, factor: float, name: str) -> str:
         return self.add("Mul", [value, self._constant(f"{name}.factor", factor)], name)
 
     def _add_number(self, value: str, number: float, name: str) -> str:
         return self.add("Add", [value, self._constant(f"{name}.number", number)], name)
 
-    def _max_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("MaxPool", inputs, name, **_window(layer))
-
-    def _average_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("AveragePool", inputs, name, count_include_pad=1, **_window(layer))
-
     def _sum_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
         self.add("AveragePool", inputs, f"{name}.mean", count_include_pad=1, **_window(layer))
         size = self._constant(f"{name}.size", layer["kernel"][0] * layer["kernel"][1])
         self.add("Mul", [f"{name}.mean", size], name)
-
-    def _inside_average_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("AveragePool", inputs, name, count_include_pad=0, **_window(layer))
 
     def _adaptive_average_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
         """A X B', where A and B hold what each place takes of the mean along its axis."""
         rows, columns = map(adaptive_matrix, layer["size"], self._shapes[layer["inputs"][0]][1:])
         of_rows = self.add("MatMul", [self._constant(f"{name}.a", rows), *inputs], f"{name}.rows")
         self.add("MatMul", [of_rows, self._constant(f"{name}.b", columns.T)], name)
-
-    def _concat(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("Concat", inputs, name, axis=1)
 
 
 def _roles(layer: Layer, *roles: str) -> list[str]:
