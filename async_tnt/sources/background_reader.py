@@ -25,7 +25,7 @@ class BackgroundReader(PacketQueue):
     latest : what happens when the queue is full. False: the source is not read until there is room, so that nothing
         is lost. True: the oldest packets are discarded and their events counted, so that the delay stays bounded
         however slow the consumer is.
-    max_packets, max_events, max_delay_us, copy : as for `PacketQueue`.
+    max_packets, max_delay_us, copy : as for `PacketQueue`.
     on_close : called by `close` to wake up a source that may wait forever for its next packet, such as the `close` of a
         camera or a socket.
 
@@ -49,7 +49,6 @@ class BackgroundReader(PacketQueue):
         *,
         max_packets: int = 64,
         latest: bool = False,
-        max_events: int | None = None,
         max_delay_us: int | None = None,
         copy: bool = True,
         on_close: Callable[[], Any] | None = None,
@@ -60,8 +59,7 @@ class BackgroundReader(PacketQueue):
             if hasattr(source, "__aiter__"):
                 raise TypeError("`source` is asynchronous already: pass it to `astream` directly")
             raise TypeError(f"`source` must be an iterable of packets, got {type(source).__name__}")
-        limits: dict[str, Any] = {"max_packets": max_packets, "max_events": max_events, "max_delay_us": max_delay_us}
-        super().__init__(latest=latest, copy=copy, **limits)
+        super().__init__(max_packets=max_packets, latest=latest, max_delay_us=max_delay_us, copy=copy)
         self._on_close = on_close
         self._thread = threading.Thread(
             target=self._read, args=(source,), name="async_tnt.BackgroundReader", daemon=True

@@ -47,7 +47,6 @@ class PacketQueue:
     max_packets : packets that wait at most.
     latest : what happens when the queue is full. False: `put` waits until there is room. True: `put` never waits; the
         oldest packets are discarded and their events counted, so that the reader skips ahead.
-    max_events : events that wait at most, for packets of very different sizes. A single larger packet still passes.
     max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest one.
     copy : whether `put` copies packets, as drivers often reuse the memory of one for the next. False is for sources
         that put each packet in new memory.
@@ -75,12 +74,10 @@ class PacketQueue:
         *,
         max_packets: int = 64,
         latest: bool = False,
-        max_events: int | None = None,
         max_delay_us: int | None = None,
         copy: bool = True,
     ) -> None:
         self.max_packets = positive_int("max_packets", max_packets)
-        self.max_events = math.inf if max_events is None else positive_int("max_events", max_events)
         self.max_delay_us = math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)
         if max_delay_us is not None and not latest:
             raise ValueError("`max_delay_us` discards packets, which `latest=True` must allow")
@@ -129,7 +126,7 @@ class PacketQueue:
             if self._closed:
                 self._skip_all()
                 return False
-            while self.latest and len(self._waiting) > 1 and self._is_over():
+            while self.latest and len(self._waiting) > self.max_packets:
                 self._skip_oldest()
             self._came.notify()
             self._wake()
@@ -138,7 +135,7 @@ class PacketQueue:
     def wait_for_room(self) -> bool:
         """Wait until there is room; with `latest` there always is. Returns False if the queue is closed."""
         with self._room:
-            while not (self._closed or self._ended or self.latest) and self._is_full():
+            while not (self._closed or self._ended or self.latest) and len(self._waiting) >= self.max_packets:
                 self._room.wait()
             return not self._closed
 
@@ -216,12 +213,6 @@ class PacketQueue:
 
     def _is_ready(self) -> bool:
         return bool(self._waiting) or self._ended or self._closed
-
-    def _is_full(self) -> bool:
-        return len(self._waiting) >= self.max_packets or self.backlog >= self.max_events
-
-    def _is_over(self) -> bool:
-        return len(self._waiting) > self.max_packets or self.backlog > self.max_events
 
     def _hand_out(self) -> Any:
         oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
