@@ -55,14 +55,13 @@ def collect(
     job = tasks[0].job
     wanted = {task.recording: task for task in tasks}
     with ResultFile(out, job, restart=restart) as file:
-        to_do = [
-            task for task in tasks if file.versions.get(task.recording) != (task.bytes, task.modified_ns, task.label)
-        ]
-        n_gone = len(file.versions.keys() - wanted.keys())
-        n_good = sum(version is not None for version in file.versions.values())
-        if n_good and len(to_do) == len(wanted):
+        good = {name: record for name, record in file.records.items() if record["error"] is None}
+        of_file = {name: (good[name]["bytes"], good[name]["modified_ns"], good[name]["class"]) for name in good}
+        to_do = [task for task in tasks if of_file.get(task.recording) != (task.bytes, task.modified_ns, task.label)]
+        n_gone = len(file.records.keys() - wanted.keys())
+        if good and len(to_do) == len(wanted):
             raise ValueError(
-                f"{out} holds results ({n_good:,}), but none of a recording as it is here: of another folder? "
+                f"{out} holds results ({len(good):,}), but none of a recording as it is here: of another folder? "
                 "Name another file, or discard it by a restart"
             )
         n_all, n_kept = len(wanted), len(wanted) - len(to_do)
@@ -81,8 +80,7 @@ def collect(
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(f"{bar.done:,} of {n_all:,} recordings are done") from None
         file.finish(wanted)
-    with out.open("rb") as lines:
-        return [_record_of(line, job, out) for line in lines]
+        return [file.records[name] for name in sorted(wanted)]
 
 
 class ResultFile:
@@ -96,8 +94,7 @@ class ResultFile:
 
     Attributes
     ----------
-    versions : recording -> (bytes, modified_ns) of the file that its record is of, and the class that it was compared
-        with; None where the record has an error.
+    records : recording -> its newest record.
 
     Raises
     ------
@@ -106,9 +103,8 @@ class ResultFile:
     """
 
     def __init__(self, out: Path, job: Job, *, restart: bool = False) -> None:
-        self.versions: dict[str, tuple[int, int, str | None] | None] = {}
+        self.records: dict[str, Record] = {}
         self._out, self._job, self._is_new = out, job, not out.exists()
-        self._where: dict[str, tuple[int, int]] = {}  # recording -> (offset, length) of its newest line
         self._names: list[str] = []  # of all lines
         self._file = open_locked(out, f"{out}: another program is writing it; wait for that one, or name another file")
         try:
@@ -125,12 +121,10 @@ class ResultFile:
 
     def append(self, record: Record) -> None:
         """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
-        line = json.dumps(record).encode() + b"\n"
         with naming(self._out):
-            offset = self._file.seek(0, os.SEEK_END)
-            self._file.write(line)
+            self._file.write(_line(record))
             self._file.flush()
-        self._add(record, offset, len(line))
+        self._add(record)
 
     def finish(self, names: Collection[str]) -> None:
         """Let it hold the records of these recordings and no others, in order; it is not written if it does."""
@@ -138,10 +132,7 @@ class ResultFile:
             return
         with replacing(self._out) as part:
             with part.open("wb") as file:
-                for name in sorted(names):
-                    offset, length = self._where[name]
-                    self._file.seek(offset)
-                    file.write(self._file.read(length))
+                file.writelines(_line(self.records[name]) for name in sorted(names))
             if os.name == "nt":  # where an open file cannot be replaced
                 self._file.close()
 
@@ -164,18 +155,18 @@ class ResultFile:
             self._file.truncate(0)
         self._file.seek(0)
         while line := self._file.readline():
-            offset = self._file.tell() - len(line)
             if not line.endswith(b"\n"):
-                self._file.truncate(offset)  # half a line, which a killed process has left
+                self._file.truncate(self._file.tell() - len(line))  # half a line, which a killed process has left
                 return
-            self._add(_record_of(line, self._job, self._out), offset, len(line))
+            self._add(_record_of(line, self._job, self._out))
 
-    def _add(self, record: Record, offset: int, length: int) -> None:
-        name = record["recording"]
-        self._names.append(name)
-        self._where[name] = offset, length
-        about = record["bytes"], record["modified_ns"], record.get("class")
-        self.versions[name] = about if record["error"] is None else None
+    def _add(self, record: Record) -> None:
+        self._names.append(record["recording"])
+        self.records[record["recording"]] = record
+
+
+def _line(record: Record) -> bytes:
+    return json.dumps(record).encode() + b"\n"
 
 
 def _record_of(line: bytes, job: Job, out: Path) -> Record:

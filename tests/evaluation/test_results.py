@@ -152,7 +152,7 @@ def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
         assert unfinished.read_bytes() == content
     unfinished.write_bytes(b"".join(lines))
     with ResultFile(unfinished, JOB, restart=True) as file:
-        assert not file.versions
+        assert not file.records
 
 
 def test_two_programs_at_once_are_refused(unfinished):
