@@ -15,21 +15,21 @@ import numpy as np
 
 from async_tnt.cli.output import say
 from async_tnt.compile_ahead import warmup
-from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.package import __version__
 from async_tnt.processor import Processor
 from async_tnt.progress import progress
+from async_tnt.sources.files.nmnist import SENSOR as SAMPLE_SENSOR
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.sensor import Sensor
 from async_tnt.volume import TNTVolume
 
 DESCRIPTION = """\
 Measure on this machine, warm and on one thread, what an event costs in the volume, how long a decision takes some
-events after the one before, and how many decisions a second follow from one after every event. Events come from the
-bundled recordings, or are made if the model is for another sensor. A quiet machine gives narrow quartiles.
+events after the one before, and how many decisions a second follow from one after every event. Events are those of
+the bundled recordings, spread over the model's sensor if that is another. A quiet machine gives narrow quartiles.
 
   async-tnt bench                               the bundled model digits
   async-tnt bench --model mine.safetensors --json
@@ -38,7 +38,6 @@ NEW_EVENTS = (1, 100, 1300)
 PACKET = 1000  # events
 COUNTS = {"rounds": (50, 3), "moments": (50, 5), "events": (2000, 300)}  # in full, with --quick; the last two of each
 # recording
-N_MADE, MADE_WINDOWS = 3, 3  # streams for sensors other than the samples', and windows of each
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     rounds, moments, n_events = (both[args.quick] for both in COUNTS.values())
-    recordings, origin = _streams_for(model.config)
+    recordings, origin = _recordings_for(model.config.sensor)
     with progress(len(NEW_EVENTS) + 2, "compiling") as bar:
         warmup(model)
         bar.update(title="events into the volume")
@@ -73,26 +72,15 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _streams_for(config: TNTConfig) -> tuple[list[np.ndarray], str]:
-    """Events of the bundled samples, or of made streams where the sensor is another; and which of both."""
-    opened = [open_recording(path) for path in sample_recordings().values()]
-    if all(recording.sensor == config.sensor for recording in opened):
-        return [recording.read() for recording in opened], "bundled samples"
-    return [_made(config, seed) for seed in range(N_MADE)], "made streams"
-
-
-def _made(config: TNTConfig, seed: int) -> np.ndarray:
-    """An edge that moves over the sensor, among noise; seeded."""
-    (width, height), n, duration_us = config.sensor, 4000, MADE_WINDOWS * config.window_us
-    rng = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, duration_us, n))
-    edge = (0.25 + 0.5 * events["t"] / duration_us + rng.normal(0, 0.02, n)) * (width - 1)
-    noise = rng.random(n) < 0.3
-    events["x"] = np.where(noise, rng.integers(0, width, n), edge.round().clip(0, width - 1))
-    events["y"] = rng.integers(0, height, n)
-    events["p"] = np.where(noise, rng.integers(0, 2, n), events["x"] > edge)
-    return events
+def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
+    """Events of the bundled samples, spread over the sensor if that is another; and which of both."""
+    recordings = [open_recording(path).read() for path in sample_recordings().values()]
+    if sensor == SAMPLE_SENSOR:
+        return recordings, "bundled samples"
+    for events in recordings:
+        for axis, side, own_side in zip("xy", sensor, SAMPLE_SENSOR, strict=True):
+            events[axis] = events[axis].astype(np.int64) * side // own_side
+    return recordings, "bundled samples, spread over the sensor"
 
 
 def _packets(events: np.ndarray) -> list[np.ndarray]:
