@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.evaluate_objects import evaluate_objects
-from async_tnt.cli.options import model_of, positive_int
+from async_tnt.cli.options import MODELS, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
@@ -26,7 +26,6 @@ from async_tnt.evaluation.records import Record, evaluate_recording
 from async_tnt.evaluation.results import SUFFIXES, Run, collect
 from async_tnt.evaluation.scores import score_recordings
 from async_tnt.files import check_writable
-from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
@@ -59,9 +58,7 @@ Exit code 0, also if recordings were skipped (2 with --strict); 2 for bad usage,
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "model", metavar="MODEL", help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
-    )
+    parser.add_argument("model", metavar="MODEL", help=MODELS)
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
     add_pixels(parser)

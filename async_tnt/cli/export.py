@@ -7,12 +7,11 @@ import json
 from pathlib import Path
 
 from async_tnt.checks import one_line
-from async_tnt.cli.options import model_of
+from async_tnt.cli.options import MODELS, model_of
 from async_tnt.cli.output import say
 from async_tnt.files import check_writable, replacing
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.conversion_check import compare
-from async_tnt.networks.loading import bundled_models
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
 (1, C, H, W); output `logits`, float32, (1, n_classes). The file also holds configuration, classes and training
@@ -32,9 +31,7 @@ written, 2 for bad usage or bad input.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "model", metavar="MODEL", help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
-    )
+    parser.add_argument("model", metavar="MODEL", help=MODELS)
     parser.add_argument("--out", required=True, type=Path, metavar="FILE.onnx", help="replaced if it exists")
     parser.add_argument("--json", action="store_true", help="one JSON object")
 

@@ -10,12 +10,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.options import size_of
+from async_tnt.cli.options import READABLE, size_of
 from async_tnt.cli.output import complain, say
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
-from async_tnt.sources.files.recording import READERS
 from async_tnt.sources.labelled_recordings import recordings_under
 from async_tnt.sources.recording_summary import RecordingSummary, summarize
 from async_tnt.sources.sensor import Sensor, format_size
@@ -39,8 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="WHAT",
-        help=f"recordings ({', '.join(sorted(READERS))}), folders, .safetensors files or bundled models "
-        f"({', '.join(bundled_models())})",
+        help=f"recordings ({READABLE}), folders, .safetensors files or bundled models ({', '.join(bundled_models())})",
     )
     parser.add_argument(
         "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where a recording does not state them"

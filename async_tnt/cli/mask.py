@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.options import size_of
+from async_tnt.cli.options import READABLE, size_of
 from async_tnt.cli.output import say
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
-from async_tnt.sources.files.recording import READERS, open_recording
+from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, save_mask
 from async_tnt.sources.sensor import check_sensor, format_size
 
@@ -35,9 +35,7 @@ then leaves nothing out.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({', '.join(sorted(READERS))})"
-    )
+    parser.add_argument("files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({READABLE})")
     parser.add_argument(
         "--out",
         type=Path,

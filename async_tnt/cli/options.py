@@ -27,25 +27,27 @@ FIELDS: dict[str, Callable[[str], Any]] = {
 }
 """What --volume may give: fields of `TNTConfig`, and how their values are read."""
 SAMPLES = Path("samples")
+READABLE = ", ".join(sorted(READERS))
+MODELS = f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
 
 
 def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool = False) -> None:
     """FILEs, or `one`, and --model; with `live` also udp://... or a camera, and a model in an .onnx file."""
     bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if live else ""
-    kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if live else " or a .safetensors file"
+    onnx = ", or an .onnx file of `async-tnt export`" if live else ""
     parser.add_argument(
         "files",
         nargs="?" if one else "*",
         metavar="FILE",
         type=_file_or_stream if live else Path,
-        help=f"{sources}recordings ({', '.join(sorted(READERS))}); {bundled}",
+        help=f"{sources}recordings ({READABLE}); {bundled}",
     )
     parser.add_argument(
         "--model",
         default="digits",
         metavar="NAME|FILE",
-        help=f"a bundled model ({', '.join(bundled_models())}){kinds} (default: %(default)s)",
+        help=f"{MODELS}{onnx} (default: %(default)s)",
     )
 
 
@@ -100,8 +102,7 @@ def of_windows(model: Model, name: str | Path) -> Model:
 def model_of(args: argparse.Namespace) -> Model:
     if Path(args.model).suffix.lower() == ".onnx":
         raise ValueError(
-            f"{args.model}: an .onnx file can only be run (async-tnt run --model); here a bundled model "
-            f"({', '.join(bundled_models())}) or a .safetensors file is needed"
+            f"{args.model}: an .onnx file can only be run (async-tnt run --model); here {MODELS} is needed"
         )
     return load_model(args.model)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import add_volume, positive_int, size_of, volume_of
+from async_tnt.cli.options import MODELS, READABLE, add_volume, positive_int, size_of, volume_of
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
-from async_tnt.networks.loading import bundled_models, load_model
+from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
-from async_tnt.sources.files.recording import READERS, open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_objects import draw_window_objects
 from async_tnt.views.figure_overview import draw_overview
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         metavar="FILE",
         default=str(DEFAULT_SAMPLE),
-        help=f"recording ({', '.join(sorted(READERS))}), or the digit of a bundled one (default: %(default)s)",
+        help=f"recording ({READABLE}), or the digit of a bundled one (default: %(default)s)",
     )
     parser.add_argument(
         "--out",
@@ -53,8 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model",
         metavar="NAME|FILE",
-        help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file (default: {DEFAULT_MODEL}, "
-        "if it fits the recording's sensor)",
+        help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)",
     )
     what = parser.add_argument_group("what is drawn")
     what.add_argument(
