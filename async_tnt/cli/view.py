@@ -96,11 +96,11 @@ def main(args: argparse.Namespace) -> int:
             stopped = follow(path, pixels, view.processor, args.keep_up, lambda packets, _: _push_all(packets, view))
         else:
             _show(*opened, view, speed)
-    if not view.n_events and not stopped:
+    n_events = view.processor.counts.received
+    if not n_events and not stopped:
         raise ValueError(f"{path}: {pixels.nothing}, nothing to show")
     if args.out is not None:
-        n_pictures = f"{view.log.n_pictures:,} pictures"
-        say(f"{args.out}: {view.n_events:,} events, {n_pictures}; open it with: rerun {args.out}")
+        say(f"{args.out}: {n_events:,} events, {view.log.n_pictures:,} pictures; open it with: rerun {args.out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 130 if stopped else 0
@@ -111,7 +111,8 @@ def _show(recording: Recording, select: Callable[[Any], Any], view: RerunView, s
         for packet in replay(map(select, recording), speed):
             view.push(packet)
             bar.update(len(packet))
-    complain_late(str(recording.path), view.processor.counts.dropped_late, view.n_events, "--start-us")
+    counts = view.processor.counts
+    complain_late(str(recording.path), counts.dropped_late, counts.received, "--start-us")
 
 
 def _push_all(packets: Iterable[Any], view: RerunView) -> None:

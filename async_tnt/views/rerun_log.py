@@ -26,7 +26,6 @@ NOTHING_COLOUR, GAP_COLOUR, WHITE = (18, 20, 24), (70, 74, 80), (255, 255, 255)
 NOTHING, OFF, ON = 0, 1, 2
 """Cells of an event image."""
 MOST_LINES = 20  # decisions written between two pictures, the newest
-MOST_SERIES = 64  # with more classes, only the probability of the likeliest is drawn
 MOST_NAMED = 12  # classes in the text, the likeliest
 MOST_SHEET_PIXELS = 1 << 17
 LIVE_SECONDS = 10  # of the plots, where a stream has no end
@@ -51,7 +50,7 @@ class StreamLog:
         self._n_pending = 0
         stream.send_blueprint(_blueprint(rr, config.transform == "tnt", live))
         colours = [(NOTHING, "no event", NOTHING_COLOUR), (OFF, "OFF (darker)", OFF_COLOUR), (ON, "ON", ON_COLOUR)]
-        self._write(EVENTS, rr.AnnotationContext(colours), static=True)
+        self._stream.log(EVENTS, rr.AnnotationContext(colours), static=True)
 
     def add(self, decisions: Sequence[Decision]) -> None:
         """Add the decisions of a packet."""
@@ -72,26 +71,25 @@ class StreamLog:
         self.n_pictures += 1
         if processor.classes is not None and processor.classes != self._classes:
             self._classes = processor.classes
-            names = self._classes if self._is_few else ["likeliest class"]
-            self._write(PROBABILITIES, rr.SeriesLines(names=list(names)), static=True)
+            self._stream.log(PROBABILITIES, rr.SeriesLines(names=list(self._classes)), static=True)
         self.write_decisions()
         self._set_time(at_us)
-        self._write(EVENTS, rr.SegmentationImage(event_image(recent, self._config.sensor)))
-        self._write(RAW, rr.Image(bin_sheet(raw)))
+        self._stream.log(EVENTS, rr.SegmentationImage(event_image(recent, self._config.sensor)))
+        self._stream.log(RAW, rr.Image(bin_sheet(raw)))
         if self._config.transform == "tnt":
-            self._write(TNT, rr.Image(bin_sheet(processor.volume())))
+            self._stream.log(TNT, rr.Image(bin_sheet(processor.volume())))
             # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
             places = [np.add(self._config.to_sensor(*processor.landmark), 0.5)] if now.events else np.empty((0, 2))
             radius = rr.components.Radius.ui_points(5.0)
-            self._write(LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0))
+            self._stream.log(LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0))
         if now.objects is not None:
             centres = np.array([(found.x, found.y) for found in now.objects]).reshape(-1, 2) + 0.5  # as above
             labels = [f"{found.label} {found.probability:.2f}" for found in now.objects]
             size = rr.components.Radius.ui_points(6.0)
-            self._write(OBJECTS, rr.Points2D(centres, radii=size, labels=labels, colors=[WHITE], draw_order=100.0))
-        self._write(CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN))
+            self._stream.log(OBJECTS, rr.Points2D(centres, radii=size, labels=labels, colors=[WHITE], draw_order=100.0))
+        self._stream.log(CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN))
         if now.events:
-            self._write_probabilities(now)
+            self._log_probabilities(now)
 
     def write_decisions(self) -> None:
         """Those since the last picture, each at its own time."""
@@ -104,29 +102,21 @@ class StreamLog:
                 text += f" ({n_left_out:,} decisions before it are not shown)"
                 n_left_out = 0
             self._set_time(d.time_us)
-            self._write(
+            self._stream.log(
                 DECISIONS, self._rr.TextLog(text, level="INFO" if d.complete or d.trigger == "end" else "TRACE")
             )
-            self._write_probabilities(d)
+            self._log_probabilities(d)
         self._pending.clear()
         self._n_pending = 0
 
-    @property
-    def _is_few(self) -> bool:
-        return 1 < len(self._classes) <= MOST_SERIES
-
-    def _write_probabilities(self, decision: Decision) -> None:
-        shown = decision.probabilities if self._is_few else [decision.probability]
+    def _log_probabilities(self, decision: Decision) -> None:
+        shown: Any = decision.probabilities
         if decision.objects is not None:  # of each class the likeliest object
             shown = [max((o.probability for o in decision.objects if o.label == c), default=0.0) for c in self._classes]
-            shown = shown if self._is_few else [decision.probability]
-        self._write(PROBABILITIES, self._rr.Scalars(shown))
+        self._stream.log(PROBABILITIES, self._rr.Scalars(shown))
 
     def _set_time(self, t_us: int) -> None:
         self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us, "us"))
-
-    def _write(self, entity: str, what: Any, static: bool = False) -> None:
-        self._stream.log(entity, what, static=static)
 
 
 def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Unpack
 from urllib.parse import urlsplit
 
@@ -87,8 +86,6 @@ class RerunView:
         config = self.processor.config
         if config.window_events is not None:
             raise ValueError(f"windows of a duration can be viewed, but not of {config.window_events} events")
-        self.n_events = 0
-        """Events shown so far."""
         self._live = live
         raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
         self._raw = TNTVolume(raw_config, late=self.processor.late)
@@ -142,7 +139,6 @@ class RerunView:
             new = self.processor.push(part)
             self.log.add(new)
             decisions += new
-            self.n_events += len(part)
             self._recent.append(part)
             self._newest_us = int(newest[last - 1])
             first = last
@@ -211,7 +207,7 @@ class RerunView:
                 raise
             raise OSError(f"{error}; what was written before is in {self._file.part}") from None
         if self._file is not None:
-            if self.n_events:
+            if self.processor.counts.received:
                 self._file.complete()
             self._file.discard()
 
@@ -223,10 +219,8 @@ class RerunView:
     def __enter__(self) -> RerunView:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if error is not None:  # the file keeps what came before the error; the state after it may be inconsistent
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is not None:  # the file keeps what came before the error; the state after it may be inconsistent
             with contextlib.suppress(Exception):
                 self.finish()
             self._origin_us = None
