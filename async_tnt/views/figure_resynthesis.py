@@ -67,14 +67,8 @@ class RefusedWindow:
 
 def draw_resynthesis(windows: Sequence[ResynthesizedWindow], refused: Sequence[RefusedWindow] = ()) -> Figure:
     """Events as recorded, the image and path found in them, and events of that image under this and other paths; and
-    windows in which none was found.
-
-    Raises
-    ------
-    ValueError : no windows.
+    windows in which none was found. `windows` has at least one.
     """
-    if not windows:
-        raise ValueError("`windows` must hold at least one window, got none")
     n_others = len(windows[0].others)
     height, width = windows[0].image.shape
     high = SIDE * height / width
