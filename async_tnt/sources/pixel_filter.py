@@ -138,14 +138,11 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
     if len(numbers) != 4 or not all(map(is_whole, numbers)):
         raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {short(roi)}")
     left, top, width, height = map(int, numbers)
-    if min(left, top) < 0 or min(width, height) < 1:
+    is_beyond = sensor is not None and (left + width > sensor[0] or top + height > sensor[1])
+    if min(left, top) < 0 or min(width, height) < 1 or is_beyond:
+        pixels = "" if sensor is None else f" of {format_size(sensor)} pixels"
         raise ValueError(
-            "`roi` (x, y, width, height) must lie on the sensor, x and y at least 0, and hold at least one pixel, got "
-            f"({left}, {top}, {width}, {height})"
-        )
-    if sensor is not None and (left + width > sensor[0] or top + height > sensor[1]):
-        raise ValueError(
-            f"`roi` (x, y, width, height) must lie on the sensor of {format_size(sensor)} pixels, got "
-            f"({left}, {top}, {width}, {height})"
+            f"`roi` (x, y, width, height) must lie on the sensor{pixels}, x and y at least 0, and hold at least one "
+            f"pixel, got ({left}, {top}, {width}, {height})"
         )
     return left, top, width, height

@@ -163,7 +163,7 @@ class PixelSelector:
         else:
             check_sensor(name, found, sensor, advice=_advice(self._model, found))
         if not chosen.leaves_out:
-            return _unchanged
+            return lambda packet: packet
         if sensor not in self._filters:
             try:
                 mask = None if chosen.mask is None else chosen.mask.pixels(sensor)
@@ -207,7 +207,3 @@ def _advice(model: Sensor, camera: Sensor | None) -> str:
     holds_model = camera is None or (model[0] <= camera[0] and model[1] <= camera[1])
     part = f", or cut out a part: `roi` X,Y,{model[0]},{model[1]} `crop`" if holds_model else ""
     return f"; {TRAIN_ONE}{part}"
-
-
-def _unchanged(packet: Any) -> Any:
-    return packet
