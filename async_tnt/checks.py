@@ -14,7 +14,6 @@ from numbers import Real
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
@@ -59,11 +58,11 @@ def checked_time(name: str, t_us: Any) -> int:
     return whole_number(name, t_us, 0, 1 << 62, "in [0, 2**62)")
 
 
-def plain_array(name: str, values: Any, dtype: DTypeLike | None = None) -> np.ndarray:
+def plain_array(name: str, values: Any) -> np.ndarray:
     """`np.asarray`, except that a masked array, whose mask that would silently drop, is a TypeError."""
     if type(values) is not np.ndarray:  # a masked array is of another
         refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
-    return np.asarray(values, dtype)
+    return np.asarray(values)
 
 
 def refuse_mask(name: str, values: Any, advice: str) -> None:

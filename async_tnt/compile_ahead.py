@@ -92,9 +92,8 @@ def compile_for(
 
 def compile_kernels(names: Iterable[str]) -> None:
     """Compile these kernels, or load them from Numba's cache."""
-    missing = [name for name in _in_order(names) if not _is_compiled(name)]
     with _not_collecting():
-        for name in missing:
+        for name in _in_order(names):
             compile_for_types(*ENTRY_POINTS[name])
 
 
@@ -142,11 +141,6 @@ def _in_order(names: Iterable[str]) -> list[str]:
     """Kernels in the order of compilation: what is built of others comes after them."""
     wanted = set(names)
     return [name for name in ENTRY_POINTS if name in wanted]
-
-
-def _is_compiled(name: str) -> bool:
-    kernel, types = ENTRY_POINTS[name]
-    return types in kernel.overloads
 
 
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:

@@ -107,7 +107,6 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
             except OSError as error:  # the camera was unplugged: what came before is kept
                 lost = error
             finally:
-                picture.clear()
                 ending.cancel()
         if not n_events:
             raise lost or ValueError(f"{args.source}: no event came; nothing was written")
@@ -164,7 +163,3 @@ class _Picture:
         sys.stderr.flush()
         self._drawn, self._n_events, self._before = True, 0, now
         self._counts[:] = 0
-
-    def clear(self) -> None:
-        """Leave the last picture where it is."""
-        self._is_shown = False

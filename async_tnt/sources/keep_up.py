@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from async_tnt.checks import positive_int
 from async_tnt.sources.background_reader import BackgroundReader
 
 MAX_PACKETS = 1 << 20
@@ -63,7 +62,6 @@ class KeepUp(BackgroundReader):
         self._processor = processor
         self._every = {name: getattr(processor, name) for name in ("every_us", "every_events")}
         self._changed_ns = 0
-        max_delay_us = positive_int("max_delay_us", max_delay_us)
         super().__init__(
             source, latest=True, max_packets=MAX_PACKETS, max_delay_us=max_delay_us, copy=copy, on_close=on_close
         )
