@@ -96,24 +96,22 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
         check_sensor(path, recording.sensor, args.sensor, "--sensor says", advice="")
     name = args.model or DEFAULT_MODEL
     trained = load_model(name)
-    model: Model | None = trained
-    config = trained.config
-    sensor = recording.sensor or config.sensor
+    sensor = recording.sensor or trained.config.sensor
+    recording.sensor = sensor  # events off it are refused
     if trained.places is not None:
         if args.volume is not None or args.window_us is not None:
             raise ValueError(
                 f"{name} finds objects, in its own volume: --volume and --window-us cannot be used with it"
             )
         model = trained.for_sensor(sensor)
-        config = model.config
-    elif sensor != config.sensor:
+        return Subject(path.name, recording.read(), model.config, model, name, args.start_us)
+    decides: Model | None = trained
+    config = trained.config
+    if sensor != config.sensor:
         if args.model is not None:
             check_sensor(path, sensor, config.sensor, advice="")
-        model, config = None, config.replace(sensor=sensor, grid=sensor)
-    if trained.places is None:
-        config = _configured(config, args)
-    recording.sensor = sensor  # events off it are refused
-    return Subject(path.name, recording.read(), config, model, name, args.start_us)
+        decides, config = None, config.replace(sensor=sensor, grid=sensor)
+    return Subject(path.name, recording.read(), _configured(config, args), decides, name, args.start_us)
 
 
 def _path(name: str) -> Path:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EVENTS_HEIGHT, CLASSES_HEIGHT = 4.0, 1.9  # inches
-EVERY_US = 2_500
-MOST_DECISIONS = 2_000
+EVERY_US = 2_500  # between decisions; more in a long recording
+MOST_DECISIONS = 2_000  # that can still be told apart
 MOST_SLICES = 12  # in a row, evenly spread
 MOST_NAMED = 20  # windows whose decision is written
 
@@ -51,26 +51,16 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     if subject.model is None:
         headline(figure, subject.name)
         return figure
-    every_us = between_decisions_us(subject)
-    decisions = decisions_of(subject, subject.model, every_us)
+    t = subject.events["t"]
+    every_us = max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)
+    processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
+    decisions = processor.push(subject.events) + processor.finish()
     headline(figure, f"{subject.name}: {verdict(subject.model, decisions)}")
     axes = axes_at(figure, 0.75, classes_top, 8.6, CLASSES_HEIGHT)
     draw_classes(axes, subject, subject.model, decisions)
     words = f"decisions of {printable(subject.model_name)} every {every_us / 1e3:g} ms and at the ends of windows"
     axes.set_xlabel(f"time in the recording (ms); {words}", fontsize=SMALL)
     return figure
-
-
-def between_decisions_us(subject: Subject) -> int:
-    """2.5 ms; more in a long recording, so that decisions stay drawable."""
-    t = subject.events["t"]
-    return max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)
-
-
-def decisions_of(subject: Subject, model: Model, every_us: int) -> list[Decision]:
-    """All decisions of the streamed recording, the last one of each window included."""
-    processor = Processor(model, start_us=subject.start_us, every_us=every_us)
-    return processor.push(subject.events) + processor.finish()
 
 
 def verdict(model: Model, decisions: list[Decision]) -> str:

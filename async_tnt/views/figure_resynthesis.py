@@ -134,8 +134,7 @@ def _draw_picture(figure: Figure, column: int, top: float, picture: np.ndarray, 
     else:
         axes.imshow(picture, cmap=colour_map(*OFF_TO_ON), vmin=-STRONGEST, vmax=STRONGEST)
     axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_visible(True)
-    axes.spines[:].set_color(PALE)
+    axes.spines[:].set(visible=True, color=PALE)
     return axes
 
 

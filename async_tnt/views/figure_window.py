@@ -35,10 +35,16 @@ LEFT, RIGHT, GAP, ROW_GAP, HEAD, TALLEST = 0.75, 0.85, 0.06, 0.12, 0.36, 1.9  # 
 
 def draw_both(figure: Figure, window: Window, height: float) -> None:
     """Raw and transformed events side by side under their titles, and the legend, at the top of a figure."""
+    config, events = window.subject.config, window.events
+    u, v, kept, _ = window.coordinates()
     raw, tnt = (axes_at(figure, left, 0.7, 5.0, height, projection="3d") for left in (0.0, 5.2))
-    write_at(figure, 2.6, 0.7, f"raw: {draw_raw(raw, window):,} events in window {window.number}", ha="center")
-    kept = f"{draw_transformed(tnt, window):,} events kept"
-    write_at(figure, 7.8, 0.7, f"after TNT ({transform_words(window.subject.config)}): {kept}", ha="center")
+    _draw_events(raw, window, events["x"], events["y"], np.ones(events.size, bool))
+    _frame(raw, window, config.sensor, "x", "y")
+    write_at(figure, 2.6, 0.7, f"raw: {events.size:,} events in window {window.number}", ha="center")
+    _draw_events(tnt, window, u, v, kept)
+    _frame(tnt, window, config.grid, "u", "v")
+    words = f"after TNT ({transform_words(config)}): {int(kept.sum()):,} events kept"
+    write_at(figure, 7.8, 0.7, words, ha="center")
     polarity_legend(figure)
 
 
@@ -48,23 +54,7 @@ def transform_words(config: TNTConfig) -> str:
     return f"{config.landmark}{flow}, t_max {config.t_max:g}"
 
 
-def draw_raw(axes: Any, window: Window) -> int:
-    """Draw a window's events (x, y, t) into 3-D axes, in sensor pixels; returns how many there are."""
-    events = window.events
-    _scatter(axes, window, events["x"], events["y"], np.ones(events.size, bool))
-    _frame(axes, window, window.subject.config.sensor, "x", "y")
-    return events.size
-
-
-def draw_transformed(axes: Any, window: Window) -> int:
-    """Draw a window's kept events (u, v, t) into 3-D axes, in grid pixels; returns how many there are."""
-    u, v, kept, _ = window.coordinates()
-    _scatter(axes, window, u, v, kept)
-    _frame(axes, window, window.subject.config.grid, "u", "v")
-    return int(kept.sum())
-
-
-def _scatter(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
+def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
     """Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of moments."""
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
@@ -168,13 +158,13 @@ def colour_limit(cells: np.ndarray) -> float:
     return float(np.quantile(used, 0.98)) if used.size else 1.0
 
 
-def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float, **settings: Any) -> AxesImage:
+def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float) -> AxesImage:
     """One bin, shape (H, W), in the colours of the polarity."""
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set(visible=True, color=PALE)
     signed = colours == "signed"
     shades = colour_map(*(OFF_TO_ON if signed else ("#ffffff", INK[colours])))
-    return axes.imshow(cells, cmap=shades, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto", **settings)
+    return axes.imshow(cells, cmap=shades, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto")
 
 
 def bin_ms(config: TNTConfig, k: int) -> str:
