@@ -10,7 +10,7 @@ from concurrent.futures import CancelledError
 from multiprocessing import connection
 from typing import Any, TypeVar
 
-from async_tnt.checks import needs_extra
+from async_tnt.checks import needs_extra, one_line
 from async_tnt.sources.worker import Worker, WorkerEnded
 
 Task = TypeVar("Task")
@@ -136,10 +136,9 @@ def _connected(address: str) -> Iterator[Any]:
         try:
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
         except Exception as error:  # of many types, depending on what is wrong with the address
-            why = " ".join(str(error).split()) or type(error).__name__
             raise ConnectionError(
                 f"no Dask scheduler answers at {address!r}; expected the address that `dask scheduler` prints, such as "
-                f"tcp://10.0.0.1:8786 ({why})"
+                f"tcp://10.0.0.1:8786 ({one_line(error)})"
             ) from None
         with contextlib.closing(client):
             yield client

@@ -54,7 +54,7 @@ def collect(
     out = check_writable(out)
     job = tasks[0].job
     wanted = {task.recording: task for task in tasks}
-    with ResultFile(out, job, restart=restart) as file:
+    with contextlib.closing(ResultFile(out, job, restart=restart)) as file:
         good = {name: record for name, record in file.records.items() if record["error"] is None}
         of_file = {name: (good[name]["bytes"], good[name]["modified_ns"], good[name]["class"]) for name in good}
         to_do = [task for task in tasks if of_file.get(task.recording) != (task.bytes, task.modified_ns, task.label)]
@@ -84,7 +84,7 @@ def collect(
 
 
 class ResultFile:
-    """A result file that is being written; locked until it is closed.
+    """A result file that is being written; locked until `close`.
 
     Parameters
     ----------
@@ -112,12 +112,6 @@ class ResultFile:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> ResultFile:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def append(self, record: Record) -> None:
         """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 
@@ -73,7 +74,7 @@ def finished(tasks, tmp_path):
 @pytest.fixture
 def unfinished(tmp_path):
     """A result of three recordings that was interrupted; one of them, b, has two lines."""
-    with ResultFile(tmp_path / "r.jsonl", JOB) as file:
+    with closing(ResultFile(tmp_path / "r.jsonl", JOB)) as file:
         for late, task in enumerate(make_tasks(tmp_path / "set", ["b", "a", "ccc", "b"])):
             file.append(record_of(task) | {"late": late})
     return tmp_path / "r.jsonl"
@@ -151,12 +152,12 @@ def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
                 ResultFile(unfinished, JOB, restart=restart)
         assert unfinished.read_bytes() == content
     unfinished.write_bytes(b"".join(lines))
-    with ResultFile(unfinished, JOB, restart=True) as file:
+    with closing(ResultFile(unfinished, JOB, restart=True)) as file:
         assert not file.records
 
 
 def test_two_programs_at_once_are_refused(unfinished):
-    with ResultFile(unfinished, JOB), pytest.raises(OSError, match=r"r\.\w+: another program is writing it"):
+    with closing(ResultFile(unfinished, JOB)), pytest.raises(OSError, match=r"r\.\w+: another program is writing it"):
         ResultFile(unfinished, JOB)
     ResultFile(unfinished, JOB).close()
 
