@@ -17,11 +17,12 @@ from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
-from async_tnt.checks import positive_int, whole_number
+from async_tnt.checks import whole_number
 from async_tnt.sources.datagrams import Decoder
 
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
+MAX_DATAGRAMS = 64  # in one packet
 WARN_AFTER = 1000  # malformed events without a single good one, after which a warning names possible reasons
 LONGEST_S = 1e6  # the system sleeps for no longer than some weeks
 
@@ -53,10 +54,10 @@ class NetworkCounts:
 class UdpSource:
     """Listens for datagrams of events.
 
-    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of all datagrams that were waiting,
-    or of the one that ended a wait. It ends when `close` is called, from any thread, or after `timeout_s` of silence.
-    Invalid events never raise; they are dropped, see `counts`. One thread iterates at a time; asyncio reads it through
-    a `BackgroundReader`.
+    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of the datagrams that were waiting,
+    64 at most, or of the one that ended a wait. It ends when `close` is called, from any thread, or after `timeout_s`
+    of silence. Invalid events never raise; they are dropped, see `counts`. One thread iterates at a time; asyncio reads
+    it through a `BackgroundReader`.
 
     Parameters
     ----------
@@ -65,7 +66,6 @@ class UdpSource:
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
     buffer_bytes : receive buffer to ask the system for; the attribute has what it gives.
     timeout_s : silence, in seconds, below 1e6, after which iterating ends; None waits forever.
-    max_datagrams : in one packet, at most.
     max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
         starts again. None: every time is trusted.
 
@@ -93,7 +93,6 @@ class UdpSource:
         *,
         buffer_bytes: int = 1 << 22,
         timeout_s: float | None = None,
-        max_datagrams: int = 64,
         max_jump_s: float | None = 10.0,
     ) -> None:
         port = whole_number("port", port, 0, 1 << 16)
@@ -101,7 +100,6 @@ class UdpSource:
         if timeout_s is not None and not 0 < timeout_s < LONGEST_S:
             raise ValueError(f"`timeout_s` must be a positive number of seconds below {LONGEST_S:g}, got {timeout_s}")
         self.timeout_s = timeout_s
-        self.max_datagrams = positive_int("max_datagrams", max_datagrams)
         self.format, self.sensor = format, sensor
         self._decoder = Decoder(format, sensor, max_jump_s)
         self._memory = memoryview(bytearray(BATCH_BYTES))
@@ -163,7 +161,7 @@ class UdpSource:
     def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
         """The next packet; None if none came within `timeout_s` (None: wait forever) or the source was closed."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        most = self.max_datagrams
+        most = MAX_DATAGRAMS
         with self._reading:
             while not self._closed:
                 events = self._drain(most)

@@ -34,7 +34,7 @@ def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
         datagrams += [good[: len(good) - k % 3], rng.bytes(int(rng.integers(0, 300)))]
     decoder, got = Decoder(format, (34, 34)), []
     with (
-        listening(format=format, sensor=(34, 34), max_datagrams=8, max_jump_s=None) as source,
+        listening(format=format, sensor=(34, 34), max_jump_s=None) as source,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock,
     ):
         for k, datagram in enumerate(datagrams):
@@ -51,8 +51,9 @@ def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
     assert format == "spif" or counts.late == decoder.clock.late
 
 
-def test_many_datagrams_become_one_packet_up_to_the_limit():
-    source = listening(max_datagrams=8, sensor=(34, 34))
+def test_many_datagrams_become_one_packet_up_to_the_limit(monkeypatch):
+    monkeypatch.setattr("async_tnt.sources.udp.MAX_DATAGRAMS", 8)
+    source = listening(sensor=(34, 34))
     assert send(source.port, EVENTS[:2000]) == 20
     packets = list(source)
     source.close()
