@@ -192,8 +192,6 @@ def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 def hot_pixels(counts: np.ndarray) -> np.ndarray:
     """`learn_mask` from the `counts` of events: int64, shape (H, W)."""
     hot = np.zeros(counts.shape, bool)
-    if counts.size == 0:
-        return hot
     chance = math.log(counts.size / FALSE_ALARMS)
     rest = counts.copy()
     while True:

@@ -25,7 +25,7 @@ import numpy as np
 
 from async_tnt.checks import one_line
 from async_tnt.event_forms import NAMES, Four, named_columns, the_name
-from async_tnt.events import EVENT_DTYPE, checked_columns
+from async_tnt.events import checked_columns
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
@@ -119,13 +119,12 @@ def open_npz(path: Path) -> Source:
         with zipfile.ZipFile(path) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             sensor = _sensor(_read(archive, members.pop("sensor"))) if "sensor" in members else None
-            t, x, y, p = columns = _columns(*(_read(archive, info) for info in _event_members(members)))
+            columns = _columns(*(_read(archive, info) for info in _event_members(members)))
         sizes = [len(column) for column in columns]
         if len(set(sizes)) != 1:
             raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}")
-        parts = (slice(start, start + BLOCK_EVENTS) for start in range(0, len(t), BLOCK_EVENTS))
-        blocks = valid_blocks((t[part], x[part], y[part], p[part]) for part in parts)
-        events, problem = events_on_sensor(np.concatenate([np.empty(0, EVENT_DTYPE), *blocks]), sensor)
+        (checked,) = valid_blocks([columns])
+        events, problem = events_on_sensor(checked, sensor)
         if problem:
             raise CorruptData(problem)
     except Exception as error:  # a damaged archive raises exceptions of any type

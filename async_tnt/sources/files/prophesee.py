@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import structured
+from async_tnt.events import empty_columns, structured
 from async_tnt.kernels.evt import (
     INITIAL,
     ODD,
@@ -32,7 +32,6 @@ from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     CorruptData,
     Source,
-    block_columns,
     is_text,
     valid_events,
 )
@@ -138,7 +137,7 @@ class EvtSource(Source):
     def blocks(self) -> Iterator[np.ndarray]:
         decode, dtype, size = EVT_VERSIONS[self._version]
         state = np.array(INITIAL, np.int64)
-        columns = block_columns()
+        columns = empty_columns(BLOCK_EVENTS)[:4]
         n_events = 0
         with self.path.open("rb") as file:
             file.seek(self._start)

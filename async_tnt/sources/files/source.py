@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from async_tnt.event_forms import Four
-from async_tnt.events import EVENT_DTYPE, structured
+from async_tnt.events import structured
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.sources.sensor import Sensor
 
@@ -60,11 +60,6 @@ class ArraySource(Source):
     def blocks(self) -> Iterator[np.ndarray]:
         for start in range(0, len(self.events), BLOCK_EVENTS):
             yield self.events[start : start + BLOCK_EVENTS]
-
-
-def block_columns() -> tuple[np.ndarray, ...]:
-    """Columns t, x, y, p for a kernel to write one block of events to."""
-    return tuple(np.empty(BLOCK_EVENTS, EVENT_DTYPE[name]) for name in "txyp")
 
 
 def valid_events(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, str]:
