@@ -36,8 +36,7 @@ the bundled recordings, spread over the model's sensor if that is another. A qui
 """
 NEW_EVENTS = (1, 100, 1300)
 PACKET = 1000  # events
-COUNTS = {"rounds": (50, 3), "moments": (50, 5), "events": (2000, 300)}  # in full, with --quick; the last two of each
-# recording
+ROUNDS, MOMENTS, N_EVENTS = (50, 3), (50, 5), (2000, 300)  # in full, with --quick; the last two of each recording
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     model = load_model(args.model)
-    rounds, moments, n_events = (both[args.quick] for both in COUNTS.values())
+    rounds, moments, n_events = (both[args.quick] for both in (ROUNDS, MOMENTS, N_EVENTS))
     recordings, origin = _recordings_for(model.config.sensor)
     with progress(len(NEW_EVENTS) + 2, "compiling") as bar:
         warmup(model)

@@ -14,7 +14,7 @@ from async_tnt.cli.options import command_words, of_windows, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
-from async_tnt.cli.train_options import add_arguments, check_everywhere
+from async_tnt.cli.train_options import add_arguments
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
@@ -70,7 +70,9 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
     """Refuse options that do not go together, before anything is read."""
     from async_tnt.training.simulated_pictures import find_pictures
 
-    check_everywhere(args)
+    if args.everywhere and (args.teacher or args.motions != "recorded"):
+        name = "--teacher" if args.teacher else "--motions"
+        raise ValueError(f"{name} must come without --everywhere, which learns scenes from the beginning")
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
     if find_pictures(args.dataset):

@@ -133,16 +133,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument("--restart", action="store_true", help="begin again, instead of resuming what is there")
 
 
-def check_everywhere(args: argparse.Namespace) -> None:
-    """Refuse what does not go with --everywhere."""
-    if args.everywhere:
-        given = {"--teacher": args.teacher, "--motions": args.motions != "recorded"}
-        if some := [name for name, value in given.items() if value]:
-            raise ValueError(
-                f"{', '.join(some)} must come without --everywhere, which learns scenes from the beginning"
-            )
-
-
 def _range(text: str) -> tuple[float, float]:
     low, _, high = text.partition("-")
     try:
