@@ -113,18 +113,10 @@ def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Itera
         sensor; or without events.
     """
     recording, select = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
-    n_events = n_decisions = 0
     for packet in recording:
-        selected = select(packet)
-        decisions = processor.push(selected)
-        n_events += len(selected)
-        n_decisions += len(decisions)
-        yield from decisions
-    decisions = processor.finish()
-    yield from decisions
-    if not n_decisions + len(decisions):
-        if n_events:
-            raise ValueError("no event in any window, nothing to decide")
+        yield from processor.push(select(packet))
+    yield from processor.finish()
+    if not processor.counts.received:
         raise ValueError(pixels.nothing)
 
 
