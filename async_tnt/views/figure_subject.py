@@ -54,11 +54,6 @@ class Subject:
         """Milliseconds since the first window's start: cameras' clocks may start at any value."""
         return (t_us - self.first_us) / 1e3
 
-    @property
-    def raw_config(self) -> TNTConfig:
-        """The same volume without the transform."""
-        return self.config.replace(transform="none", landmark="center", remove_flow=False)
-
     def window(self, number: int) -> Window:
         """The `number`-th window, counted from 1; windows follow each other as in a stream.
 
@@ -106,8 +101,9 @@ class Window:
 
     def volumes(self) -> tuple[np.ndarray, np.ndarray]:
         """The raw and the transformed volume of the window: float32, shape (C, H, W) each."""
-        raw, tnt = (self._volume(config).array.copy() for config in (self.subject.raw_config, self.subject.config))
-        return raw, tnt
+        config = self.subject.config
+        raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
+        return self._volume(raw_config).array, self._volume(config).array
 
     def coordinates(self) -> Coordinates:
         """Where the transform puts each event: u = (x - l) / tau + c, where l is what the volume had for the event."""
