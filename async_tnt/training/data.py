@@ -166,9 +166,7 @@ def dataset_data(
     )
     notes.append(f"held out by {how}: {counted}")
     if how == BY_NUMBER and record["held_out_recordings"]:
-        notes.append(
-            "the first of them may follow the last learned ones within seconds; `groups` keeps such recordings together"
-        )
+        notes.append("the first of them may follow the last learned ones within seconds: such recordings need groups")
     single = [one for k, one in enumerate(dataset.classes) if counts[one] and k not in validating.labels]
     if single and validation:
         notes.append(f"not held out, as there is only one short recording, or one group of them: {', '.join(single)}")

@@ -211,5 +211,5 @@ def _geometry(file: Any) -> tuple[int, int] | None:
     geometry = file.attrs.get("geometry")
     if isinstance(geometry, bytes):
         geometry = geometry.decode("ascii", "replace")
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", geometry) if isinstance(geometry, str) else None
+    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", geometry) if isinstance(geometry, str) else None
     return (int(match[1]), int(match[2])) if match else None

@@ -109,3 +109,11 @@ def test_values_in_another_file_are_refused(tmp_path, name, how):
         assert name in file  # HDF5 itself would read it
     with pytest.raises(ValueError, match=r"^\S+ must be stored in the file itself, but "):
         next(read_hdf5(str(path)))
+
+
+@pytest.mark.parametrize("geometry, sensor", [("34x34", (34, 34)), (b"34x34", (34, 34)), ("0x0", None), ("wide", None)])
+def test_only_a_geometry_with_pixels_is_a_sensor(tmp_path, geometry, sensor):
+    metavision(tmp_path / "a.h5", EVENTS)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file.attrs["geometry"] = geometry
+    assert next(read_hdf5(str(tmp_path / "a.h5"))) == sensor
