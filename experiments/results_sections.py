@@ -257,8 +257,8 @@ SECTIONS = (
     Section(
         "What a machine sustains",
         "Streams in real time, in packets of a millisecond, through `KeepUp` with at most 50 ms: by load, the rate by "
-        "the one that takes a core. Delays from a packet's arrival to the end of its decisions.",
-        "experiments.sustained --json experiments/results/sustained.json",
+        "the one that takes a core, a minute each. Delays from a packet's arrival to the end of its decisions.",
+        "experiments.sustained --seconds 60 --json experiments/results/sustained.json",
         {streams.sustained: "Delays under load"},
     ),
     Section(
