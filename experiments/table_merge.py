@@ -22,7 +22,7 @@ def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     """The record `there` with the results of `new`; neither is changed. Its settings and machine are those of `new`."""
     record = {**there, **new}
     record |= {name: {**there[name], **new[name]} for name in BY_NAME}
-    record["command"] = "; ".join(dict.fromkeys([*there["command"].split("; "), new["command"]]))
+    record["command"] = "; ".join(dict.fromkeys([*there["command"].split("; "), *new["command"].split("; ")]))
     record["seeds"] = sorted({*there["seeds"], *new["seeds"]})
     table = {row: there["table"].get(row, {}) | new["table"].get(row, {}) for row in ROWS}
     record["table"] = {row: {c: of[c] for c in in_order(of)} for row, of in table.items() if of}

@@ -139,13 +139,28 @@ def test_statements_of_the_results_page_hold():
         of = {name: differences[f"{name}-translated", "raw-translated", column]["holm"] for name in names}
         assert {name for name, p in of.items() if p < 0.05} == {"mean_time", "time_surface"}
     effects = {(e["trained_on"], e["row"], e["effect"]): e for e in tables.results("table")["effects"]}
-    for effect, mean in zip([*list(FACTORS)[:2], list(FACTORS)[3]], (0.165, 0.120, 0.078), strict=True):
-        found = effects["all", "thesis-tnt", effect]
-        assert round(found["mean"], 3) == mean and found["holm"] < 0.05
+    polarity, start, _, distance = FACTORS
+    for row, effect, mean in (
+        ("thesis-tnt", polarity, 0.166),
+        ("thesis-tnt", start, 0.122),
+        ("thesis-tnt", distance, 0.079),
+        ("thesis-regress", start, 0.1),
+        ("thesis-regress", distance, 0.058),
+    ):
+        assert round(effects["all", row, effect]["mean"], 3) == mean and effects["all", row, effect]["holm"] < 0.05
+    assert not effects["all", "thesis-regress", polarity]["holm"] < 0.05
+    for name, low, high in (("centre bright", 0.034, 0.139), ("bell centre bright", 0.083, 0.206)):
+        found = differences["thesis-tnt", "thesis-baseline", f"all/{name}"]
+        assert (round(found["low"], 3), round(found["high"], 3)) == (low, high) and not found["holm"] < 0.05
+    for name in (name for name, (_, dark) in SETS.items() if not dark):
+        found = differences["thesis-regress", "thesis-baseline", f"all/{name}"]
+        assert found["mean"] < 0 and not found["holm"] < 0.05
     for row, against, column, mean in (
         ("thesis-regress", "thesis-baseline", "1/all", 0.048),
         ("thesis-regress", "thesis-baseline", "1/others", 0.079),
         ("raw-translated", "raw", "1/all", 0.078),
+        ("thesis-tnt", "thesis-baseline", "all/all", -0.015),
+        ("thesis-regress", "thesis-baseline", "all/all", -0.012),
     ):
         found = differences[row, against, column]
         assert round(found["mean"], 3) == mean and found["holm"] < 0.05
