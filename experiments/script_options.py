@@ -79,8 +79,8 @@ def run_script(
     except WorkDiffers as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
+    write_outputs(args, report, draw)  # first: measuring took minutes
     print_tables(report, name)
-    write_outputs(args, report, draw)
     return 0
 
 

@@ -17,7 +17,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from experiments.table_rows import COLUMNS, QUESTIONS, ROWS, SETS, THESIS
 
@@ -84,6 +83,8 @@ def interval(values: np.ndarray) -> dict[str, float]:
 
     At least two seeds and two digits.
     """
+    from scipy import stats  # here: scripts that only print tables need no SciPy
+
     mean = float(values.mean())
     parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]  # of digits, of seeds
     error = float(sum(parts)) ** 0.5
