@@ -29,11 +29,11 @@ SACCADES_DEG = {1: 75.0, 2: 308.0, 3: 183.0}
 """Directions of N-MNIST's saccades, by `nmnist_saccades`; y grows downwards."""
 
 
-def by_direction(per_motion: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+def by_direction(per_motion: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
     """Directions in radians, and the mean accuracy over their distances."""
     found: dict[int, list[float]] = {}
-    for motion, part in per_motion.items():
-        found.setdefault(int(motion[:3]), []).append(part["mean"])
+    for motion, accuracy in per_motion.items():
+        found.setdefault(int(motion[:3]), []).append(accuracy)
     directions = sorted(found)
     return np.radians(directions), np.array([np.mean(found[d]) for d in directions])
 

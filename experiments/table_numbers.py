@@ -34,9 +34,9 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
     Returns
     -------
-    {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion": {motion: {"mean",
-    "deviation"}}, "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the table's order. The
-    deviation is the sample's (n - 1), None for a single seed.
+    {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion": {motion: mean},
+    "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the table's order. The deviation is the
+    sample's (n - 1), None for a single seed.
     """
     runs = sorted(runs, key=lambda run: int(run["seed"]))
     table: dict[str, Any] = {}
@@ -49,12 +49,12 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
                 **summary([part["accuracy"] for part in found.values()]),
                 "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
                 "windows": some["windows"],
-                "per_motion": {
-                    m: summary([part["per_motion"][m] for part in found.values()]) for m in some["per_motion"]
-                },
-                "against_time_ms": {
-                    ms: float(np.mean([part["against_time_ms"][ms] for part in found.values()]))
-                    for ms in some["against_time_ms"]
+                **{
+                    name: {
+                        one: round(float(np.mean([part[name][one] for part in found.values()])), 5)
+                        for one in some[name]
+                    }
+                    for name in ("per_motion", "against_time_ms")
                 },
             }
     return table

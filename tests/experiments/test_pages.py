@@ -86,20 +86,20 @@ def test_every_difference_that_a_page_claims_holds_and_none_that_holds_is_left_o
     }
     assert claimed == holding and claimed
     page = (pages.ROOT / "docs/results.md").read_text(encoding="utf-8")
-    said = re.findall(
-        r"^- Trained on (all saccades|the first saccade), \*([^*]+)\* against (.+)\.$", page, re.MULTILINE
-    )
-    means = {(d["row"], d["column"]): d for d in recorded if d["against"] == "thesis-baseline"}
-    assert len(said) == len({(row, column.split("/")[0]) for row, column in means if column.split("/")[1] in SETS})
-    for trained_on, title, sentence in said:
-        on, shown = "1" if trained_on == "the first saccade" else "all", set()
-        for verb, listed in re.findall(r"(gains|loses|is not shown to differ) on ([^;]+)", sentence):
-            for name, mean in re.findall(r"\*([^*]+)\* ([+-]\.\d{3})", listed):
-                d = means[titles[title], f"{on}/{name}"]
-                claims = "is not shown to differ" if d["holm"] >= 0.05 else "gains" if d["mean"] > 0 else "loses"
-                assert (verb, mean) == (claims, signed(d["mean"])), (title, name)
-                shown.add(name)
-        assert shown == set(SETS)
+    [(n_asked, said)] = re.findall(r"of (\d+) differences on simulated sets these hold\. (.+)\.$", page, re.MULTILINE)
+    sentences = re.findall(r"Trained on ([^,]+), \*([^*]+)\* (gains|loses) on ([^.]+(?:\.\d{3}[^.]*)+)", said)
+    shown = {
+        (titles[title], f"{'all' if on == 'all saccades' else '1'}/{name}", mean, verb)
+        for on, title, verb, listed in sentences
+        for name, mean in re.findall(r"\*([^*]+)\* ([+-]\.\d{3})", listed)
+    }
+    asked = [d for d in recorded if d["against"] == "thesis-baseline" and d["column"].split("/")[1] in SETS]
+    assert len(asked) == int(n_asked)
+    assert shown == {
+        (d["row"], d["column"], signed(d["mean"]), "gains" if d["mean"] > 0 else "loses")
+        for d in asked
+        if d["holm"] < 0.05
+    }
 
 
 def test_statements_of_the_results_page_hold():
@@ -134,10 +134,18 @@ def test_statements_of_the_results_page_hold():
     assert [round(share, 3) for share in f1] == [0.983, 0.973, 0.984, 0.982, 0.963] and scenes["noise"] == 0
     assert round(tables.results("car_scenes")["models"][0]["cars"]["end"], 3) == 0.707
     differences = {(d["row"], d["against"], d["column"]): d for d in tables.results("table")["differences"]}
-    for column in ("1/all", "1/sim"):
+    for column, hold in (("1/all", {"time_surface"}), ("1/sim", {"mean_time", "time_surface"})):
         names = [name for name in (*INPUTS, *IMAGES) if name != "raw"]
         of = {name: differences[f"{name}-translated", "raw-translated", column]["holm"] for name in names}
-        assert {name for name, p in of.items() if p < 0.05} == {"mean_time", "time_surface"}
+        assert {name for name, p in of.items() if p < 0.05} == hold
+    for row, against, n_columns, held in (("line", "raw", 22, 17), ("line-translated", "raw-translated", 22, 6)):
+        of_pair = [d for key, d in differences.items() if key[:2] == (row, against)]
+        gains = [d["mean"] > 0 for d in of_pair if d["holm"] < 0.05]
+        assert len(of_pair) == n_columns and len(gains) == held and all(gains)
+    moved = [d for key, d in differences.items() if key[0] == "line-translated" and d["holm"] < 0.05]
+    bright = [d for d in moved if d["against"] == "raw-translated"]
+    assert all(d["column"].endswith(" bright") for d in bright)
+    assert [round(f(d["mean"] for d in bright), 3) for f in (min, max)] == [0.136, 0.174]
     effects = {(e["trained_on"], e["row"], e["effect"]): e for e in tables.results("table")["effects"]}
     polarity, start, _, distance = FACTORS
     for row, effect, mean in (
@@ -158,7 +166,9 @@ def test_statements_of_the_results_page_hold():
     for row, against, column, mean in (
         ("thesis-regress", "thesis-baseline", "1/all", 0.048),
         ("thesis-regress", "thesis-baseline", "1/others", 0.079),
-        ("raw-translated", "raw", "1/all", 0.078),
+        ("raw-translated", "raw", "1/all", 0.093),
+        ("line", "raw", "all/centre bright", 0.277),
+        ("center-1000-events", "center", "all/centre bright", 0.247),
         ("thesis-tnt", "thesis-baseline", "all/all", -0.015),
         ("thesis-regress", "thesis-baseline", "all/all", -0.012),
     ):
