@@ -290,7 +290,8 @@ def _number(found, n, tracks, time_us, keep):
     kept = 0
     for j in range(n_known):
         if not taken[j] and time_us - tracks[KNOWN + j, 3] <= tracks[0, MEMORY_US]:
-            tracks[KNOWN + kept] = tracks[KNOWN + j]
+            for k in range(tracks.shape[1]):  # a slice would take seconds to compile: it may overlap
+                tracks[KNOWN + kept, k] = tracks[KNOWN + j, k]
             kept += 1
     for i in range(min(n, MOST_TRACKED, len(tracks) - KNOWN - kept)):
         row = tracks[KNOWN + kept]
