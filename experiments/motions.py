@@ -1,6 +1,6 @@
 """The motions of N-MOVING-MNIST: 10 directions x 3 distances, the same for every digit.
 
-The thesis moves each digit of MNIST in 30 ways, but gives neither directions nor magnitudes. Ours are
+The thesis has 30 motions, in one place "30 motion directions", and names neither directions nor magnitudes. Ours are
 directions of 0, 36, ... 324 degrees (0 to the right, 90 downwards: y grows downwards) and distances of 3, 5
 and 8 pixels in one window of 105 ms, 29 to 76 px/s. N-MNIST's own saccades cover about 5 px in such a window.
 Each motion is a straight line through the centre at half time, so the mean position of a digit is the same for all

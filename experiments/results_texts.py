@@ -61,9 +61,9 @@ mean is that of the seeds' means by S and that of the digits' means by I, as in 
 if it does so by Holm's method at .05 among all of its question, in all columns. With five seeds only large ones do.
 `results/table.json` has all settings, seeds, columns, differences and p.
 
-The thesis' rows trained on all saccades, and those with re-synthesis and their controls, were trained on processors;
-all others on GPUs, by the same steps captured as CUDA graphs, in 32 bits. The first steps on either agree to four
-digits. Not tested in simulated motions: TNT+regress after 60,000 steps."""
+All rows of 3,000 and 60,000 steps, and TNT+regress trained on 1, were trained on a GPU, by the same steps captured as
+CUDA graphs, in 32 bits; the others on CPUs. The first steps agree to four digits. Not tested in simulated motions:
+TNT+regress after 60,000 steps."""
 
 MOTIONS = """\
 All networks are trained for 8,000 steps; the motions of a row are made once, for all seeds. *confounded*: each digit

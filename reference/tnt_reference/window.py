@@ -55,7 +55,7 @@ def window_events(
 
 
 def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[torch.Tensor]:
-    """A stream in windows of n events, one of the thesis' two ways of slicing.
+    """A stream in windows of n events.
 
     In order of arrival: a window begins with an event, and ends with its n-th, or before an event `window_us` or more
     after its first. An event older than the first one of its window belongs to no window.
@@ -69,10 +69,6 @@ def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[t
     Returns
     -------
     list of int64 tensors: the indices of each window's events. Only the last window may be unfinished.
-
-    References
-    ----------
-    Wang 2019, arXiv:1911.12801.
 
     Example
     -------
