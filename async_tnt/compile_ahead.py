@@ -53,7 +53,9 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
         names |= REPLAY
     if config is None or config.needs_regressor:
         names |= REGRESSOR
-    if config is None or isinstance(model, Model):
+    if config is None or (isinstance(model, Model) and model.places is not None):
+        names |= LOCATOR | {"locate_on_map"}
+    if config is None or (isinstance(model, Model) and model.places is None):
         names |= CLASSIFIER | WHOLE_NETWORK | {"absorb_and_decide"}
     fill_cache(names)
     compile_kernels(names)
@@ -112,7 +114,7 @@ def fill_cache(names: Iterable[str] = EVENTS | CLASSIFIER) -> None:
         return
     print("async_tnt: compiling kernels, once on this machine (10 to 20 s) ...", file=sys.stderr, flush=True)
     # the network's kernels and those for events have nothing in common; `absorb_and_decide` has both
-    network = _in_order((CLASSIFIER | REGRESSOR).intersection(names))
+    network = _in_order((CLASSIFIER | LOCATOR | REGRESSOR).intersection(names))
     child = _start_child(network) if network else None
     if child is None:
         return

@@ -12,7 +12,7 @@ STREAMS = """
 import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from async_tnt import CompiledClassifier, EVENT_DTYPE, Processor, TNTConfig, warmup
+from async_tnt import CompiledClassifier, EVENT_DTYPE, Processor, TNTConfig, load_model, warmup
 from made import random_model
 
 def compiled():
@@ -51,6 +51,8 @@ for model in MODELS.values():
     stream_all(model)
     CompiledClassifier(model)(np.zeros(model.config.shape))
 stream_all(MODELS["running"].config, classifier=lambda volume: [0.0])
+finder = Processor(load_model("digits-everywhere"), every_events=1)
+finder.push(columns), finder.fire()
 """,
     "warmup_for_a_model_and_for_a_configuration": """
 warmup(MODELS["regressor"])
