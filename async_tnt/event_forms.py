@@ -105,7 +105,7 @@ def event_columns(table: Any, order: str) -> Four:
     if not any(_signs(columns)):
         for other in permutations("txyp"):
             if other.index("x") < other.index("y") and all(_signs(dict(zip(other, array.T, strict=True)))):
-                raise ValueError(f"the columns of `table` are not {order!r}; they look like {''.join(other)!r}")
+                raise ValueError(f"the columns are not {order!r}; they look like {''.join(other)!r}")
     for field, column in columns.items():
         if column.dtype.kind == "f":
             whole = np.rint(column)

@@ -95,12 +95,13 @@ def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
             columns, rows = reader.fieldnames or (), list(reader)
     except (ValueError, csv.Error) as error:
         raise ValueError(f"{path}: not a table of comma-separated values: {error}") from None
-    if missing := [name for name in ("t", "class", "x", "y") if name not in columns]:
+    of_boxes = {"w", "h", "width", "height"}.intersection(name.strip().lower() for name in columns)
+    if missing := [name for name in ("t", "class", "x", "y", *("wh" if of_boxes else "")) if name not in columns]:
         raise ValueError(f"{path}: needs the columns t, class, x, y (and w, h of boxes), lacks {', '.join(missing)}")
     try:
         t = np.array([int(row["t"]) for row in rows], np.int64)
         corner = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)
-        size = np.array([(float(row.get("w") or 0), float(row.get("h") or 0)) for row in rows]).reshape(-1, 2)
+        size = np.array([(float(row.get("w", 0)), float(row.get("h", 0))) for row in rows]).reshape(-1, 2)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: t must be whole microseconds, x, y, w and h numbers: {error}") from None
     return np.array([str(row["class"]) for row in rows], object), t, corner, size

@@ -107,15 +107,14 @@ def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901 (one loop: a cal
         kind, value = word >> 12, word & 4095
         if kind == 0:
             state[ROW] = value & 2047
-        elif kind == 2 or kind == 3:
-            state[POLARITY] = value >> 11
-            if kind == 3:
-                state[BASE] = value & 2047
-            elif state[HIGH] < 0 or state[ROW] < 0:
+        elif kind == 3:
+            state[BASE], state[POLARITY] = value & 2047, value >> 11
+        elif kind == 2:
+            if state[HIGH] < 0 or state[ROW] < 0:
                 state[UNPLACED] += 1
             else:
                 t[n], x[n] = state[HIGH] << 12 | state[LOW], value & 2047
-                y[n], p[n] = state[ROW], state[POLARITY]
+                y[n], p[n] = state[ROW], value >> 11
                 n += 1
         elif kind == 4 or kind == 5:
             length = 12 if kind == 4 else 8

@@ -75,11 +75,13 @@ def _of_other_program(path: Path, config: Path) -> Engine:
         classes = tuple(map(str, given["classes"])) if given.get("classes") is not None else None
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
-        raise ValueError(f"{config}: expected a JSON object with `config`, and maybe `classes`: {what}") from None
+        raise ValueError(f'{config}: expected a JSON object with "config", and maybe "classes": {what}') from None
     try:
         model = load_model(path, config=volume, classes=classes)
+    except TypeError as error:  # the file has its own
+        raise ValueError(one_line(error)) from None
     except NotImplementedError:
-        network = OnnxClassifier(path)
+        network = OnnxClassifier(path, shape=volume.shape)
         names = classes or tuple(map(str, range(network.n_classes)))
         return Engine(volume, names, {"classifier": network})
     return Engine(model, model.classes)

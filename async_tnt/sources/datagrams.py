@@ -25,6 +25,7 @@ from async_tnt.kernels.clock import NO_LIMIT
 from async_tnt.kernels.datagrams import ARGUMENTS, SPIF, SPIF_T32, T32, T64, decode_events
 from async_tnt.kernels.jit import compile_only
 from async_tnt.sources.clock import Clock
+from async_tnt.sources.sensor import checked_sensor
 
 EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
 """Format -> bytes of one event."""
@@ -108,7 +109,7 @@ class Decoder:
         self.clock = Clock(max_jump_s)
         compile_only(decode_events, *ARGUMENTS)
         self.event_bytes = EVENT_BYTES[format]
-        self.sensor = sensor
+        self.sensor = sensor = None if sensor is None else checked_sensor(sensor)
         self.malformed = self.off_sensor = 0
         self._kind = _KIND[format]
         self._width, self._height = sensor or (1 << 16, 1 << 16)

@@ -11,6 +11,7 @@ import csv
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from async_tnt.sources.files.recording import READERS
@@ -23,6 +24,7 @@ COLUMNS = {
 }
 NAMES_FILE = "gesture_mapping.csv"
 LISTS = {"Train": "trials_to_train.txt", "Test": "trials_to_test.txt"}
+TEXTS = ".csv", ".txt"  # may be notes
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,9 @@ def _sessions(folder: Path) -> dict[Path, Path]:
     """Recording -> its table."""
     tables = {path.name.removesuffix(TABLE): path for path in folder.glob(f"*{TABLE}") if path.is_file()}
     recordings = [path for path in sorted(folder.iterdir()) if path.stem in tables and is_recording(path)]
+    for one, other in pairwise(path for path in recordings if path.suffix.lower() not in TEXTS):
+        if one.stem == other.stem:
+            raise ValueError(f"{folder}: {one.name} and {other.name} have one table; keep one of them there")
     return {path: tables[path.stem] for path in recordings}
 
 
@@ -186,8 +191,7 @@ def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: li
 
 def _unlabelled(folder: Path) -> list[Path]:
     """Files that can only be recordings."""
-    texts = (".csv", ".txt")
-    return sorted(p for p in folder.iterdir() if is_recording(p) and p.is_file() and p.suffix.lower() not in texts)
+    return sorted(p for p in folder.iterdir() if is_recording(p) and p.is_file() and p.suffix.lower() not in TEXTS)
 
 
 def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
@@ -224,6 +228,8 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
             if not 0 <= between[0] < between[1] or not row["class"]:
                 got = ", ".join(row.values())
                 raise ValueError(f"{table}: line {number}: expected a class, and whole start < end in us, got {got}")
+            if names and row["class"] not in names:
+                raise ValueError(f"{table}: line {number}: {NAMES_FILE} does not name class {row['class']}")
             if (path, between) in seen:
                 raise ValueError(f"{table}: line {number}: {between[0]} to {between[1]} us is there twice")
             seen.add((path, between))

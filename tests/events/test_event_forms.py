@@ -180,9 +180,7 @@ def test_plain_arrays_whose_order_is_stated(order):
             if wrong.index("t") == order.index("t") and wrong.index("p") == order.index("p"):
                 continue  # x for y cannot be seen
             named = order if order.index("x") < order.index("y") else order.translate(str.maketrans("xy", "yx"))
-            with pytest.raises(
-                ValueError, match=f"^the columns of `table` are not '{wrong}'; they look like '{named}'$"
-            ):
+            with pytest.raises(ValueError, match=f"^the columns are not '{wrong}'; they look like '{named}'$"):
                 event_columns(table, wrong)
 
 

@@ -53,10 +53,8 @@ def node(op, inputs="x", output="y", **attributes):
     return onnx.helper.make_node(op, names, output.split(), **attributes)
 
 
-def write_onnx(path, nodes, constants=None, output="y", opset=13):
-    content = network(
-        nodes, inputs=[("x", (1, 2, 6, 5))], outputs=[(output, ("a", "b"))], weights=constants, opset=opset
-    )
+def write_onnx(path, nodes, constants=None, output="y", opset=13, shape=(1, 2, 6, 5)):
+    content = network(nodes, inputs=[("x", shape)], outputs=[(output, ("a", "b"))], weights=constants, opset=opset)
     path.write_bytes(content)
     return path
 
@@ -147,13 +145,20 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     config.write_text(json.dumps({"config": small.to_dict()}))
     engine = choose_engine(other, config=config)
     assert (list(engine.networks), engine.model, len(engine.classes)) == (["classifier"], small, 60)
+    layers = [node("Sin", "x", "s"), node("GlobalAveragePool", "s", "g"), node("Flatten", "g")]
+    open_sides = write_onnx(tmp_path / "open.onnx", layers, shape=("n", 2, "h", "w"))
+    assert len(choose_engine(open_sides, config=config).classes) == 2
+    ours = tmp_path / "ours.onnx"
+    ours.write_bytes(to_onnx(load_model("digits")).SerializeToString())
+    with pytest.raises(ValueError, match=r"for networks of other programs; .*ours.onnx has its own"):
+        choose_engine(ours, config=config)
 
     np.save(tmp_path / "a.npy", random_events(300, sensor=(5, 6)))
     code, out, _ = program("run", tmp_path / "a.npy", "--model", other, "--config", config)
     assert code == 0 and "a.npy: " in out
     for content, message in (
-        ("{", "net.json: expected a JSON object with --config, and maybe `classes`: "),
-        ("{}", "expected a JSON object with --config, and maybe `classes`: no 'config'"),
+        ("{", 'net.json: expected a JSON object with "config", and maybe "classes": '),
+        ("{}", 'expected a JSON object with "config", and maybe "classes": no \'config\''),
         ('{"config": {"bin": 5}}', "unknown configuration bin; known: "),
     ):
         config.write_text(content)

@@ -72,6 +72,9 @@ def test_what_a_format_cannot_hold_is_refused():
     for call in (lambda: encode(EVENT, "aer"), lambda: Decoder("aer")):
         with pytest.raises(ValueError, match=r"`format` must be one of t64_x16_y16_on8, .*, got 'aer'"):
             call()
+    for sensor in ((0, 5), (34.5, 34), "ab"):
+        with pytest.raises(ValueError, match="`sensor` must"):
+            Decoder(sensor=sensor)
 
 
 @given(

@@ -96,6 +96,9 @@ def test_the_files_of_dvs128_gesture(tmp_path):
     data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
     assert [name[:6] for name in data.training.recordings.names] == ["user01"] * 2
     assert [name[:6] for name in data.tests["test"][0].recordings.names] == ["user02"] * 2
+    (tmp_path / "gesture_mapping.csv").write_text("action,label\nhand_clapping,2\nair_guitar,010\n")
+    with pytest.raises(ValueError, match=r"line 3: gesture_mapping.csv does not name class 10"):
+        find_recordings(tmp_path)
     (tmp_path / "trials_to_test.txt").write_text("\ufeffuser02_lab.aedat\r\n user 07.aedat \r\n")
     with pytest.raises(
         ValueError, match=r"trials_to_test.txt names user 07.aedat, which is not there, or has no table"
@@ -109,6 +112,10 @@ def test_only_texts_and_the_other_part_may_lie_beside_sessions(tmp_path):
     write_session(tmp_path / "Test", "c", ("flat",))
     (tmp_path / "notes.csv").touch()
     assert find_recordings(tmp_path) == found and find_recordings(tmp_path, "Test").keys() == {"flat"}
+    (tmp_path / "a.npy").touch()
+    with pytest.raises(ValueError, match=r"a\.npy and a\.npz have one table"):
+        find_recordings(tmp_path)
+    (tmp_path / "a.npy").unlink()
     write(tmp_path / "b.npz", part("flat", 0, 0))
     with pytest.raises(ValueError, match=r"b\.npz has no table b_labels\.csv, as others have"):
         find_recordings(tmp_path)

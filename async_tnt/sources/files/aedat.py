@@ -8,8 +8,8 @@ All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that 
           DVS128   bit 0: 0 is ON; 1-7: x; 8-14: y; 15: not a pixel
           DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
 
-      A DAVIS' addresses count x from the right and y from the bottom (jAER, DavisBaseCamera): both are turned round.
-      A DVS128's addresses are x and y. The clock wraps after 71.6 minutes; times are unwrapped.
+      Addresses count x from the right and y from the bottom (jAER, DavisBaseCamera and DVS128): both are turned round.
+      Of a file that names no camera they are x and y. The clock wraps after 71.6 minutes; times are unwrapped.
 3.1   up to `#!END-HEADER`, with a line `#Source 1: DVS128`; then packets, little-endian, of 28 bytes of header (16 bits
       each: type, source; 32 bits each: size of an event, place of the time in it, overflows of the clock, capacity,
       events, valid events) and their events. Those of type 1 are of pixels:
@@ -89,8 +89,9 @@ class Aedat2Source(Source):
         if self.sensor is not None and self._camera.startswith("DAVIS"):
             x, y = self.sensor[0] - 1 - (address >> 12 & 0x3FF), self.sensor[1] - 1 - (address >> 22 & 0x1FF)
             return x, y, address >> 11 & 1, address & 0x8000_0400 == 0
-        x = np.where(address >> 16 == 0, address >> 1 & 0x7F, -1)
-        return x, address >> 8 & 0x7F, 1 - (address & 1), address & 0x8000 == 0
+        turned = 0 if self.sensor is None else 0x7F  # 127 - n
+        x = np.where(address >> 16 == 0, (address >> 1 & 0x7F) ^ turned, -1)
+        return x, (address >> 8 & 0x7F) ^ turned, 1 - (address & 1), address & 0x8000 == 0
 
 
 class Aedat3Source(Source):

@@ -24,7 +24,7 @@ from typing import IO
 import numpy as np
 
 from async_tnt.checks import one_line
-from async_tnt.event_forms import NAMES, Four, named_columns, the_name
+from async_tnt.event_forms import NAMES, Four, event_columns, named_columns, the_name
 from async_tnt.events import checked_columns
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
@@ -94,7 +94,9 @@ class NpySource(Source):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._n_events = len(_columns(map_npy(path))[0])
+        array = map_npy(path)
+        _columns(array[:BLOCK_EVENTS] if array.ndim else array)
+        self._n_events = len(array)
 
     def blocks(self) -> Iterator[np.ndarray]:
         # mapped again for each block: pages that were read stay in memory as long as their map does
@@ -176,7 +178,7 @@ def _columns(*arrays: np.ndarray) -> Four:
                 "expected a structured array with fields t, x, y, p or an (N, 4) array of those columns, "
                 f"got shape {array.shape} of {array.dtype}"
             )
-        arrays = tuple(array.T)
+        arrays = event_columns(array, "txyp") if array.dtype.kind in "iu" else tuple(array.T)
     columns = named_columns(arrays if len(arrays) > 1 else array) or (np.empty(0, np.int64),) * 4
     if not all(c.ndim == 1 and c.dtype.kind in ("iub" if i == 3 else "iu") for i, c in enumerate(columns)):
         t, x, y, p = (column[:0] if column.ndim == 1 else column for column in columns)

@@ -184,7 +184,8 @@ def open_uzh_text(path: Path) -> Source:
         elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
             raise ValueError(f"{path}: expected {UZH_ROW}, or first `width height`, got {text[:80]!r} at line {line}")
         times = [row.text.split()[0] for row in rows[1 if sensor else 0 :]]
-        if len(times) > 1 and all(time.isdecimal() for time in times) and any(int(time) for time in times):
+        whole = [float(time) for time in times if _NUMBER.fullmatch(time) and float(time).is_integer()]
+        if len(whole) == len(times) > 1 and any(whole):
             raise ValueError(
                 f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, {times[1]}, ...); "
                 "if they are microseconds, write t,x,y,p with commas: CSV's times are microseconds"
@@ -206,7 +207,7 @@ def open_csv(path: Path) -> Source:
             f"{path}: expected at least four columns with commas, semicolons or tabs between them, "
             f"got {text[:80]!r} at line {line}"
         )
-    comments = [_split(row.text.lstrip("".join(COMMENTS)))[1] for row in rows[: rows.index(first)]]
+    comments = [_names_in(row.text.lstrip("".join(COMMENTS)), len(columns)) for row in rows[: rows.index(first)]]
     header = next(filter(_is_header, reversed(comments)), None)  # a comment may be one: `# x,y,p,t`
     if header is None and any(re.search("[A-Za-z]", column) for column in columns[:2]):
         header = columns
@@ -236,6 +237,12 @@ def _split(text: str) -> tuple[str, list[str]]:
     """The separator that a row has most of, and its columns in lower case."""
     separator = max(SEPARATORS, key=text.count)
     return separator, [column.strip(" \r\"'").lower() for column in text.split(separator)]
+
+
+def _names_in(comment: str, n_columns: int) -> list[str]:
+    """The columns that a comment may name, with the separators of rows or with blanks: `# x,y,p,t`, `# x y p t`."""
+    by_blanks = comment.lower().split()
+    return by_blanks if len(by_blanks) == n_columns else _split(comment)[1]
 
 
 def _is_header(columns: list[str]) -> bool:

@@ -124,6 +124,7 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ("a.es", b"Event Stream\x02\x00\x00\x00", "not a readable ES file: expected DVS or ATIS events, got generic"),
         ("a.txt", b"hello", "expected `t x y p`, t in seconds, or first `width height`, got 'hello'"),
         ("a.txt", b"12 1 2 1\n13 1 2 1\n", r"must be seconds with decimals, got whole numbers \(12, 13, ...\)"),
+        ("a.txt", b"1000.0 1 2 1\n1.25e3 1 2 1\n", r"with decimals, got whole numbers \(1000.0, 1.25e3, ...\)"),
         ("a.txt", b"240 18", "the file ends in its first line, '240 18'"),
         ("a.csv", b"t x y p\n", "at least four columns with commas, semicolons or tabs .* got 't x y p' at line 1"),
         ("a.csv", b"t,x,y,q\n", r"the header must name t\|ts\|timestamp, x, y, p\|on\|polarity\|pol; got 't,x,y,q'"),

@@ -82,12 +82,16 @@ def test_every_bit_of_a_pixel_is_read(tmp_path, name):
     np.testing.assert_array_equal(open_recording(capitals).read(), events)
 
 
-def test_a_davis_address_by_hand(tmp_path):
-    """240 x 180: the address (50, 20) is 50 from the right and 20 from the bottom."""
-    address = 20 << 22 | 50 << 12 | 1 << 11
-    header = b"#!AER-DAT2.0\r\n# AEChip: DAViS240C\r\n"
-    (tmp_path / "a.aedat").write_bytes(header + struct.pack(">II", address, 7))
-    assert open_recording(tmp_path / "a.aedat").read().tolist() == [(7, 189, 159, 1)]
+def test_addresses_of_cameras_by_hand(tmp_path):
+    """The address (50, 20) is 50 from the right and 20 from the bottom; where no camera is named it is as it is."""
+    of_davis, of_dvs128 = 20 << 22 | 50 << 12 | 1 << 11, 20 << 8 | 50 << 1
+    for chip, address, pixel in (
+        ("# AEChip: DAViS240C\r\n", of_davis, (189, 159)),
+        ("# AEChip: eu.DVS128\r\n", of_dvs128, (77, 107)),
+        ("", of_dvs128, (50, 20)),
+    ):
+        (tmp_path / "a.aedat").write_bytes(f"#!AER-DAT2.0\r\n{chip}".encode() + struct.pack(">II", address, 7))
+        assert open_recording(tmp_path / "a.aedat").read().tolist() == [(7, *pixel, 1)]
 
 
 def test_atis_events_of_changing_light_by_hand(tmp_path):

@@ -54,6 +54,7 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(tmp
         (COLUMNS | {"sensor": np.array([0, 260])}, "`sensor` must be two positive integers"),
         ({"t": EVENTS["t"], "x": EVENTS["x"]}, r"`events`, or t, x, y and p; got \['t', 'x'\]"),
         (np.zeros((3, 5), int), r"an \(N, 4\) array of those columns, got shape \(3, 5\) of int64"),
+        (np.array([[5, 4, 100, 1], [4, 5, 200, 0]]), "the columns are not 'txyp'; they look like 'xytp'"),
         (EVENTS[["t", "x", "y"]], "need a field `p` .one of p, on, polarity, pol., got a structured array with fields"),
     ],
 )

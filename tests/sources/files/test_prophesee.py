@@ -64,6 +64,7 @@ HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0
         ([HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5], [(t, 5, 9, 0) for t in (8191, 8192, 8195)]),
         ([0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5], [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)]),  # back
         ([HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081], [(4101, x, 9, 0) for x in (100, 111, 112, 119)]),
+        ([HIGH, ROW, BASE7 | 0x800, X5, VECTOR12], [(4096, 5, 9, 0), (4096, 7, 9, 1)]),  # polarity is the base's
         ([HIGH, ROW, 0x3000 | 2036, 0x4800], [(4096, 2047, 9, 0)]),  # the last column
         ([HIGH, ROW, 0x3000 | 2037, 0x4800], None),
     ],

@@ -93,6 +93,7 @@ def test_a_row_that_no_event_can_be_is_damage(text, row):
         "id,x,y,on,t,name\nabc,1,2,True,7,some-one\n",
         '"t","x","y","pol"\n7.0,1,2,1\n',
         "# y;x;p;t\n2;1;1;7\n",
+        "# y x p t\n2,1,1,7\n",
         "t,x,y,p\n7,1,2,1",  # a polarity without a line end is whole; another number may have lost digits
     ],
 )
