@@ -131,6 +131,6 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         raise ValueError(f"{args.model}: windows of a duration can be drawn, but not of {config.window_events} events")
     if config.representation in TIME_IMAGES:
         raise ValueError(f"{args.model}: event volumes and counts can be drawn, but not {config.representation}")
-    if config.transform == "none":
-        changes["transform"] = "tnt"
+    if changes.setdefault("transform", "tnt") != "tnt":
+        raise ValueError("--volume transform=none: the volume without the transform is drawn anyway, beside the other")
     return config.replace(**changes)

@@ -14,7 +14,7 @@ from async_tnt.cli.options import command_words, of_windows, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
-from async_tnt.cli.train_options import add_arguments
+from async_tnt.cli.train_options import SIZE, add_arguments
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
@@ -82,8 +82,8 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
             raise ValueError("--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too")
         if args.test and (args.dataset / "Test").is_dir() and find_pictures(args.dataset / "Test"):
             raise ValueError("--test needs recordings of a camera in DATASET/Test; pictures there are not recorded")
-    elif args.camera or args.follow or args.light != "both":
-        raise ValueError("--camera, --follow and --light are for pictures; DATASET holds none")
+    elif args.camera or args.follow or args.light != "both" or args.size != SIZE:
+        raise ValueError("--camera, --follow, --light and --size are for pictures; DATASET holds none")
     if args.test and not has_part(args.dataset, "Test"):
         raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")
     parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
@@ -105,7 +105,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         data,
         settings,
         run_folder,
-        motions=_other_motions(args, data, settings, run_folder),
+        motions=_other_motions(args, data, settings, teachers, run_folder),
         teachers=teachers,
         record={"command": _command(args)},
         progress=progress,
@@ -142,6 +142,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.data import dataset_data
     from async_tnt.training.groups import groups_by_pattern
+    from async_tnt.training.networks import build_network
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import load_checkpoint
     from async_tnt.training.scenes import SceneMaker
@@ -164,7 +165,10 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     def seen(config: TNTConfig) -> TNTConfig:
         return SceneMaker(config).config if args.everywhere else config
 
-    check_network(settings.network, seen(config), everywhere=args.everywhere)
+    if ":" in settings.network and "grid" not in given:  # it may suit no other grid than the data's
+        build_network(settings.network, config.channels, config.grid, 2)
+    else:
+        check_network(settings.network, seen(config), everywhere=args.everywhere)
     groups_by_pattern((), args.groups or "")
     camera = None
     if args.camera is not None:
@@ -210,7 +214,7 @@ def _pixels_of(args: argparse.Namespace) -> PixelSelection:
 
 
 def _other_motions(
-    args: argparse.Namespace, data: TrainingData, settings: TrainSettings, run_folder: Path
+    args: argparse.Namespace, data: TrainingData, settings: TrainSettings, teachers: list[Model], run_folder: Path
 ) -> Motions | None:
     """The windows under other motions, made in the run folder or found there; None with --motions recorded."""
     from async_tnt.resynthesis.calibration import side_by_side, unlike
@@ -222,10 +226,9 @@ def _other_motions(
         return None
     motion_settings = MotionSettings(seed=args.seed).for_epochs(settings.n_epochs(len(data.training)))
     # refuses another run before the work
-    load_checkpoint(
-        run_folder,
-        identity_of(data.config, settings, data.training, data.validation, None, data.classes, motion_settings),
-    )
+    windows = data.training, data.validation
+    identity = identity_of(data.config, settings, *windows, None, data.classes, motion_settings, teachers)
+    load_checkpoint(run_folder, identity)
     motions = resynthesize(
         data.training,
         data.validation,

@@ -9,6 +9,7 @@ from async_tnt.cli.options import add_volume, number, positive_int, size_of, who
 from async_tnt.cli.pixel_options import add_selection
 from async_tnt.simulation.picture_scene import LIGHTS
 
+SIZE = 0.4, 0.8  # of objects in pictures, by the shorter side of the sensor
 USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"
 DESCRIPTION = """\
 Train a classifier on recordings of your own classes, and tell how good it is
@@ -83,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pictures.add_argument(
         "--size",
         type=_range,
-        default=(0.4, 0.8),
+        default=SIZE,
         metavar="MIN-MAX",
         help="longer side of objects, by the sensor's shorter",
     )
@@ -125,7 +126,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="passes over the windows (default: 20, or 4000 steps)",
+        help="passes over the windows, or about 50 steps where windows are few (default: 20, or 4000 steps)",
     )
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"

@@ -123,11 +123,11 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
 
 
 def class_folders(folder: Path, part: str) -> list[Path]:
-    """The class folders of a part of a data set or, without such a part, of all of it; none without a folder."""
+    """The class folders of a part of a data set or, without such a part, of all of it; none of sessions, or where no
+    folder is."""
     inner = folder / part
-    if inner.is_dir() and _folders(inner):
-        return _folders(inner)
-    return _folders(folder) if folder.is_dir() else []
+    of = inner if inner.is_dir() and (_folders(inner) or _sessions(inner)) else folder
+    return _folders(of) if of.is_dir() and not _sessions(of) else []
 
 
 def has_part(folder: Path, part: str) -> bool:

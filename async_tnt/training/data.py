@@ -235,10 +235,12 @@ def _with_ends(training: Windows, validation: Windows, share: float, n_real: int
         [int(name.rpartition("[")[2].partition(":")[0]) if file_of(name) != name else 0 for name in names]
     )
     times_us = training.start_us + session_us[training.recording]
+    files = np.unique([file_of(name) for name in names], return_inverse=True)[1][training.recording]
     keep, ended, ends = np.ones(len(training), bool), [], []
     for label in np.setdiff1d(training.labels, validation.labels) if share else ():
         mine = np.flatnonzero((training.labels == label) & (training.recording < n_real))
-        learned, held_out = hold_out_end(times_us[mine], share)
+        mine = mine[np.lexsort((times_us[mine], files[mine]))]  # one file after the other
+        learned, held_out = hold_out_end(len(mine), share)
         if len(held_out):
             keep[mine] = False
             keep[mine[learned]] = True

@@ -114,7 +114,9 @@ def read_dataset(
             bar.update()
         recordings = writer.finish()
     empty = [name for k, name in enumerate(names) if k not in recordings.labels and name not in with_pictures]
-    if empty and (classes is None or not len(recordings)):  # of given classes, some may have no recordings
+    if empty and (
+        classes is None or not (len(recordings) or with_pictures)
+    ):  # of given classes, some may have no recordings
         out = [line.removesuffix(".") for label, line in left_out if names[label] in empty]
         raise ValueError(
             f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the folder "

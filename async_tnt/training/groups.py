@@ -99,12 +99,12 @@ def hold_out_groups(
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
-def hold_out_end(times_us: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hold out the last of the windows of one session.
+def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Hold out the last of the windows of one session, or of one after the other.
 
     Parameters
     ----------
-    times_us : int64, (N,): when they begin.
+    n_windows : which begin in this order.
     share : rounded to whole windows.
 
     Returns
@@ -114,12 +114,12 @@ def hold_out_end(times_us: np.ndarray, share: float) -> tuple[np.ndarray, np.nda
 
     Examples
     --------
-    >>> learned, held_out = hold_out_end(np.arange(10) * 100_000, 0.2)
+    >>> learned, held_out = hold_out_end(10, 0.2)
     >>> learned, held_out
     (array([0, 1, 2, 3, 4, 5, 6]), array([8, 9]))
     """
-    order = np.argsort(times_us, kind="stable")
-    n_held_out = round(share * len(order)) if len(order) >= MIN_WINDOWS else 0
+    order = np.arange(n_windows)
+    n_held_out = round(share * n_windows) if n_windows >= MIN_WINDOWS else 0
     if n_held_out == 0:
         return order, order[:0]
     return order[: -n_held_out - 1], order[-n_held_out:]

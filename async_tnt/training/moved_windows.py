@@ -23,7 +23,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.files import replacing
 from async_tnt.resynthesis import MotionPath
-from async_tnt.training.augment import Augmentation
+from async_tnt.training.augment import LATEST, Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows
 
@@ -84,10 +84,11 @@ class Motions:
     record: dict[str, Any]
 
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
-        """The windows `order` as an epoch shows them: under another motion, or as they were recorded."""
+        """The windows `order` as an epoch shows them: under another motion, or as they were recorded, with the events
+        around them, as augmentation moves their starts."""
         is_moved = (self.spans[order] > 0) & (rng.random(len(order)) >= self.settings.recorded)
         window_us = self.config.window_us
-        margin_us = max(window_us // 10, round(1e3 * Augmentation().start_ms))  # augmentation moves their starts
+        margin_us = round(LATEST * window_us) + max(window_us // 10, round(1e3 * Augmentation().start_ms))
         recorded = self.training[order[~is_moved]].cut(window_us, margin_us)
         variation = epoch % self.settings.variations
         moved = moved_recordings(self.files, variation, self.training.labels, self.config)

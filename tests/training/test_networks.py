@@ -37,6 +37,10 @@ def mish(channels, grid, n_classes):
 
 def broken(channels, grid, n_classes):
     return 1 / 0
+
+def deep(channels, grid, n_classes):
+    halves = [nn.MaxPool2d(2) for _ in range(6)]
+    return nn.Sequential(*halves, nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(channels, n_classes))
 """
 
 
@@ -115,7 +119,7 @@ def test_the_smallest_grid(name):
 def test_what_is_wrong_with_ones_own_is_said_before_training(function, message, own, tmp_path, program):
     folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1})
     out = tmp_path / "m.safetensors"
-    code, _, err = program("train", folder, "--network", f"{own}:{function}", "--out", out)
+    code, _, err = program("train", folder, "--network", f"{own}:{function}", "--grid", "34x34", "--out", out)
     assert code == 2 and f"{own}:{function}" in err and message in err and "windows" not in err
     assert os.listdir(tmp_path) == ["set"]
 
@@ -131,3 +135,7 @@ def test_training_one_from_the_command(own, tmp_path, program):
     mine.write_text(OWN + "# another network, perhaps\n")
     code, _, err = program(*words)
     assert code == 2 and "holds a run with other network_file" in err
+    large = write_set(tmp_path / "large", {"upright": 2, "flat": 2}, side=64)  # the smallest grid that it suits
+    assert (
+        program("train", large, "--network", f"{mine}:deep", "--out", tmp_path / "d.safetensors", "--epochs", 1)[0] == 0
+    )

@@ -12,6 +12,7 @@ from async_tnt import TNTConfig
 from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
+from async_tnt.training.simulated_pictures import find_pictures
 
 HEADER = "class,startTime_usec,endTime_usec\n"
 PART_US = 150_000
@@ -111,6 +112,9 @@ def test_only_texts_and_the_other_part_may_lie_beside_sessions(tmp_path):
     found = find_recordings(tmp_path)
     write_session(tmp_path / "Test", "c", ("flat",))
     (tmp_path / "notes.csv").touch()
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "setup.png").touch()
+    assert not find_pictures(tmp_path)
     assert find_recordings(tmp_path) == found and find_recordings(tmp_path, "Test").keys() == {"flat"}
     (tmp_path / "a.npy").touch()
     with pytest.raises(ValueError, match=r"a\.npy and a\.npz have one table"):

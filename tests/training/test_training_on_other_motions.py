@@ -102,6 +102,9 @@ def test_what_an_epoch_shows(windows, made):
         for i in np.flatnonzero(order == 7):
             events, as_recorded = shown.events(i, WINDOW_US), windows[0].events(7, WINDOW_US)
             is_recorded.append(np.array_equal(events[0], as_recorded[0]))
+            if is_recorded[-1]:  # augmentation begins some of them .6 later
+                later = [part.events(k, 8 * WINDOW_US // 5)[0] for part, k in ((shown, i), (windows[0], 7))]
+                np.testing.assert_array_equal(*later)
             if not is_recorded[-1]:
                 np.testing.assert_array_equal(events, [getattr(moved, name)[of_7] for name in "txyp"])
         assert 0.15 < np.mean(is_recorded) < 0.35
@@ -173,3 +176,7 @@ def test_the_command(tmp_path, program):
     assert summary["motions"]["with_path"] == 10 and "validation_motions" not in summary  # of two windows
     assert load_model(tmp_path / "m.safetensors").record["motions"]["variations"] == 2  # no more than epochs
     assert (tmp_path / "runs" / "m" / "motions" / "motions.png").read_bytes().startswith(b"\x89PNG")
+    words += ["--teacher", tmp_path / "m.safetensors", "--out", tmp_path / "taught.safetensors"]
+    for _ in range(2):  # what is finished is not done again
+        code, _, err = program("train", tmp_path / "data", *words)
+        assert code == 0, err

@@ -41,6 +41,8 @@ def test_each_picture_is_recorded_and_on_one_side(tmp_path):
     assert len(learned) == 8 and held_out == {"bar/bar04.png", "disc/disc04.png"} == set(data.held_out)
     assert not learned & held_out
     assert 38 <= len(data.training) <= 40 and len(data.validation) == 8  # few without an event
+    given = data_of(tmp_path / "p", store=tmp_path, classes=("bar", "disc", "star"))  # by a teacher, perhaps
+    assert given.classes == ("bar", "disc", "star") and len(given.training) == len(data.training)
     assert data.record["pictures"]["takes"] == 5 and any("recorded 5 times each" in note for note in data.notes)
 
 

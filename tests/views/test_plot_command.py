@@ -97,6 +97,8 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     code, _, err = plot("camera.npy")
     assert code == 2 and "sensor; the file states none, --sensor or the model does" in err
     assert plot("camera.npy", "--sensor", "120x80")[0] == 0
+    code, _, err = plot("camera.npz", "--volume", "transform=none")
+    assert code == 2 and "the volume without the transform is drawn anyway" in err
 
 
 @pytest.mark.parametrize(
