@@ -123,7 +123,7 @@ def _signs(columns: Mapping[str, np.ndarray]) -> tuple[bool, bool]:
         return False, False
     t = columns["t"]
     largest = max((column.max(initial=0) for column in columns.values()), default=0)
-    return bool((np.diff(t) >= 0).all()), bool(t.max(initial=0) == largest)
+    return bool((t[1:] >= t[:-1]).all()), bool(t.max(initial=0) == largest)
 
 
 def _names_in(events: Any) -> Sequence[str] | None:

@@ -336,6 +336,7 @@ class Processor(TriggerAttributes):
         alone = settings.every_us is None or not overlap  # else time passes for several windows at once
         self._in_stretches = alone and self._classifier.decides_in_stretches
 
+    @one_at_a_time
     def __copy__(self) -> Processor:
         """A copy continues by itself; so does what `pickle` returns, in any process."""
         return copy.deepcopy(self)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import Running, checked_time
+from async_tnt.checks import Running, checked_time, one_at_a_time
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
 from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
@@ -100,6 +100,7 @@ class TNTVolume:
             self._replay.close(self._buffer, self._array)
         self._empty(start_us, start_us + self.config.window_us)
 
+    @one_at_a_time
     def close(self) -> None:
         """Close the open window: the volume is empty until an event, or `open`, opens the next one."""
         if self._replay is not None:
@@ -146,7 +147,8 @@ class TNTVolume:
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
         try:  # as `absorb_one`, whose call would cost another 40 ns
-            if type(t | x | y | p) is int and self._is_plain and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
+            is_plain = self._is_plain and not self._running.now and type(t | x | y | p) is int
+            if is_plain and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
                 return 0
         except (TypeError, OverflowError):
             pass
@@ -191,6 +193,7 @@ class TNTVolume:
             self.open(t_us - (t_us - self.start_us) % self.config.window_us)
         return closed
 
+    @one_at_a_time
     def reset(self) -> None:
         """Back to the state after construction: no window open, all counts zero."""
         self._decoder.reset()

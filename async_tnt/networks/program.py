@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,12 +36,19 @@ class Program:
     steps : of each, in order, the layer that it computes, or a part of.
     output_layout : where in `maps` the output begins, numbers from one of its rows, columns and channels to the next.
     output_changes : where in the program the records of the output's changes begin.
+    lanes : as many filters lie side by side in `arrays.weights`.
     """
 
     arrays: ProgramArrays
     steps: list[str]
     output_layout: tuple[int, int, int, int]
     output_changes: list[int]
+    lanes: int = LANES
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if self.lanes != LANES:
+            raise ValueError("a network was pickled on a processor with other vector registers: load its model instead")
 
     def run(self, volume: np.ndarray) -> np.ndarray:
         """Compute the whole network: volume, as `VolumeInput` returns it -> the output's numbers, a view that begins

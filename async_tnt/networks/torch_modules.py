@@ -92,7 +92,6 @@ class TorchClassifier:
         if threads is not None:
             torch.set_num_threads(positive_int("threads", threads))
         self.module, self.places = module, places
-        self._torch = torch
         self._like = torch.empty(0)  # on the device and of the type of the module
         if isinstance(module, torch.nn.Module):
             with suppress(NotImplementedError):  # of an exported program, which keeps the mode it was exported in
@@ -103,7 +102,8 @@ class TorchClassifier:
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new array."""
-        torch = self._torch
+        import torch
+
         # One copy, 1 us for 9 x 34 x 34: torch has no read-only tensors, and a module that works in place (a first
         # layer `ReLU(inplace=True)`) or keeps its input would otherwise write into, or read from, the open window.
         tensor = torch.from_numpy(np.array(volume, np.float32))[None].to(self._like)

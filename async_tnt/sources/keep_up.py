@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -68,8 +69,15 @@ class KeepUp(BackgroundReader):
 
     def close(self, timeout_s: float = 1.0) -> None:
         """As of `BackgroundReader`; the processor decides as often as before."""
-        super().close(timeout_s)
-        self._set(1, 0)
+        try:
+            super().close(timeout_s)
+        finally:
+            with contextlib.suppress(RuntimeError):  # the processor is at work: the loop over this reader sets it
+                self._set(1, 0)
+
+    def _raise_error(self) -> None:
+        self._set(1, 0)  # here the loop ends
+        super()._raise_error()
 
     def _hand_out(self) -> Any:
         packet = super()._hand_out()

@@ -120,8 +120,8 @@ class Pipeline(nn.Module):
     transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no effect).
     representation : "volume"; "count", an event volume of one bin; or an image of times, see `time_image`, without
         the transform.
-    regressor : the network behind landmark "regressor" (`LandmarkRegressor` or a module from (C, H, W) to
-        (2,)): it sees the raw event volume of the same window, and learns through the transform.
+    regressor : the network behind landmark "regressor" (`LandmarkRegressor` or a module from (N, C, H, W) to
+        (N, 2)): it sees the raw event volume of the same window, and learns through the transform.
 
     Raises
     ------
@@ -200,7 +200,7 @@ class Pipeline(nn.Module):
             return self.raw_volume(t, x, y, p, start_us)
         landmark: str | torch.Tensor = self.landmark
         if self.regressor is not None:
-            landmark = self.regressor(self.raw_volume(t, x, y, p, start_us))  # (2,)
+            landmark = self.regressor(self.raw_volume(t, x, y, p, start_us)[None])[0]  # (2,)
         return tnt_volume(
             t,
             x,

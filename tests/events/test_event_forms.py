@@ -172,7 +172,7 @@ def test_plain_arrays_whose_order_is_stated(order):
     """The right order is taken, every other one that is seen to be wrong is refused, and the right one named."""
     columns = dict(zip("txyp", (sorted(T), X, Y, P), strict=True))
     expected = [columns[name] for name in "txyp"]
-    for dtype in (np.int64, np.float64):
+    for dtype in (np.int64, np.uint32, np.float64):
         table = np.stack([np.array(columns[name], dtype) for name in order], axis=1)
         assert_decoded(event_columns(table, order), expected)
         assert_decoded(event_columns(torch.from_numpy(table), order), expected)

@@ -112,6 +112,9 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
     here.update(random_events(10, seed=2, duration_us=900, sensor=SMALL.config.sensor))
     expected = SMALL.dense()(here.array).tobytes()
     assert pickle.loads(parcel).refresh(here).tobytes() == expected
+    vars(classifier._program)["lanes"] = 4
+    with pytest.raises(ValueError, match="pickled on a processor with other vector registers"):
+        pickle.loads(pickle.dumps(classifier))
     classifier.network.program[P.EPOCH] = number  # had it kept the number, it would have been wrong
     assert classifier.refresh(here).tobytes() != expected
 

@@ -157,6 +157,7 @@ def test_a_module_runs_in_eval_and_inference_mode_on_a_volume_of_its_own():
 
     module = torch.nn.Sequential(Greedy(), torch.nn.Dropout(0.9)).train()
     processor = Processor(CONFIG, classifier=TorchClassifier(module))
+    assert copy.copy(processor).classifier is not processor.classifier
     for start_us in (0, 90):
         processor.push(random_events(300, seed=start_us, sensor=(5, 6), duration_us=900, start_us=start_us))
         before = processor.volume().copy()

@@ -1,5 +1,6 @@
 """Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a crash."""
 
+import copy
 import threading
 
 import numpy as np
@@ -54,6 +55,7 @@ CALLS = [
     Processor.finish,
     Processor.reset,
     Processor.volume,
+    copy.copy,
     lambda processor: setattr(processor, "confidence", 0.5),
     lambda processor: setattr(processor, "classifier", total_and_size),
 ]
@@ -111,3 +113,5 @@ def test_a_volume_and_a_filter_refuse_events_while_they_read_others():
     assert_refused_during(volume.update, EVENTS, others, "TNTVolume")
     assert_refused_during(chosen, EVENTS, [lambda: chosen(EVENTS)], "PixelFilter")
     assert volume.counts.received == chosen.counts.received == 40
+    others = [lambda: volume.update_one(volume.start_us + 1, 1, 1, 1), volume.reset, volume.close]  # a window is open
+    assert_refused_during(volume.update, EVENTS, others, "TNTVolume")

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made import events_of
+from waiting import PATIENCE_S, meanwhile
 
 from async_tnt import Processor, TNTConfig
 from async_tnt.sources import KeepUp, PacketQueue
@@ -102,6 +103,28 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     with reader:
         pass
     assert processor.every_us == 1_000  # as it was
+
+
+def test_closed_while_the_processor_is_at_work_the_loop_sets_it_back(clock, reader_of):
+    closing = threading.Event()
+
+    def close():
+        try:
+            reader.close()
+        finally:
+            closing.set()
+
+    def classify(volume):
+        if reader.slower > 1 and not closing.is_set():
+            with meanwhile(close):
+                assert closing.wait(PATIENCE_S)
+        return [0.0]
+
+    processor = Processor(CONFIG, classifier=classify, every_us=1_000)
+    reader = reader_of(processor, max_delay_us=100_000)
+    consumed(reader, processor, clock, 1_000, decision_us=20 * PACKET_US)
+    assert next(reader, None) is None  # where a loop over it ends
+    assert closing.is_set() and processor.every_us == 1_000 and reader.slower == 1
 
 
 def test_the_newest_packet_is_handed_out_however_old_it_is(clock):
