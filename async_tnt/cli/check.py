@@ -56,7 +56,7 @@ def main(args: argparse.Namespace) -> int:
             recording = open_recording(path, sensor=model.config.sensor)
             check_sensor(path, recording.sensor, model.config.sensor, advice="; --model FILE names one for this sensor")
             events = recording.read()
-            if events.size == 0:
+            if (events["t"] < (args.start_us or 0)).all():  # also if there are none
                 raise ValueError(f"{recording.path}: no events to check")
             results[recording.path] = check_recording(
                 events, model, prefixes=args.prefixes, start_us=args.start_us, on_progress=bar.update

@@ -40,7 +40,7 @@ def follow(
     processor: Processor,
     keep_up_ms: int | None,
     take: Callable[[Iterable[Any], KeepUp | None], object],
-    end: Callable[[], str] = lambda: "",
+    end: Callable[[KeepUp | None], str] = lambda reader: "",
 ) -> bool:
     """Let `take` read a source until that ends or Ctrl-C; then print its counts. Returns whether Ctrl-C ended it.
 
@@ -50,7 +50,7 @@ def follow(
     processor : gets the packets.
     keep_up_ms : as --keep-up has it; None: nothing is skipped here, but the source's own buffer may overflow.
     take : gets the packets without the pixels to leave out, and the queue in which they wait, if they do.
-    end : what it returns is printed behind the counts.
+    end : gets that queue, too; what it returns is printed behind the counts.
     """
     with contextlib.ExitStack() as stack:
         source = open_source(name, pixels.expected)
@@ -72,10 +72,11 @@ def follow(
         finally:  # also if a camera was unplugged
             counts = source.summary()
             if reader is not None:
+                reader.close()  # what still waits is skipped
                 found = reader.counters
                 waited_ms = found.longest_wait_us / 1e3
                 counts += f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
                 if reader.slowest > 1:
                     counts += f", decisions up to {reader.slowest} times rarer"
-            complain(f"{name}: {counts}{end()}")
+            complain(f"{name}: {counts}{end(reader)}")
     return False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import shutil
 import sys
 import threading
@@ -19,7 +20,7 @@ from async_tnt.cli.output import complain, say
 from async_tnt.events import as_events
 from async_tnt.files import check_folder, replacing, write_text
 from async_tnt.package import __version__
-from async_tnt.sources.files.prophesee import DAT_SIDE, dat_header, dat_records
+from async_tnt.sources.files.prophesee import DAT_EVENT_BYTES, DAT_SIDE, dat_header, dat_records
 from async_tnt.sources.opening import is_live, open_source
 from async_tnt.sources.sensor import format_size
 
@@ -75,11 +76,11 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _free_name(folder: Path) -> Path:
-    """A file that is not there yet, named by the time."""
+    """A file that is not there yet, nor being written, named by the time."""
     now, n = time.strftime("%Y%m%d_%H%M%S"), 1
-    while (path := folder / f"{now}{f'_{n}' if n > 1 else ''}.dat").exists():
+    while any(folder.glob((name := f"{now}{f'_{n}' if n > 1 else ''}.dat") + "*")):
         n += 1
-    return path
+    return folder / name
 
 
 def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
@@ -88,9 +89,10 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
     ending = threading.Timer(args.seconds or threading.TIMEOUT_MAX, source.close)
     ending.daemon = True
     first_us, n_events, n_on, n_early = -1, 0, 0, 0
+    header = dat_header(source.sensor)
     with replacing(path) as part:
         with part.open("wb") as file:
-            file.write(dat_header(source.sensor))
+            file.write(header)
             complain(f"recording {args.label} from {args.source} into {path}; Ctrl-C stops")
             ending.start()
             try:
@@ -104,8 +106,13 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
                     picture.show(events)
             except KeyboardInterrupt:
                 pass
-            except OSError as error:  # the camera was unplugged: what came before is kept
+            except OSError as error:  # the camera was unplugged, or the disk is full: what came before is kept
                 lost = error
+                with contextlib.suppress(OSError):
+                    file.close()
+                n_events = max(0, part.stat().st_size - len(header)) // DAT_EVENT_BYTES
+                n_on = min(n_on, n_events)
+                os.truncate(part, len(header) + n_events * DAT_EVENT_BYTES)
             finally:
                 ending.cancel()
         if not n_events:

@@ -179,9 +179,9 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
         for decision, latency_us in _timed_packets(packets, processor):
             say(line(name, decision, latency_us, reader))
 
-    def end() -> str:
+    def end(reader: BackgroundReader | None) -> str:
         for decision in processor.finish():
-            say(line(name, decision, 0.0))
+            say(line(name, decision, 0.0, reader))
         counts = processor.counts
         moved_off = counts.dropped_outside + counts.dropped_tau_zero
         return (

@@ -218,7 +218,8 @@ class PacketQueue:
         oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
         while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
             self._skip_oldest()
-        packet, n, arrived_ns = self._waiting.popleft()
+        # a signal handler may have closed it meanwhile: then no packet
+        packet, n, arrived_ns = self._waiting.popleft() if self._waiting else (None, 0, time.monotonic_ns())
         self.backlog -= n
         self._handed_out += n
         self._newest_ns = arrived_ns

@@ -63,7 +63,7 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
     known = recording.sensor
     pixels = np.zeros(0 if known is None else known[0] * known[1], np.int64)
     first_us, duration_us = recording.earliest_us, recording.duration_us
-    edges = np.linspace(first_us, first_us + duration_us + 1, N_PARTS + 1)
+    edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
     counts = np.zeros(N_PARTS, np.int64)
     extent, n_on, n_unsorted, newest_us = (0, 0), 0, 0, -1
     for packet in recording:
@@ -74,7 +74,7 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         n_on += int((packet["p"] > 0).sum())
         n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())
         newest_us = int(t[-1])
-        counts += np.histogram(t, edges)[0]
+        counts += np.histogram(t - first_us, edges)[0]
     found = []
     if known is not None and recording.n_events:
         image = pixels.reshape(known[1], known[0])

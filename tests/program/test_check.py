@@ -30,6 +30,11 @@ def test_it_holds_stream_and_batch_equal(program, tmp_path):
     assert {row["config"] for row in rows} == CONFIGS
 
 
+def test_a_start_behind_all_events_leaves_nothing_to_check(program):
+    code, _, err = program("check", sample_recordings()[1], "--start-us", 10**9)
+    assert code == 2 and err.endswith("no events to check\n")
+
+
 def test_it_says_no_when_a_landmark_is_wrong_by_a_millionth_of_a_pixel(monkeypatch, program):
     landmark = TNTVolume.landmark.fget
     monkeypatch.setattr(TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-6))))

@@ -8,6 +8,7 @@ import threading
 
 import numpy as np
 import pytest
+from full_disk import full_after
 from listening import free_port, send_in_parts
 from made import random_events
 from sources.test_cameras import PlayedDevice, made_events
@@ -80,14 +81,16 @@ def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path
     monkeypatch.setattr(record.threading, "Timer", Timer)
     monkeypatch.setattr(record.time, "strftime", lambda form: "20261126_120000")
     when_recorded(1, lambda: timers[-1][1]())
+    (tmp_path / "wave").mkdir()
+    (tmp_path / "wave" / "20261126_120000.dat.part").touch()  # another program is writing it
     for n in range(2):
         port = free_port()
         threading.Thread(target=send_in_parts, args=(port, EVENTS), daemon=True).start()
         words = ["record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "wave", "--seconds", 1.5]
         assert program(*words, "--out", tmp_path)[0] == 0 and timers[n][0] == 1.5
     assert [path.name for path in sorted((tmp_path / "wave").glob("*.dat"))] == [
-        "20261126_120000.dat",
         "20261126_120000_2.dat",
+        "20261126_120000_3.dat",
     ]
 
 
@@ -107,6 +110,20 @@ def test_of_an_unplugged_camera_what_came_before_is_kept_with_its_settings(progr
     assert open_recording(path).read()["t"].tolist() == [0, 4, 25]
     about = json.loads(path.with_suffix(".json").read_text())
     assert (about["source"], about["settings"]) == ("EVK4 0042 by played", device.settings) and device.n_closed
+
+
+@pytest.mark.parametrize("n", [100, 5_000])
+def test_on_a_full_disk_all_whole_events_are_kept(n, program, tmp_path, monkeypatch):
+    """Of packets that wait in the file's buffer, and of one that is written in part."""
+    packets = [made_events(*range(k * n, (k + 1) * n)) for k in range(10_000 // n)]
+    device = PlayedDevice(*packets, sensor=(6_000, 34))
+    monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
+    with full_after(50_003):
+        code, out, _ = program("record", "camera", "--class", "wave", "--out", tmp_path)
+    (path,) = (tmp_path / "wave").glob("*.dat")
+    n_whole = (50_003 - len(dat_header((6_000, 34)))) // 8
+    assert code == 2 and f"{n_whole:,} events" in out
+    assert open_recording(path, strict=True).read()["t"].tolist() == list(range(n_whole))
 
 
 @pytest.mark.parametrize(

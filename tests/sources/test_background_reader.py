@@ -1,6 +1,7 @@
 """The queue of packets, and the reader that fills it in a thread: order, skipping and its accounts, the end."""
 
 import asyncio
+import collections
 import itertools
 import threading
 from types import SimpleNamespace
@@ -189,6 +190,20 @@ def test_after_the_end_nothing_comes_in():
     with pytest.raises(OSError, match="first"):
         next(queue)
     assert list(queue) == [] and queue.counters.received == 250
+
+
+def test_closed_by_a_signal_between_the_look_for_a_packet_and_its_removal():
+    queue = PacketQueue()
+    queue.put(EQUAL[0])
+
+    class Interrupted(collections.deque):
+        def __bool__(self):
+            waits, queue._waiting = len(self) > 0, collections.deque(self)
+            queue.close()
+            return waits
+
+    queue._waiting, queue._is_ready = Interrupted(queue._waiting), lambda: True
+    assert next(queue) is None and list(queue) == [] and queue.counters.skipped == 250
 
 
 def test_delay_is_the_age_of_the_packet_handed_out(monkeypatch):

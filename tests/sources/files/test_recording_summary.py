@@ -41,6 +41,13 @@ def test_the_parts_of_a_long_recording_are_of_equal_length(tmp_path):
     )
 
 
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_few_events_with_times_since_1970(tmp_path, n):
+    np.save(tmp_path / "now.npy", events_of(1_700_000_000_000_000 + np.arange(n), [1] * n, [2] * n, [1] * n))
+    found = summarize(tmp_path / "now.npy", (34, 34))
+    assert np.isfinite(found.events_a_second).all() and np.mean(found.events_a_second) == pytest.approx(1e6, rel=0.01)
+
+
 def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
     hot = events_of(np.arange(500) * 100, [3] * 500, [4] * 500, [1] * 500)
     events = np.concatenate([random_events(5_000), hot])
