@@ -27,7 +27,7 @@ Layers = list[dict[str, Any]]
 
 STANDARD = ("", "ai.onnx")  # the domain of ONNX's own operations
 FIRST_OPSET = 7  # before it, sums took an axis, and batch norms and dropouts trained unless told otherwise
-WAY_OUT = "; OnnxClassifier(path) runs any network, whole at every decision"
+WAY_OUT = "; OnnxClassifier(path) runs any float32 network, whole at every decision"
 
 
 def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:
@@ -132,10 +132,14 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
             raise NotImplementedError(f"{node.where} has no compiled form")
         try:
             rule(made, node)
-        except NotImplementedError as error:
+        except (NotImplementedError, ValueError) as error:  # the second: of a shape that no layer takes
             raise NotImplementedError(f"{node.where}: {error}") from None
     if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
         raise NotImplementedError("the network's last layer must compute its output")
+    try:
+        layer_shapes(made.layers, shape, {name: w.shape for name, w in made.tensors.items()})
+    except ValueError as error:
+        raise NotImplementedError(str(error)) from None
     return made.layers, made.tensors
 
 

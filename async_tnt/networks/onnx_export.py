@@ -123,6 +123,8 @@ class _Nodes:
         return output
 
     def _constant(self, name: str, value: Any, dtype: type = np.float32) -> str:
+        while name in self.weights:  # a model's own may have this name
+            name += "_"
         self.weights[name] = np.asarray(value, dtype)
         return name
 

@@ -62,7 +62,7 @@ def write_onnx(path, nodes, constants=None, output="y", opset=13, shape=(1, 2, 6
 ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
 HALF, YES = np.float32(0.5), np.bool_(True)
 REFUSED = [  # nodes, constants, message, opset
-    ([node("Sin")], {}, "(Sin) has no compiled form; OnnxClassifier(path) runs any network, whole", 13),
+    ([node("Sin")], {}, "(Sin) has no compiled form; OnnxClassifier(path) runs any float32 network, whole", 13),
     ([node("Relu", domain="my")], {}, "(Relu) is of the domain 'my', not ONNX's own; OnnxClassifier(path) runs", 13),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
     ([node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)], {}, "(AveragePool): ceil_mode has no compiled form", 13),
@@ -132,6 +132,16 @@ def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
             load_model(theirs, config=SMALL)
 
 
+def test_a_weight_named_as_the_export_names_a_constant_is_kept(tmp_path):
+    layers = [node("Conv", "x k", "c"), node("PRelu", "c act.slope", "act"), node("GlobalAveragePool", "act", "g")]
+    weights = {"k": np.ones((3, 2, 3, 3), np.float32), "act.slope": np.full((3, 1, 1), 0.5, np.float32)}
+    model = load_model(write_onnx(tmp_path / "a.onnx", [*layers, node("Flatten", "g")], weights), config=SMALL)
+    (tmp_path / "b.onnx").write_bytes(to_onnx(model).SerializeToString())
+    volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
+    again = CompiledClassifier(load_model(tmp_path / "b.onnx"))
+    np.testing.assert_array_equal(again(volume), CompiledClassifier(model)(volume))
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_path, program):
     """Compiled if it can be, by onnxruntime if not."""
@@ -148,6 +158,10 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     layers = [node("Sin", "x", "s"), node("GlobalAveragePool", "s", "g"), node("Flatten", "g")]
     open_sides = write_onnx(tmp_path / "open.onnx", layers, shape=("n", 2, "h", "w"))
     assert len(choose_engine(open_sides, config=config).classes) == 2
+    branches_of = [node("Flatten", "x", "f"), node("Relu", "x", "r"), node("Flatten", "r", "h")]
+    flat = [*branches_of, node("Concat", "f h", "c", axis=1), node("MatMul", "c w")]
+    two = write_onnx(tmp_path / "two.onnx", flat, {"w": np.ones((120, 3), np.float32)})
+    assert len(choose_engine(two, config=config).classes) == 3  # no layer takes two flattened maps
     ours = tmp_path / "ours.onnx"
     ours.write_bytes(to_onnx(load_model("digits")).SerializeToString())
     with pytest.raises(ValueError, match=r"for networks of other programs; .*ours.onnx has its own"):
