@@ -18,6 +18,10 @@ GUESS = 0.1
 THESIS_COLUMNS = ("all/all", "1/all", "1/train", f"all/{THESIS_SET}", f"1/{THESIS_SET}")
 COLUMNS = ("all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim", "all/bell", "1/bell")
 DIFFERENCES = ("all/all", "1/others", "all/sim", "1/sim", "all/bell", "1/bell")
+MOTIONS_COLUMNS = (
+    *("all/all", "1/all", "1/others", "confounded/all"),
+    *("all/sim", "1/sim", "confounded/sim", "1/beyond", "confounded/beyond", f"1/{THESIS_SET}"),
+)
 THESIS_ROWS = ("thesis-baseline", "thesis-tnt", "thesis-regress")
 EARLY = (
     *THESIS_ROWS,
@@ -197,7 +201,7 @@ def equivariance(report: dict[str, Any]) -> str:
 
 
 def resynthesis() -> str:
-    return markdown_table(_accuracies(), ("motions",))
+    return markdown_table(_accuracies(), ("motions",), MOTIONS_COLUMNS)
 
 
 def resynthesis_match() -> str:

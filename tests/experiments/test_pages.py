@@ -142,6 +142,9 @@ def test_statements_of_the_results_page_hold():
         of_pair = [d for key, d in differences.items() if key[:2] == (row, against)]
         gains = [d["mean"] > 0 for d in of_pair if d["holm"] < 0.05]
         assert len(of_pair) == n_columns and len(gains) == held and all(gains)
+    of_motions = [d for key, d in differences.items() if key[1] == "raw-8000"]
+    assert len(of_motions) == 22 and all(d["mean"] > 0 and d["holm"] < 0.05 for d in of_motions)
+    assert round(differences["raw-motions", "raw-8000", "1/beyond"]["mean"], 3) == 0.643
     moved = [d for key, d in differences.items() if key[0] == "line-translated" and d["holm"] < 0.05]
     bright = [d for d in moved if d["against"] == "raw-translated"]
     assert all(d["column"].endswith(" bright") for d in bright)
