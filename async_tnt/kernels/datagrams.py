@@ -71,8 +71,6 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
             if x >= width or y >= height:
                 n_off_sensor += 1
                 continue
-            if t < 0 and format != T64 and max_jump >= 0:  # no time is negative: it jumps, which the clock judges
-                t += 1 << 32
             newest = max(newest, t)
             store(out, record, t, np.int64)
             store(out, record + 8, x, np.uint16)
