@@ -126,7 +126,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="passes, or 50 steps of few windows (default: 20, or 4000 steps)",
+        help="passes over the windows (default: 20, or 4000 steps)",
     )
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"
