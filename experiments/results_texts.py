@@ -62,8 +62,8 @@ if it does so by Holm's method at .05 among all of its question, in all columns.
 `results/table.json` has all settings, seeds, columns, differences and p.
 
 All rows of 3,000 and 60,000 steps, and TNT+regress trained on 1, were trained on a GPU, by the same steps captured as
-CUDA graphs, in 32 bits; the others on CPUs. The first steps agree to four digits. Not tested in simulated motions:
-TNT+regress after 60,000 steps."""
+CUDA graphs, in 32 bits; the others on CPUs. The first steps agree to four digits. TNT+regress after 60,000 steps was
+not tested in simulated motions; trained on all saccades, it is of an earlier version, on a CPU."""
 
 MOTIONS = """\
 All networks are trained for 8,000 steps; the motions of a row are made once, for all seeds. *confounded*: each digit

@@ -23,6 +23,8 @@ from experiments.table_rows import COLUMNS, QUESTIONS, ROWS, SETS, THESIS
 Right = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
 """(row, column) -> seed -> which windows are right: int8, (motions, digits), -1 where a digit has no window."""
 LEVEL = 0.05
+UNDRAWN = tuple(SETS)[1:]
+"""Sets of which no figure tells one motion from another."""
 
 
 def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
@@ -35,8 +37,8 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
     Returns
     -------
     {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion": {motion: mean},
-    "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the table's order. The deviation is the
-    sample's (n - 1), None for a single seed.
+    "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the table's order; motions of `UNDRAWN`
+    left out. The deviation is the sample's (n - 1), None for a single seed.
     """
     runs = sorted(runs, key=lambda run: int(run["seed"]))
     table: dict[str, Any] = {}
@@ -49,15 +51,16 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
                 **summary([part["accuracy"] for part in found.values()]),
                 "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
                 "windows": some["windows"],
-                **{
-                    name: {
-                        one: round(float(np.mean([part[name][one] for part in found.values()])), 5)
-                        for one in some[name]
-                    }
-                    for name in ("per_motion", "against_time_ms")
-                },
+                "per_motion": _means(found, "per_motion") if column.split("/")[1] not in UNDRAWN else {},
+                "against_time_ms": _means(found, "against_time_ms"),
             }
     return table
+
+
+def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
+    """Over the seeds, of each entry."""
+    entries = next(iter(found.values()))[name]
+    return {one: round(float(np.mean([part[name][one] for part in found.values()])), 5) for one in entries}
 
 
 def in_order(columns: Iterable[str]) -> list[str]:

@@ -14,13 +14,14 @@ from async_tnt.cli.options import command_words, of_windows, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
-from async_tnt.cli.train_options import SIZE, add_arguments
+from async_tnt.cli.train_options import add_arguments
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
+from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.labelled_recordings import has_part
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import format_size
@@ -82,7 +83,7 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
             raise ValueError("--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too")
         if args.test and (args.dataset / "Test").is_dir() and find_pictures(args.dataset / "Test"):
             raise ValueError("--test needs recordings of a camera in DATASET/Test; pictures there are not recorded")
-    elif args.camera or args.follow or args.light != "both" or args.size != SIZE:
+    elif args.camera or args.follow or args.light != "both" or args.size != SceneSettings.size:
         raise ValueError("--camera, --follow, --light and --size are for pictures; DATASET holds none")
     if args.test and not has_part(args.dataset, "Test"):
         raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from async_tnt.cli.options import add_volume, number, positive_int, size_of, whole_number
 from async_tnt.cli.pixel_options import add_selection
-from async_tnt.simulation.picture_scene import LIGHTS
+from async_tnt.simulation.picture_scene import LIGHTS, SceneSettings
 
-SIZE = 0.4, 0.8  # of objects in pictures, by the shorter side of the sensor
 USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"
 DESCRIPTION = """\
 Train a classifier on recordings of your own classes, and tell how good it is
@@ -84,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pictures.add_argument(
         "--size",
         type=_range,
-        default=SIZE,
+        default=SceneSettings.size,
         metavar="MIN-MAX",
         help="longer side of objects, by the sensor's shorter",
     )

@@ -123,13 +123,15 @@ def _copy_bins(buffer, ints, array, n_bins):
     """
     n_channels, height, width = array.shape
     row, plane, _ = strides_of(ints)
-    uppers = np.zeros(width)  # weights of the interval before, to the bin at hand
+    uppers = np.empty(width)  # weights of the interval before, to the bin at hand
     for y in range(height):
         for first in range(0, n_channels, n_bins):  # twice with OFF bins
             start = first + ints[S.INTERVAL_LO]
-            for x in range(width):
-                before = S.CELLS + (start - 1) * plane + y * row + 2 * x
-                uppers[x] = buffer[np.uint64(before + 1)] if start > first else 0.0
+            uppers[:] = 0.0
+            if start > first:
+                at = np.uint64(S.CELLS + (start - 1) * plane + y * row + 1)
+                for x in range(width):
+                    uppers[x] = buffer[at + np.uint64(2 * x)]
             for b in range(start, min(first + ints[S.INTERVAL_HI] + 2, first + n_bins)):
                 at = np.uint64(S.CELLS + b * plane + y * row)
                 for x in range(width):

@@ -235,7 +235,7 @@ def test_results_record_what_was_done(done):
         assert list(columns)[6:] == [f"{on}/{name}" for name in list(SETS)[1:] for on in ("all", "1")]
         sizes = [columns[c]["windows"] for c in columns]
         assert sizes == [30, 30, 20, 120, *[60] * 18]  # of 40 recordings; of 2 images that none of them shows
-        assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, *[30] * 18]
+        assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, 30, 30, *[0] * 16]
         assert list(columns["1/sim"]["against_time_ms"]) == ["10", "20", "30", "50", "75"]
     assert record["data"]["simulated"]["bell"]["images"] == [0, 1]
     assert record["rows"]["regressor-translated"]["augmentation"]["translate_px"] == 4
