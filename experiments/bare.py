@@ -10,7 +10,6 @@ interrupted ones resume, and what FILE has of other sets stays there. A test par
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,7 +18,15 @@ from async_tnt.progress import progress
 from async_tnt.sources.sensor import format_size
 from experiments.bench_timing import machine
 from experiments.made_objects import SENSOR, write
-from experiments.script_options import add_folder, exit_with, print_tables, script_parser, write_outputs
+from experiments.script_options import (
+    add_count,
+    add_folder,
+    earlier_report,
+    exit_with,
+    print_tables,
+    script_parser,
+    write_outputs,
+)
 from experiments.unseen_motions import command
 
 SETS = {
@@ -52,15 +59,13 @@ def main(argv: list[str] | None = None) -> int:
     parser = script_parser("bare", __doc__, "a made set and one epoch")
     for name, (title, *_) in SETS.items():
         add_folder(parser, f"--{name}", title)
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
+    add_count(parser, "--seeds", 5, "networks")
     parser.add_argument("--out", type=Path, default=Path("bare"), metavar="FOLDER", help="models (default: bare)")
     args = parser.parse_args(argv)
     folders = {name: getattr(args, name) for name in SETS if getattr(args, name) is not None}
     if args.quick == bool(folders):
         parser.error(f"give --quick, or one of --{', --'.join(SETS)}")
-    report: dict[str, Any] = {"sets": {}}
-    if args.json and args.json.exists():
-        report = json.loads(args.json.read_text(encoding="utf-8"))
+    report = earlier_report(args, {"sets": {}})
     for name, folder in folders.items():
         report["sets"][name] = measure(folder, name, args.seeds, args.out, SETS[name])
         write_outputs(args, report)

@@ -135,7 +135,7 @@ def dense_networks(model: Model) -> dict[str, Network]:
     """The installed engines of `ENGINES`, each computing the whole network: ours first.
 
     Each has its own copy of the weights, so that none finds them in a cache filled by another. The number of torch
-    threads is unchanged: see `timing.one_thread`.
+    threads is unchanged: see `bench_timing.one_thread`.
     """
     installed = {name: engine for name, engine in ENGINES.items() if is_installed(*engine.packages)}
     return {name: engine.make(model) for name, engine in installed.items() if name != "incremental"}

@@ -10,7 +10,6 @@ and once the size of the crops alone is asked.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -20,25 +19,24 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import LANDMARKS
-from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.loading import load_model
-from async_tnt.networks.model import Model
-from async_tnt.processor import Processor
 from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.sensor import format_size
 from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline, new_figure, note
 from async_tnt.volume import TNTVolume
-from experiments.bench_every_event import bench_every_event, in_full
-from experiments.bench_interleaved import WorkDiffers
+from experiments.bench_every_event import bench_every_event
 from experiments.bench_timing import interleave, machine, spread, work_clock
 from experiments.made_objects import SENSOR, write
-from experiments.script_options import exit_with, run_script, script_parser, write_outputs
+from experiments.script_options import add_count, earlier_report, exit_with, run_script, script_parser, write_outputs
 from experiments.unseen_motions import command
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
 EQUAL = "--mirror --epochs 6 --validation 0.05"
-VOLUMES = {"volume": "transform=none"} | {name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
+BINS = "representation=volume,bins=9,"
+VOLUMES = {"volume": f"{BINS}transform=none"}
+VOLUMES |= {name: f"{BINS}transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
 HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 5.0  # of the picture
 IMAGES = "count", "count_time", "mean_time", "time_surface"
 TRAIN, TEST, SENSOR_SIZE = "n-cars_train", "n-cars_test", "--sensor 120x100"
@@ -57,7 +55,6 @@ N_CARS = {
 MADE = {"title": "made objects", "shown_ms": ("5", "50"), "others": {}}
 TIMED = 12  # recordings of the test part
 SMOOTHED = 2.0  # pixels
-COMPARED = 1000  # events of each of these, at most
 
 
 def measure(folder: Path, out: Path, recipe: str, seeds: int, common: str = SENSOR_SIZE) -> dict[str, Any]:
@@ -84,9 +81,9 @@ def measure(folder: Path, out: Path, recipe: str, seeds: int, common: str = SENS
 
 
 def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
-    """A report, and the recipes of an earlier one that it does not have, in the order given."""
+    """A report, and the recipes of an earlier one that it does not have, in the order given, then those without one."""
     recipes = before["recipes"] | report["recipes"]
-    return {**report, "recipes": {name: recipes[name] for name in order if name in recipes}}
+    return {**report, "recipes": {name: recipes[name] for name in dict.fromkeys([*order, *recipes]) if name in recipes}}
 
 
 def _tested(path: Path, test: Path) -> dict[str, Any]:
@@ -129,8 +126,7 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Of some recordings' first windows: nanoseconds an event in the volume, a decision after every event, and how many
-    of these were compared with those of the whole network."""
+    """Of some recordings' first windows: nanoseconds an event in the volume, and a decision after every event."""
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
     some = [open_recording(file, sensor=model.config.sensor).read() for file in files[:: -(-len(files) // TIMED)]]
@@ -152,30 +148,7 @@ def _costs(path: Path, test: Path) -> dict[str, Any]:
     return {
         "event_ns": spread(per_event),
         "every_event": bench_every_event(model, {}, some, rounds=2 * len(some))["ours"],
-        "equal_to_dense": _compare_with_dense(model, [events[:COMPARED] for events in some]),
     }
-
-
-def _compare_with_dense(model: Model, recordings: list[np.ndarray]) -> int:
-    """How many decisions, one after every event, have the same bits where the network computes everything each time.
-
-    Raises
-    ------
-    WorkDiffers : one has not.
-    """
-    ours, dense = (
-        Processor(model, classifier=classifier, every_events=1, start_us=0)
-        for classifier in (None, in_full(CompiledClassifier(model)))
-    )
-    n = 0
-    for events in recordings:
-        ours.reset()
-        dense.reset()
-        for one, other in zip(ours.push(events), dense.push(events), strict=True):
-            if one.logits.tobytes() != other.logits.tobytes():
-                raise WorkDiffers(f"event {one.events} of a window: {one.logits}, where all is computed {other.logits}")
-            n += 1
-    return n
 
 
 def draw(report: dict[str, Any]) -> Any:
@@ -216,7 +189,7 @@ def main(argv: list[str] | None = None) -> int:
     """Train, test, print and write."""
     parser = script_parser("cars", __doc__, "a made set and one epoch", draws=True)
     parser.add_argument("folder", nargs="?", type=Path, metavar="N-CARS", help="its folder; not with --quick or --from")
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
+    add_count(parser, "--seeds", 5, "networks")
     parser.add_argument(
         "--recipes", nargs="+", choices=RECIPES, default=list(RECIPES), metavar="NAME", help="default: all"
     )
@@ -231,8 +204,7 @@ def main(argv: list[str] | None = None) -> int:
         report: dict[str, Any] = {}
         for name in args.recipes:
             found = measure(args.folder, args.out, name, args.seeds)
-            if args.json and args.json.exists():  # read now, as another run may have written it meanwhile
-                report = json.loads(args.json.read_text(encoding="utf-8"))
+            report = earlier_report(args, report)  # as another run may have left it
             report = with_earlier(found, report, list(RECIPES)) if report else found
             write_outputs(args, report)  # before the next recipe's hours
         return report

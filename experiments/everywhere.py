@@ -36,7 +36,7 @@ from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
-from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
+from experiments.script_options import add_count, add_folder, data_folder, exit_with, script_parser, write_outputs
 
 EARLY_US, STARTS_US, NOISE_HZ = 30_000, 50_000, 0.3
 N_PICTURES = 10_000
@@ -175,17 +175,18 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--nmnist", "with Train and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     parser.add_argument("--cars", type=Path, metavar="FOLDER", help="N-CARS: test on scenes of its test part")
-    parser.add_argument("--part", default="Test", metavar="NAME", help="Test or Train (default: Test)")
-    help_scenes = "of three objects each; of other kinds as many objects (default: 330)"
-    parser.add_argument("--scenes", type=int, default=330, metavar="N", help=help_scenes)
+    parser.add_argument("--part", choices=("Test", "Train"), help="of N-MNIST (default: Test)")
+    add_count(parser, "--scenes", 330, "of three objects each; of other kinds as many objects")
     args: argparse.Namespace = parser.parse_args(argv)
     if bool(args.models) == bool(args.write):
         parser.error("give models to test, or --write FOLDER")
     if args.cars:
+        if args.part:
+            parser.error("--part is of N-MNIST: of N-CARS the test part is read")
         part, kinds = args.cars / "n-cars_test", CARS
     else:
         nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-        part, kinds = nmnist / args.part, DIGITS
+        part, kinds = nmnist / (args.part or "Test"), DIGITS
         if args.write:
             write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
             return 0

@@ -20,7 +20,15 @@ from async_tnt.progress import progress
 from async_tnt.views.figure_style import OFF, ON, axes_at, headline, new_figure
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
-from experiments.script_options import add_folder, data_folder, exit_with, report_of, script_parser, write_outputs
+from experiments.script_options import (
+    add_count,
+    add_folder,
+    data_folder,
+    exit_with,
+    report_of,
+    script_parser,
+    write_outputs,
+)
 from experiments.table_numbers import cell, summary
 from experiments.unseen_motions import command
 
@@ -52,8 +60,7 @@ def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
 def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> dict[str, Any]:
     """Train and test all of them."""
     n_pictures, options, per_class = (20, ("--epochs", "1"), (0, 10)) if quick else (60_000, (), PER_CLASS)
-    pictures = out / "mnist"
-    write_mnist(pictures, mnist, n_pictures)
+    write_mnist(pictures := out / "mnist", mnist, n_pictures)
     found: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
     with progress(len(WAYS) * len(per_class), "training") as bar:
         for n in per_class:
@@ -113,18 +120,18 @@ def main(argv: list[str] | None = None) -> int:
     parser = script_parser("few_recordings", __doc__, "one epoch, 20 pictures, 10 recordings", draws=True)
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="networks of each (default: 1)")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: not kept)")
+    add_count(parser, "--seeds", 1, "networks of each")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: few)")
     args = parser.parse_args(argv)
 
     def measured() -> dict[str, Any]:
         folders = data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist")
         with TemporaryDirectory() as name:
-            return measure(*folders, args.out or Path(name), args.seeds, args.quick)
+            return measure(*folders, args.out or Path(name if args.quick else "few"), args.seeds, args.quick)
 
     report = report_of(args, measured)
-    print("\n".join(lines(report)))
     write_outputs(args, report, draw)
+    print("\n".join(lines(report)))
     return 0
 
 

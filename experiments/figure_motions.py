@@ -1,9 +1,8 @@
 """One digit under two motions, raw against transformed: two motions, one shape.
 
     python -m experiments.figure_motions 3 --picture docs/images/motions.png
-    python -m experiments.figure_motions right.npy down.npy --picture two.png
 
-Two windows of one recording (the first ones, or those of --windows), or one of each of two recordings.
+The first two windows, in which the digit moves in different directions.
 """
 
 from __future__ import annotations
@@ -50,28 +49,18 @@ MEAN_PARTS, MEAN_SHARE = 12, 0.03  # the mean path: parts of the window, and the
 
 
 def draw_motions(first: Window, second: Window) -> Figure:
-    """Two windows, a row each: events along the axis in which their motions differ most, and slices of the
-    volumes, raw and transformed.
-
-    Raises
-    ------
-    ValueError : the two are drawn with different configurations.
-    """
+    """Two windows of a recording, a row each: events along the axis in which their motions differ most, and slices of
+    the volumes, raw and transformed."""
     from matplotlib.lines import Line2D
 
     config = first.subject.config
-    if second.subject.config != config:
-        sensors = " and ".join(f"{w}x{h} pixels" for w, h in (config.sensor, second.subject.config.sensor))
-        raise ValueError(f"two motions are drawn with one configuration, got sensors of {sensors}")
     windows = (first, second)
     flows = [np.array(flow_of(window)) for window in windows]
     axis = int(np.abs(flows[0] - flows[1]).argmax())
     layers = [layers_of_window(window) for window in windows]
     shown = busiest_bins(np.abs(np.stack([window.volumes()[1] for window in windows])), config.bins)
     figure = new_figure(7.2)
-    same = first.subject is second.subject
-    names = first.subject.name if same else f"{first.subject.name} and {second.subject.name}"
-    headline(figure, f"{names}: {'one shape under two motions' if same else 'two motions'}")
+    headline(figure, f"{first.subject.name}: one shape under two motions")
     for left, above, below in (
         (2.13, "raw events", ""),
         (4.42, "after TNT", transform_words(config)),
@@ -83,9 +72,8 @@ def draw_motions(first: Window, second: Window) -> Figure:
         raw = axes_at(figure, 1.09, top, 2.08, 2.52)
         tnt = axes_at(figure, 3.38, top, 2.08, 2.52, sharex=raw, sharey=raw)
         _draw_along(raw, tnt, window, axis)
-        name = f"window {window.number}" if same else window.subject.name
         look = {"rotation": 90, "ha": "center", "fontweight": "bold"}
-        write_at(figure, 0.21, top + 1.26, f"{name}: {direction(flow, axis)}", **look)
+        write_at(figure, 0.21, top + 1.26, f"window {window.number}: {direction(flow, axis)}", **look)
         if window is second:
             raw.set_xlabel("time in the window (ms)")
             tnt.set_xlabel("time in the window (ms)")
@@ -153,25 +141,9 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
         axes.plot(*zip(*means, strict=True), color="black", lw=2, solid_capstyle="round")
 
 
-def windows_of(files: list[str], model_name: str, numbers: list[int] | None) -> list[Window]:
-    """Two windows: the first ones of one recording, or the first of each of two, unless there are numbers.
-
-    Raises
-    ------
-    ValueError : more than two files; no such window.
-    """
-    if len(files) > 2:
-        raise ValueError(f"two windows of one recording or of two are drawn, got {len(files)} recordings")
-    subjects = [subject_of(name, model_name) for name in files]
-    if numbers is None:
-        numbers = [1, 2] if len(files) == 1 else [1, 1]
-    pair = 2 * subjects if len(files) == 1 else subjects
-    return [subject.window(number) for subject, number in zip(pair, numbers, strict=True)]
-
-
-def subject_of(name: str, model_name: str = "digits") -> Subject:
-    """A recording, or the bundled one of a digit, as a model sees it."""
-    path = sample_recordings()[int(name)] if name.isdigit() else Path(name)
+def subject_of(digit: int, model_name: str = "digits") -> Subject:
+    """The bundled recording of a digit, as a model sees it."""
+    path = sample_recordings()[digit]
     model = load_model(model_name)
     return Subject(path.name, open_recording(path).read(), model.config, model, model_name)
 
@@ -193,15 +165,14 @@ def flow_of(window: Window) -> tuple[float, float]:
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
     parser = plain_parser("figure_motions", __doc__)
-    parser.add_argument("files", nargs="*", default=["3"], help="recordings, or digits of bundled ones (default: 3)")
+    parser.add_argument("digit", nargs="?", type=int, choices=range(10), default=3, help="default: %(default)s")
     parser.add_argument("--model", default="digits", help="a bundled model or a file (default: %(default)s)")
-    parser.add_argument("--windows", type=int, nargs=2, help="numbers, counted from 1 (default: each file's first)")
     parser.add_argument("--picture", type=Path, required=True, metavar="FILE", help=".png, .svg or .pdf")
-    parser.add_argument("--dpi", type=int, default=150)
     args = parser.parse_args(argv)
     check_picture(args.picture)
+    subject = subject_of(args.digit, args.model)
     with styled():
-        save(draw_motions(*windows_of(args.files, args.model, args.windows)), args.picture, args.dpi)
+        save(draw_motions(subject.window(1), subject.window(2)), args.picture, 150)
     return 0
 
 

@@ -26,7 +26,7 @@ from experiments import made_hands
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import machine
 from experiments.digits_data import SACCADE_US
-from experiments.script_options import add_folder, exit_with, run_script, script_parser
+from experiments.script_options import add_count, add_folder, exit_with, run_script, script_parser
 
 SIDE = 34
 RATES = 1.0, 0.2
@@ -173,7 +173,7 @@ def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("found_paths", __doc__, "eight windows of each kind")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
-    parser.add_argument("--windows", type=int, default=200, metavar="N", help="of each kind (default: 200)")
+    add_count(parser, "--windows", 200, "of each kind")
     args = parser.parse_args(argv)
     return run_script(parser, argv, lambda quick: measure(args.nmnist, 8 if quick else args.windows), "found_paths")
 

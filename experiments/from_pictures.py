@@ -17,7 +17,6 @@ once. Finished trainings in --out are kept, interrupted ones resume, and what FI
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +30,16 @@ from experiments import made_pictures, moving_digits
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import CHARACTERS, PIPS, write_glyphs, write_mnist
 from experiments.mnist import load_mnist
-from experiments.script_options import add_folder, data_folder, exit_with, print_tables, script_parser, write_outputs
+from experiments.script_options import (
+    add_count,
+    add_folder,
+    data_folder,
+    earlier_report,
+    exit_with,
+    print_tables,
+    script_parser,
+    write_outputs,
+)
 from experiments.table_data import OFFICIAL
 from experiments.unseen_motions import command
 
@@ -129,8 +137,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--made", action="store_true", help="made objects")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     add_folder(parser, "--fonts", "TrueType and OpenType files, at any depth (default: those of matplotlib)")
-    parser.add_argument("--pictures", type=int, default=60_000, metavar="N", help="of MNIST (default: 60000)")
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
+    add_count(parser, "--pictures", 60_000, "of MNIST")
+    add_count(parser, "--seeds", 5, "networks")
     parser.add_argument("--out", type=Path, default=Path("pictures"), metavar="FOLDER", help="default: pictures")
     args = parser.parse_args(argv)
     folders = {name: getattr(args, name) for name in TITLES if getattr(args, name)}
@@ -139,9 +147,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.made:
         folders["made"] = args.out / "recordings"
         made_pictures.write_recordings(folders["made"] / "Test", 30, 1)
-    report: dict[str, Any] = {"sets": {}}
-    if args.json and args.json.exists():
-        report = json.loads(args.json.read_text(encoding="utf-8"))
+    report = earlier_report(args, {"sets": {}})
     for name, folder in folders.items():
         pictures = args.out / name
         write_pictures(name, pictures, args.mnist, 20 if args.quick else args.pictures, args.fonts)

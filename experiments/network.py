@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import socket
 import subprocess
 import sys
@@ -34,7 +35,7 @@ from async_tnt.sources.playback import wait_until
 from async_tnt.sources.udp import UdpSource
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import latency, machine
-from experiments.script_options import exit_with, plain_parser
+from experiments.script_options import add_count, exit_with, plain_parser, writable_file, write_outputs
 
 EVERY_US = 5_000
 SILENCE_S = 2.0
@@ -191,7 +192,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = plain_parser("network", __doc__)
     parser.add_argument("--seconds", type=float, default=60.0, metavar="N", help="duration of the load (default: 60)")
     parser.add_argument("--rate", type=float, default=1e6, metavar="R", help="events a second (default: a million)")
-    parser.add_argument("--pings", type=int, default=2000, metavar="N", help="single datagrams (default: 2000)")
+    add_count(parser, "--pings", 2_000, "single datagrams")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
     if args.task:
@@ -199,14 +201,15 @@ def main(argv: list[str] | None = None) -> int:
         tasks: dict[str, Callable[..., Any]] = {"pings": send_pings, "load": send_load}
         print(json.dumps(tasks[what](*arguments)), flush=True)
         return 0
-    if args.seconds <= 0 or args.rate < 1 or args.pings < 1:
-        parser.error("--seconds, --rate and --pings must be above 0")
+    if not (0 < args.seconds < math.inf and 1 <= args.rate < math.inf):
+        parser.error("--seconds must be above 0, --rate at least 1")
 
     model = load_model("digits")
     warmup(model)
     result: dict[str, Any] = {"machine": machine(), "latency_us": measure_latency(model, args.pings)}
     result["load"] = measure_load(model, args.seconds, args.rate)
     result["wrong"] = wrong_with_load(result["load"])
+    write_outputs(args, result)
     print(json.dumps(result))
     for what in result["wrong"]:
         print(f"WRONG: {what}", file=sys.stderr)

@@ -17,8 +17,15 @@ REPORT_OF: dict[Table, str] = {}
 
 def results(name: str) -> dict[str, Any]:
     """A recorded run."""
-    found: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-    return found
+    return read_json(RESULTS / f"{name}.json")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A report. A ValueError names the file."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise ValueError(f"{path} is no report: {error}") from None
 
 
 def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:

@@ -1,4 +1,4 @@
-"""Which volume, network and recipe `async-tnt train` takes by default: candidates on five data sets, held-out data.
+"""Which volume `async-tnt train` takes by default: candidates on five data sets, held-out data.
 
     python -m experiments.recipes [--cars N-CARS] [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
                                   [--sets NAME ...] [--candidates NAME ...] [--seeds N] [--out FOLDER] [--json FILE]
@@ -12,9 +12,8 @@ ones resume, and what FILE has of other sets and candidates stays there.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,40 +28,28 @@ from async_tnt.training.settings import default_config, settings_for
 from async_tnt.training.windows import Windows
 from experiments.bench_timing import machine
 from experiments.made_objects import SENSOR, WINDOW_US, Session, write
-from experiments.script_options import add_folder, exit_with, plain_parser, print_tables, writable_file, write_outputs
+from experiments.script_options import (
+    add_count,
+    add_folder,
+    earlier_report,
+    exit_with,
+    plain_parser,
+    print_tables,
+    writable_file,
+    write_outputs,
+)
 
 SPLIT = {"transform": "none", "polarity": "split"}
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """What differs from the default.
-
-    Parameters
-    ----------
-    volume : fields of `TNTConfig`.
-    settings : fields of `TrainSettings`; `augmentation` as for `settings_for`.
-    """
-
-    volume: Mapping[str, Any] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
-
-
-CANDIDATES = {
-    "default": Candidate(),
-    "counts": Candidate({"representation": "count", "bins": 1, **SPLIT}),
-    "counts and times": Candidate({"representation": "count_time", "bins": 2, **SPLIT}),
-    "time surface": Candidate({"representation": "time_surface", "bins": 1, **SPLIT}),
-    "3 bins": Candidate({"representation": "volume", "bins": 3, **SPLIT}),
-    "5 bins": Candidate({"representation": "volume", "bins": 5, **SPLIT}),
-    "conv4": Candidate(settings={"network": "conv4"}),
-    "no logarithm": Candidate(settings={"logarithm": False}),
-    "no average": Candidate(settings={"averaging": 0.0}),
-    "turned and thinned": Candidate(
-        settings={"augmentation": {"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3, "scale": 0.1}}
-    ),
-    "no late start": Candidate(settings={"augmentation": {"late_start": 0.0}}),
+CANDIDATES: dict[str, dict[str, Any]] = {
+    "counts": {"representation": "count", "bins": 1, **SPLIT},
+    "5 bins": {"representation": "volume", "bins": 5, **SPLIT},
+    "counts and times": {"representation": "count_time", "bins": 2, **SPLIT},
+    "time surface": {"representation": "time_surface", "bins": 1, **SPLIT},
+    "3 bins": {"representation": "volume", "bins": 3, **SPLIT},
 }
+"""Name -> fields of `TNTConfig`."""
 EPOCHS = {"cars": 10, "nmnist": 10}
 """Of large sets, for every candidate; of the others those that are the default."""
 
@@ -90,8 +77,7 @@ def sessions(folder: Path, config: Any) -> TrainingData:
     """Made in `folder`."""
     parts = {}
     for k, session in enumerate((Session(), Session(0.28, 0.2, 2.0, 0.8, (6.0, -4.0)))):
-        if not (made := folder / f"session{k}").is_dir():
-            write(made, 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session)
+        made = write(folder / f"session{k}", 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session)
         parts[k] = _read(made, config.replace(window_us=WINDOW_US), SENSOR, validation=0.0)
     return replace(parts[0], validation=parts[1].training)
 
@@ -120,10 +106,10 @@ def _some(windows: Windows, which: np.ndarray) -> Windows:
     return windows[np.flatnonzero(which)]
 
 
-def measure(name: str, data: TrainingData, candidate: Candidate, seed: int, run_folder: Path) -> dict[str, Any]:
+def measure(name: str, data: TrainingData, volume: Mapping[str, Any], seed: int, run_folder: Path) -> dict[str, Any]:
     """Held-out accuracy of one candidate on one set."""
-    config = data.config.replace(**candidate.volume)
-    settings = settings_for(config, len(data.training), epochs=EPOCHS.get(name), seed=seed, **{**candidate.settings})
+    config = data.config.replace(**volume)
+    settings = settings_for(config, len(data.training), epochs=EPOCHS.get(name), seed=seed)
     fitted = fit(replace(data, config=config), settings, run_folder, progress=progress)
     found = fitted.model.record["validation"]
     return {
@@ -144,16 +130,17 @@ def main(argv: list[str] | None = None) -> int:
         if name != "sessions":
             add_folder(parser, f"--{name}", f"the data set {name}")
     parser.add_argument("--sets", nargs="+", choices=list(SETS), metavar="NAME", help="default: those with a folder")
-    parser.add_argument("--candidates", nargs="+", choices=list(CANDIDATES), default=list(CANDIDATES), metavar="NAME")
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="of each candidate (default: 1)")
+    parser.add_argument(
+        "--candidates", nargs="+", choices=list(CANDIDATES), default=list(CANDIDATES)[:2], metavar="NAME"
+    )
+    add_count(parser, "--seeds", 1, "of each candidate")
     parser.add_argument("--out", type=Path, default=Path("recipes"), metavar="FOLDER", help="runs (default: recipes)")
     parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
     names = args.sets or [name for name in SETS if name == "sessions" or getattr(args, name) is not None]
     report: dict[str, Any] = {"machine": machine("torch"), "sets": {}}
-    if args.json and args.json.exists():
-        report = json.loads(args.json.read_text(encoding="utf-8"))
+    report = earlier_report(args, report) | {"machine": report["machine"]}
     for name in names:
         _measure_set(name, args, report)
     print_tables(report, "recipes")

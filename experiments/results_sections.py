@@ -51,9 +51,10 @@ SECTIONS = (
     Section(
         "Decisions",
         "What is compared runs in one process, on one thread each, warm, taking turns, and must first give the same "
-        "logits within 1e-4. *In blocks*: 50 decisions in a row, so that each network has the caches to itself. *Call "
-        "by call*: the networks alternate at every decision. Ratios are taken pair by pair. Latency is wall-clock "
-        "time, throughput processor time. OpenVINO uses float32 and the hint LATENCY.",
+        "logits within 1e-4, but for eventcv, whose volume is another one. *In blocks*: 50 decisions in a row, so "
+        "that each network has the caches to itself. *Call by call*: the networks alternate at every decision. Ratios "
+        "are taken pair by pair. Latency is wall-clock time, throughput processor time. OpenVINO uses float32 and the "
+        "hint LATENCY.",
         "experiments.decisions --json experiments/results/decisions.json --picture docs/images/decisions.png",
         {
             decisions.decisions_machine: "Machine",
@@ -94,7 +95,7 @@ SECTIONS = (
     Section(
         "Memory",
         "",
-        "experiments.memory > experiments/results/memory.json",
+        "experiments.memory --json experiments/results/memory.json",
         {streams.memory: "Growth of a long stream"},
     ),
     Section(
@@ -127,7 +128,8 @@ SECTIONS = (
     Section(
         "Which input",
         INPUTS,
-        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows comparison representations",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows comparison representations "
+        "--into experiments/results/table.json",
         {datasets.representations: "Accuracy and costs, by input"},
     ),
     Section(
@@ -164,7 +166,7 @@ SECTIONS = (
     Section(
         "The thesis' table",
         THESIS,
-        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --into experiments/results/table.json",
         {
             thesis.thesis_rows: "The thesis' own rows; in brackets its numbers, from the official split and simulated "
             f"motions of its own, which were probably like {THESIS_SET!r}",
@@ -198,7 +200,7 @@ SECTIONS = (
     Section(
         "Re-synthesized motions",
         MOTIONS,
-        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows motions",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows motions --into experiments/results/table.json",
         {
             thesis.resynthesis: "Accuracy",
             thesis.resynthesis_match: "How well the recorded motion is matched",
@@ -210,10 +212,10 @@ SECTIONS = (
         "experiments.unseen_motions --set saccades --json experiments/results/unseen_saccades.json",
         {
             accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events",
-            accuracy.unseen_hands: "Hand motion: `--set hands --json .../unseen_hands.json`",
-            accuracy.unseen_volumes: "The saccades by what is learned from, one seed: `--set volumes`. The default "
-            "was set after this was seen; held-out windows in other motions are ordered alike: .897, .922, .826, .915, "
-            ".879",
+            accuracy.unseen_hands: "Hand motion: `--set hands --json experiments/results/unseen_hands.json`",
+            accuracy.unseen_volumes: "The saccades by what is learned from: `--set volumes --seeds 1 --json "
+            "experiments/results/unseen_volumes.json`. The default was set after this was seen; held-out windows in "
+            "other motions are ordered alike: .897, .922, .826, .915, .879",
         },
     ),
     Section(
@@ -227,7 +229,8 @@ SECTIONS = (
     Section(
         "Pictures alone",
         FROM_PICTURES,
-        "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters --made --fonts FONTS",
+        "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters --made --fonts FONTS "
+        "--seeds 1 --json experiments/results/from_pictures.json",
         {
             datasets.from_pictures: "Tested on real recordings, or on those of another renderer",
             datasets.moved_digits: "N-MNIST's networks on simulated test images, in motions and speeds of their own",
@@ -242,22 +245,24 @@ SECTIONS = (
             datasets.car_scenes: "Cars",
             streams.map_times: "From events to objects, `push` and `fire`, beside the whole map, after three digits, "
             "medians and 99th percentiles: `python -m experiments.map_times --json experiments/results/map_times.json`",
-            streams.map_load: "A million events and 1,000 decisions a second on 320x240: processor time by the "
-            "stream's, which is to be below 1",
+            streams.map_load: "A million events and 1,000 decisions a second on 320x240: processor seconds for "
+            "each second of the stream, which must stay below 1",
             streams.map_machine: "Machine",
         },
     ),
     Section(
         "Two threads",
-        "Two streams in two threads of one process, by one after the other; quartiles lie .1 to .2 away. Packets of "
-        "400,000 need Python's lock once in milliseconds, and show what the machine's two cores can do.",
+        "Two streams in two threads of one process: the time of one after the other, divided by that of both at once; "
+        "quartiles lie up to .24 away. Packets of 400,000 need Python's lock once in milliseconds, and show what the "
+        "machine's two cores can do.",
         "experiments.threads --json experiments/results/threads.json",
         {streams.threads: "How much faster", streams.threads_machine: "Machine"},
     ),
     Section(
         "What a machine sustains",
-        "Streams in real time, in packets of a millisecond, through `KeepUp` with at most 50 ms: by load, the rate by "
-        "the one that takes a core, a minute each. Delays from a packet's arrival to the end of its decisions.",
+        "Streams in real time, in packets of a millisecond, through `KeepUp` with at most 50 ms, a minute each. Load: "
+        "the rate, divided by the one that takes a core. Delays from the moment a packet was due to the end of its "
+        "decisions.",
         "experiments.sustained --seconds 60 --json experiments/results/sustained.json",
         {streams.sustained: "Delays under load"},
     ),
@@ -270,7 +275,7 @@ SECTIONS = (
         "Network",
         "Two processes, UDP on loopback, datagrams of 100 events, 1300 bytes. Latency from just before `send`; the "
         "plain socket's time is the system's. Delays count from the time an event was due at the sender.",
-        "experiments.network --seconds 60 > experiments/results/network.json",
+        "experiments.network --json experiments/results/network.json",
         {
             streams.udp_machine: "Machine",
             streams.udp_latency: "Latency",
@@ -284,9 +289,9 @@ def page() -> str:
     """RESULTS.md."""
     parts = [
         "# All results",
-        "Written by `python -m experiments.pages` from `results/*.json` and from the record inside the bundled model; "
-        "do not edit.\n[What they say](../docs/results.md), with the most important tables. Timings are medians on "
-        "shared 2-core virtual machines.",
+        "Written by `python -m experiments.pages`, the tables from `results/*.json` and the record inside the bundled "
+        "model (that of simulated and real recordings by hand); do not edit.\n[What they say](../docs/results.md), "
+        "with the most important tables. Timings are medians on shared 2-core virtual machines.",
     ]
     for section in SECTIONS:
         parts.append(f"## {section.title}")

@@ -6,7 +6,7 @@ recordings, the test 1,000 others of these, 100 per digit. The standard error is
 running centroid, t_max 4, nine bins of 105 ms on 34 x 34 pixels, 16 and 32 convolution channels, 64 hidden units,
 137,738 weights.
 
-It was trained in five steps, which `python -m experiments.digits` repeats in hours. The fourth also shows scattered
+It was trained in five steps, which `python -m experiments.digits` repeats in two hours. The fourth also shows scattered
 events, the fifth all kinds of nothing of `train`; half of its target is what the fourth model says. .27 of the weights
 are the fourth model's, .73 the average over the fifth step; the probabilities are calibrated.
 
@@ -16,20 +16,18 @@ to 30 % of events dropped, every fifth window (in the last two steps every secon
 fifth or 15 % of the windows show nothing. AdamW, decay 0.01, batches of 64, cosine rate from 0.002 (then .001, .001,
 .0005, .001), label smoothing 0.05, seed 0.
 
-Trainings were compared on held-out recordings, and on the bundled samples, which are no test therefore: the last one
-mixes two by the largest share with which all samples are right. 7, 8, 9, 11 and one more have read the test; none
-chose."""
+Trainings were compared on held-out recordings, and on the bundled samples, which are therefore no test: the two models
+were mixed with the largest share of the last at which all samples are right. 7, 8, 9, 11 and one more have read the
+test; none of these results decided anything."""
 
 CARS = """\
 N-CARS (A. Sironi et al. 2018, [arXiv:1803.07913](https://arxiv.org/abs/1803.07913)): 15,422 recordings to train on (one
 is a duplicate) and 8,607 to test on. Each row is `async-tnt train n-cars_train --sensor 120x100` with its options. The
 recipe was found on the last fifth of the training part; of the first row the last twentieth is held out. When all
 networks of a row were trained, each read the test part once. Earlier versions of this project had seen it, with other
-recipes (.81 to .93). Most training recordings are right by the width and height of their crops alone, which a table of
-the training part tells, smoothed over two pixels; so are most test recordings: a shortcut that every network on these
-crops may take. For each row and each input, 11,679 decisions of the first network, one after every event, were
-compared with the network computed in full: all bits are equal. The rows of the comparison of inputs are of an earlier
-version."""
+recipes (.81 to .93). A table of the training crops' widths and heights, smoothed over two pixels, classifies most
+recordings of both parts: a shortcut that every network on these crops may take. The rows of the comparison of inputs
+are of an earlier version."""
 
 DEFAULT = """\
 No test part was read: held out are the last recordings of each class, of HOTS' characters the end of each recording,
@@ -37,7 +35,7 @@ and of `sessions`, which is made, a second session with other thresholds, noise,
 far within a window, counts lose accuracy to time bins; on N-CARS, bins to counts. Events of one polarity of an active
 pixel tell the two apart: N-CARS has 1.7 of them, `sessions` 3.0, N-MNIST 3.2, POKER-DVS 4.1, the characters 11. From
 2.25 on the default is five bins; that value was set after these five. N-CARS and N-MNIST: ten epochs; without
-`--mirror`."""
+`--mirror`. The other columns: `--sets sessions --candidates "3 bins" "time surface" "counts and times"`."""
 
 INPUTS = """\
 On each data set every input gets the same network and number of steps, five seeds. N-MNIST: trained on all three
@@ -56,9 +54,10 @@ numbers of earlier versions had been seen. t_max 2 was chosen of 2, 3, 4 and 8 b
 first saccade, in an earlier version.
 
 Intervals hold for other seeds and other digits: with d the differences of S seeds and I digits, the variance of their
-mean is that of the seeds' means by S and that of the digits' means by I, as in the bootstrap that draws both
-(A. B. Owen 2007, [arXiv:0712.1111](https://arxiv.org/abs/0712.1111)), with Student's quantiles. A difference *holds*
-if it does so by Holm's method at .05 among all of its question, in all columns. With five seeds only large ones do.
+mean is that of the seeds' means divided by S and that of the digits' means divided by I, as a bootstrap that draws both
+has where both are many (A. B. Owen 2007, [arXiv:0712.1111](https://arxiv.org/abs/0712.1111)), with Student's quantiles.
+A difference *holds* if it does so by Holm's method at .05 among all of its question, in all columns. With five seeds
+only large ones do.
 `results/table.json` has all settings, seeds, columns, differences and p.
 
 All rows of 3,000 and 60,000 steps, and TNT+regress trained on 1, were trained on a GPU, by the same steps captured as
@@ -83,8 +82,8 @@ FEW = """\
 Trained in one direction, or in all; means of five seeds (lowest to highest). Saccades: 4,800 recordings of N-MNIST's
 Train show the first one, or all three in turn; the 1,000 of Test show each. Hands: eight dark objects, 1,280 recordings
 that move to the right, or in eight directions; 320 in each test. The signs were chosen by the first and last row.
-Re-synthesis learns in time bins since the third table, the others from counts; from counts it had .919 of the other
-saccades and .957 of the other hands."""
+Since the third table was measured, re-synthesis learns in time bins, the others from counts; from counts it had .919 of
+the other saccades and .957 of the other hands."""
 
 SIMULATED = """\
 200 recordings of N-MNIST's test set, simulations of the same MNIST images under N-MNIST's own motion, and
@@ -113,8 +112,9 @@ nothing was found in 330 windows.
 
 *Cars*: two of N-CARS' test recordings, cars or background, on 304x240. The network: `async-tnt train n-cars_train
 --sensor 120x100 --grid 60x50 --everywhere --mirror --epochs 15`; the test: `python -m experiments.everywhere MODEL
---cars N-CARS`. Cars are told from other things that move, and found where they stand; on a street, where all of the
-background moves, this was not tried. For Prophesee's automotive sets: `async-tnt evaluate MODEL FOLDER`."""
+--cars N-CARS --json experiments/results/car_scenes.json`. Cars are told from other things that move, and found where
+they stand; not tried on a street, where all of the background moves. For Prophesee's automotive sets: `async-tnt
+evaluate MODEL FOLDER`."""
 
 FROM_PICTURES = """\
 One command each, no event recorded: `async-tnt train PICTURES` and its options. N-MNIST: MNIST's 60,000 training

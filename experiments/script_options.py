@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -12,10 +13,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from async_tnt.checks import printable
+from async_tnt.cli.options import positive_int
 from async_tnt.files import check_writable, write_text
 from async_tnt.views.figure_style import check_picture, save, styled
 from experiments.bench_interleaved import WorkDiffers
-from experiments.page_parts import REPORT_OF, Table
+from experiments.page_parts import REPORT_OF, Table, read_json
 
 
 def writable_file(text: str) -> Path:
@@ -59,7 +61,7 @@ def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -
     if getattr(args, "picture", None):
         check_picture(args.picture)
     source = getattr(args, "source", None)
-    return json.loads(source.read_text(encoding="utf-8")) if source else measure()
+    return read_json(source) if source else measure()
 
 
 def run_script(
@@ -82,6 +84,11 @@ def run_script(
     write_outputs(args, report, draw)  # first: measuring took minutes
     print_tables(report, name)
     return 0
+
+
+def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str, Any]:
+    """What the file of --json has, or `report`."""
+    return read_json(args.json) if args.json and args.json.exists() else report
 
 
 def print_tables(report: dict[str, Any], name: str) -> None:
@@ -120,7 +127,7 @@ def exit_with(main: Callable[[], int]) -> NoReturn:
             code = main()
     except BrokenPipeError:  # `| head`: the reader has seen enough
         code = 0
-    except (OSError, ValueError, ImportError) as error:
+    except (OSError, ValueError, ImportError, RuntimeError, subprocess.CalledProcessError) as error:
         code = complain(str(error))
     except KeyboardInterrupt as error:
         _print_line(str(error) or "interrupted")
@@ -136,6 +143,12 @@ def complain(message: str) -> int:
 
 def _print_line(message: str) -> None:
     print(f"{Path(sys.argv[0]).stem}: {printable(message)}", file=sys.stderr, flush=True)
+
+
+def add_count(parser: argparse._ActionsContainer, option: str, default: int, text: str) -> None:
+    """A whole number of at least 1."""
+    help_text = f"{text} (default: {default:,})"
+    parser.add_argument(option, type=positive_int, default=default, metavar="N", help=help_text)
 
 
 def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:

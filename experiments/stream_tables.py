@@ -1,4 +1,4 @@
-"""The tables of event volumes (bench.json), memory, network and archives."""
+"""The tables of streams: event volumes (bench.json), map models, threads, memory, network, loads."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def map_times(found: dict[str, Any]) -> str:
 
 @of_report("map_times")
 def map_load(found: dict[str, Any]) -> str:
-    """Processor time by the stream's time."""
+    """Processor seconds for each second of the stream."""
     models = found["models"]
     numbers = next(iter(models.values()))["load"]
     rows = [[name, *(f"{row['load'][n]:.2f}" for n in numbers)] for name, row in models.items()]
@@ -103,7 +103,7 @@ def map_machine(found: dict[str, Any]) -> str:
 
 @of_report("threads")
 def threads(found: dict[str, Any]) -> str:
-    """Two streams at once, by one after the other."""
+    """The time of two streams one after the other, divided by that of both at once."""
     words = {"volume": "`TNTVolume`", "windows": "`Processor`", "every_us": "`Processor`, a decision every millisecond"}
     head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
     rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
@@ -124,9 +124,10 @@ def sustained(report: dict[str, Any]) -> str:
         rare = "" if of["slowest"] == 1 else f"up to {of['slowest']} times rarer"
         counts = f"{of['decisions']:,}", rare, percent(of["skipped"] / of["received"]), f"{of['grown_mb']:.1f}"
         rows.append([load, f"{of['rate']:,.0f}", *delays, *counts])
+    every = "event" if report["every_events"] == 1 else f"{report['every_events']} events"
     head = ["load", "events a second", "delay, ms: median", "99 %", "99.9 %", "worst"]
     found = (
-        f"{report['model']}, a decision after every {report['every_events']} events, if need be rarer: "
+        f"{report['model']}, a decision after every {every}, if need be rarer: "
         f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us each."
     )
     return f"{found}\n\n{table([*head, 'decisions', 'rarer', 'skipped', 'MB more'], rows)}\n\n{about_machine(report)}"

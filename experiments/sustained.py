@@ -1,11 +1,11 @@
-"""What this machine sustains with a model: events a second, delays under load, and what becomes of twice the load.
+"""What this machine sustains with a model: events a second, delays under load, and what becomes of too many.
 
     python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20] [--picture FILE]
 
 First the processor time of a stream by its rate, in packets of a millisecond, with a decision after every few events;
 the sustained rate is where that takes one core. Then streams come in real time, at shares of that rate, through
-`KeepUp`, and each packet's delay is measured from its arrival to the end of its decisions. `max_delay_us` bounds how
-old a packet may be when it is handed out; above the sustained rate decisions become rarer, and packets are skipped.
+`KeepUp`, and each packet's delay is measured from the moment it was due to the end of its decisions. `max_delay_us`
+bounds a packet's age as it is handed out; above the sustained rate decisions become rarer, and packets are skipped.
 """
 
 from __future__ import annotations
@@ -33,21 +33,27 @@ PERCENTILES = (50.0, 99.0, 99.9)
 PACKET_US, MAX_DELAY_US = 1_000, 50_000
 
 
-def packets(rate: float, seconds: float, *, in_real_time: bool = False) -> Iterator[np.ndarray]:
-    """Packets of a millisecond, of a bundled recording's events over and over, each in new memory."""
+def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
+    """Packets of a millisecond, of a bundled recording's events over and over, each in new memory; in real time since
+    `started`, or at once."""
     events = open_recording(sample_recordings()[3]).read()
-    n, before, started = max(1, round(rate * PACKET_US * 1e-6)), 0, time.monotonic()
+    n, before = max(1, round(rate * PACKET_US * 1e-6)), 0
     for k in range(round(seconds * 1e6 / PACKET_US)):
         packet = events[np.arange(before, before + n) % len(events)]
         packet["t"] = k * PACKET_US + np.arange(n) * PACKET_US // n
         before += n
-        if in_real_time and (ahead_s := started + (k + 1) * PACKET_US * 1e-6 - time.monotonic()) > 0:
+        if started is not None and (ahead_s := due_s(started, packet) - time.monotonic()) > 0:
             time.sleep(ahead_s)
         yield packet
 
 
+def due_s(started: float, packet: np.ndarray) -> float:
+    """When a packet is complete, by the clock that showed `started` as its stream began."""
+    return started + (int(packet["t"][0]) // PACKET_US + 1) * PACKET_US * 1e-6
+
+
 def share_of_core(processor: Processor, rate: float, seconds: float) -> float:
-    """Processor time of a stream, by the time that it covers."""
+    """Processor seconds for each second of a stream."""
     processor.reset()
     made = list(packets(rate, seconds))
     started = time.process_time()
@@ -60,12 +66,12 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
     """A stream in real time: delays in milliseconds, what was decided, and what was skipped."""
     processor.reset()
     delays_us, n_decisions, before_mb = [], 0, resident_mb()
-    source = packets(rate, seconds, in_real_time=True)
-    reader = KeepUp(source, processor, max_delay_us=MAX_DELAY_US, copy=False)
+    started = time.monotonic()
+    reader = KeepUp(packets(rate, seconds, started), processor, max_delay_us=MAX_DELAY_US, copy=False)
     with reader:
         for packet in reader:
             n_decisions += len(processor.push(packet))
-            delays_us.append(reader.delay_us)
+            delays_us.append(1e6 * (time.monotonic() - due_s(started, packet)))
         counts = reader.counters
     return {
         "rate": rate,
@@ -111,7 +117,7 @@ def draw(report: dict[str, Any]) -> Figure:
     for (colour, dashes), p in zip(HIGHLIGHTS, PERCENTILES, strict=False):
         delays = [of["delay_ms"][f"{p:g}"] for of in report["streams"].values()]
         axes.loglog(loads, delays, marker="o", ms=3, color=colour, ls=dashes, label=f"{p:g} %")
-    axes.set_xlabel("load, by the sustained rate")
+    axes.set_xlabel("load: the rate divided by the sustained one")
     axes.set_ylabel("delay of a packet, ms")
     axes.legend()
     headline(figure, f"{report['model']}: {report['sustained']:,.0f} events a second, less and more")

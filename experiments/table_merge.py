@@ -22,6 +22,9 @@ def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     """The record `there` with the results of `new`; neither is changed. Its settings and machine are those of `new`."""
     record = {**there, **new}
     record |= {name: {**there[name], **new[name]} for name in BY_NAME}
+    for row in there["rows"].keys() & new["rows"].keys():
+        motions = {**there["rows"][row]["motions"], **new["rows"][row]["motions"]}  # of what it is trained on
+        record["rows"][row] = {**record["rows"][row], "motions": motions}
     record["command"] = "; ".join(dict.fromkeys([*there["command"].split("; "), *new["command"].split("; ")]))
     record["seeds"] = sorted({*there["seeds"], *new["seeds"]})
     table = {row: there["table"].get(row, {}) | new["table"].get(row, {}) for row in ROWS}

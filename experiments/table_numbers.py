@@ -5,7 +5,7 @@ give other numbers. With d the (S, I) differences of S seeds and I digits, the v
 
     var_seeds(mean over digits) / S + var_digits(mean over seeds) / I
 
-which is the expectation of the bootstrap that draws seeds and digits independently (Owen 2007, The Pigeonhole
+which a bootstrap that draws seeds and digits independently has where both are many (Owen 2007, The Pigeonhole
 Bootstrap, arXiv:0712.1111). Intervals and p are Student's, with Satterthwaite's degrees of freedom, as few seeds ask
 for. Of all differences of a question together, in all of its columns, those are claimed that hold by Holm's method at
 .05.

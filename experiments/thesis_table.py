@@ -17,6 +17,7 @@ from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
+from experiments.page_parts import read_json
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser, writable_file
 from experiments.table_rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
@@ -153,6 +154,8 @@ def main(argv: list[str] | None = None) -> int:
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
     check_folder(args.out, ("results.json", "table.md"))
+    if args.into is not None:
+        read_json(args.into)  # a wrong file shows now
     per_digit = 8 if args.smoke else None
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     # now, so that a missing or damaged file shows before anything is trained
@@ -206,7 +209,7 @@ def main(argv: list[str] | None = None) -> int:
     tables = "\n\n".join(markdown_table(table, [group]) for group in groups)
     write_text(args.out / "table.md", tables + "\n")
     if args.into is not None:
-        there = json.loads(args.into.read_text(encoding="utf-8"))
+        there = read_json(args.into)
         write_text(args.into, json.dumps(merged(there, record), indent=1) + "\n")
     if args.json:
         say(json.dumps(record))

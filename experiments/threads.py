@@ -67,7 +67,7 @@ def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
 
 
 def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
-    """One after the other, by at once."""
+    """The time of one after the other, divided by that of both at once."""
     both = {str(in_threads): (lambda in_threads=in_threads: seconds(pair, in_threads)) for in_threads in (False, True)}
     measured = interleave(both, rounds)
     return spread(measured["False"] / measured["True"])

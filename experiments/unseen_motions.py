@@ -35,7 +35,15 @@ from async_tnt.sources.sensor import format_size
 from experiments import made_hands, thinned_saccades
 from experiments.bench_timing import machine
 from experiments.digits_data import CLASSES, SACCADE_US
-from experiments.script_options import add_folder, data_folder, exit_with, print_tables, script_parser, write_outputs
+from experiments.script_options import (
+    add_count,
+    add_folder,
+    data_folder,
+    exit_with,
+    print_tables,
+    script_parser,
+    write_outputs,
+)
 
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
 RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
@@ -44,7 +52,7 @@ SETS = "hands", *OF_NMNIST
 MOVED = "--motions", "resynthesized"
 HARDLY = 0.03
 VOLUMES = {
-    "counts": (),
+    "counts": ("--volume", "representation=count,polarity=split,transform=none"),
     "5 bins": ("--volume", "representation=volume,bins=5,polarity=split,transform=none"),
     "5 bins, unsigned": ("--volume", "representation=volume,bins=5,polarity=unsigned,transform=none"),
     "9 bins, signed": ("--volume", "representation=volume,bins=9,polarity=signed,transform=none"),
@@ -189,19 +197,17 @@ def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("unseen_motions", __doc__, "one seed, few recordings and epochs")
     parser.add_argument("--set", choices=SETS, default="hands", help="default: hands")
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="data and networks (default: 5)")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: not kept)")
+    add_count(parser, "--seeds", 5, "data and networks")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: unseen_SET)")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test, for saccades (default: $TNT_DATA/nmnist)")
     args = parser.parse_args(argv)
     made = sets(data_folder(args.nmnist, "nmnist", "--nmnist") if args.set in OF_NMNIST else None)[args.set]
     with TemporaryDirectory() as name:
-        out = Path(name) if args.out is None else args.out
-        if args.quick:
-            report = measure(replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3"))
-        else:
-            report = measure(made, args.seeds, out)
-    print_tables(report, f"unseen_{args.set}")
+        out = args.out or Path(name if args.quick else f"unseen_{args.set}")
+        few = replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3")
+        report = measure(*few) if args.quick else measure(made, args.seeds, out)
     write_outputs(args, report)
+    print_tables(report, f"unseen_{args.set}")
     return 0
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made import random_events, random_model
 from small_sets import write_small_mnist
 
 import experiments
-from async_tnt import TNTConfig, load_model
+from async_tnt import load_model
+from async_tnt.cli.options import volume_of
 from experiments import decisions, edges
 from experiments.mnist import load_mnist
 from experiments.nmnist_files import write_nmnist
@@ -98,14 +98,14 @@ def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "i.png").stat().st_size > 10_000
 
 
-def test_decisions_that_differ_from_the_dense_network_end_the_measurement(monkeypatch):
+def test_inputs_that_are_compared_are_different_ones():
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
-    from experiments import cars
+    from async_tnt.training.settings import default_config
+    from experiments import cars, unseen_motions
 
-    model = random_model(TNTConfig(grid=(8, 8), sensor=(8, 8)), classes=2)
-    recordings = [random_events(30, seed=k, duration_us=9_000, sensor=(8, 8)) for k in range(2)]
-    assert cars._compare_with_dense(model, recordings) == 60
-    other = np.array([1, 2], np.float32)
-    monkeypatch.setattr(cars, "CompiledClassifier", lambda model: lambda volume: other)
-    with pytest.raises(cars.WorkDiffers, match="event 1 of a window"):
-        cars._compare_with_dense(model, recordings)
+    of_cars = [words.split()[1] for name, words in cars.RECIPES.items() if name.startswith("equal_")]
+    for volumes in (of_cars, [words[1] for words in unseen_motions.VOLUMES.values()]):
+        configs = {default_config(**volume_of(volume)) for volume in volumes}
+        assert len(configs) == len(volumes)
+    found = cars.with_earlier({"recipes": {"bare": 3}}, {"recipes": {"bare": 1, "an older one": 2}}, ["bare"])
+    assert found == {"recipes": {"bare": 3, "an older one": 2}}

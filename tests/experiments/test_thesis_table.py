@@ -115,12 +115,15 @@ def test_results_put_into_a_file_of_more_rows():
     effect = {**old["effects"][0], "mean": 0.5, "p": 0.0}
     cells = {row: {column: {**old["table"][row][column], "mean": 0.25}}}
     new = {**old, "command": "again", "seeds": [7], "machine": {"cpu": "another"}, "table": cells, "effects": [effect]}
-    new |= {"rows": {}, "validation": {}, "curves": {"x": []}, "differences": [{**before, "mean": 0.125, "p": 0.9}]}
+    moved = {**old["rows"]["raw-motions"], "motions": {"all": {}}}
+    new |= {"rows": {"raw-motions": moved}, "validation": {}, "curves": {"x": []}}
+    new |= {"differences": [{**before, "mean": 0.125, "p": 0.9}]}
     found = merged(old, new)
     assert found["table"][row][column]["mean"] == 0.25 and found["machine"]["cpu"] == "another"
     assert found["table"][row]["1/sim"] == old["table"][row]["1/sim"] and list(found["table"]) == list(old["table"])
     assert found["seeds"] == [0, 1, 2, 3, 4, 7] and found["command"] == f"{old['command']}; again"
-    assert found["curves"] == {**old["curves"], "x": []} and found["rows"] == old["rows"]
+    assert found["curves"] == {**old["curves"], "x": []} and found["rows"].keys() == old["rows"].keys()
+    assert found["rows"]["raw-motions"]["motions"] == {**old["rows"]["raw-motions"]["motions"], "all": {}}
     of = [d for d in found["differences"] if d["question"] == before["question"]]
     assert [d["mean"] for d in of if (d["row"], d["column"]) == (row, column)] == [0.125] and len(of) > 30
     assert [d["holm"] for d in of] == holm([d["p"] for d in of]) != [d["holm"] for d in old["differences"][: len(of)]]
