@@ -89,7 +89,7 @@ def calibration_of(probability: np.ndarray, right: np.ndarray) -> tuple[list[dic
 
     Examples
     --------
-    >>> bins, error = calibration_of(np.array([0.95, 0.95, 0.75, 0.75]), np.array([True, True, True, False]))
+    >>> bins, error = calibration_of(np.array([0.9, 1.0, 0.75, 0.75]), np.array([True, True, True, False]))
     >>> [(row["decisions"], row["accuracy"]) for row in bins], round(error, 3)
     ([(2, 0.5), (2, 1.0)], 0.15)
     """

@@ -6,15 +6,18 @@ import re
 import shutil
 import signal
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from evaluation.made_work import JOB
 from made import thesis_model
 from processes import started
 from waiting import until
 
 from async_tnt.evaluation.early import decision_at
+from async_tnt.evaluation.records import processor_of
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -61,6 +64,15 @@ def test_a_moment_knows_the_events_before_it_and_no_others():
     window = [SimpleNamespace(window_start_us=5, time_us=5 + t) for t in times]
     expected = [None, window[0], window[0], window[1], window[1], window[3]]
     assert [decision_at(window, moment) for moment in (0, 1, 10, 11, 20, 30)] == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"version": "0.1"}, "a worker has async_tnt .*, but this program is 0.1"), ({}, "not the model that the job")],
+)
+def test_a_worker_refuses_the_job_of_another_program_or_model(changes, message):
+    with pytest.raises(ValueError, match=message):
+        processor_of(replace(JOB, **changes))
 
 
 def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):

@@ -27,7 +27,7 @@ def saved(tmp_path_factory):
     net = nn.Conv2d(2, 3, 1)
     with torch.no_grad():
         net.weight[:, :, 0, 0] = torch.tensor([[1.0, 0], [0, 1.0], [0, 0]])
-        net.bias[:] = torch.tensor([0.0, 0, 5])
+        net.bias[:] = torch.tensor([0.0, 0, 9.5])
     return Model.from_torch(nn.Sequential(net), CONFIG, ("on", "off")).save(
         tmp_path_factory.mktemp("model") / "m.safetensors"
     )
@@ -37,13 +37,13 @@ def ten(t, x, y, p):
     return [(t + k, x, y, p) for k in range(10)]
 
 
-EVENTS = [*ten(5100, 20, 10, 1), *ten(5700, 50, 30, 0), *ten(5800, 60, 5, 1), *ten(9000, 20, 10, 1)]
-TRUTH = [(6000, "on", 21, 12), (6000, "off", 50, 30), (6000, "on", 5, 5), (9900, "on", 20, 10)]
+EVENTS = [*ten(5100, 20, 10, 1), *ten(5700, 50, 30, 0), *ten(5800, 60, 5, 1), *ten(8900, 20, 10, 1)]
+TRUTH = [(9900, "on", 20, 10), (6000, "on", 21, 12), (6000, "off", 50, 30), (6000, "on", 5, 5)]
 
 
 @pytest.fixture
 def folder(tmp_path):
-    np.savez(tmp_path / "a_td.npz", sensor=CONFIG.sensor, **dict(zip("txyp", np.array(EVENTS).T, strict=True)))
+    np.savez(tmp_path / "a_td.npz", sensor=CONFIG.sensor, **dict(zip("txyp", np.array(EVENTS[::-1]).T, strict=True)))
     return tmp_path
 
 
@@ -105,6 +105,13 @@ def test_what_is_wrong_is_said(folder, saved, program):
     write_points(folder / "b_objects.csv")
     assert "the file does not state its sensor; give it with --sensor WxH" in error("--strict")
     assert program("evaluate", saved, folder, "--sensor", "64x40", "--strict")[0] == 0
+
+
+def test_how_near_is_near_enough(tmp_path):
+    """Within a box, of at least a pixel a side, or so many pixels from a point."""
+    write_points(tmp_path / "a_objects.csv", [(1, "on", 10, 20, 8, 0), (2, "on", 10, 20, 0, 0)], "t,class,x,y,w,h")
+    table = read_table(tmp_path / "a_objects.csv", ("on",))
+    assert (table.reach.tolist(), table.middle.tolist()) == ([[4, 0.5], [5, 5]], [[14, 20], [10, 20]])
 
 
 def test_matches_by_hand():

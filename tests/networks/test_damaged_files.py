@@ -139,6 +139,9 @@ def onnx_file(path, **changes):
             {"config": "{}"},
             "is damaged: its configuration gives volumes of shape (9, 34, 34), its netw",
         ),
+        (onnx_file, {"classes": "[1, 2, 3]"}, "is damaged: metadata `classes` must be a list of names, got '[1, 2"),
+        (onnx_file, {"record": "3"}, "is damaged: metadata `record` must be a mapping, got '3'"),
+        (onnx_file, {"network": "{}"}, "is damaged: metadata `network` must be a list of layers, got '{}'"),
         (onnx_file, {"classes": '["a", "b"]'}, "is damaged: it names 2 classes, its network gives 3 logits"),
     ],
 )

@@ -14,7 +14,7 @@ from networks.modules import CONFIG, EVEN_KERNEL, VOLUMES, branches, logits_of
 from networks.random_networks import random_models
 from networks.small import SMALL
 
-from async_tnt import CompiledClassifier, TNTConfig, load_model
+from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.engines import choose_engine
 from async_tnt.networks.onnx_operations import RULES
@@ -130,6 +130,36 @@ def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, missing, None)
         with pytest.raises(ImportError, match=r"^ONNX networks are .*: pip install 'async_tnt\[onnx\]' \("):
             load_model(theirs, config=SMALL)
+
+
+LINEAR = [node("Flatten", "x", "f"), node("MatMul", "f w")]
+SUM = [node("Relu", "x", "r"), node("Add", "r one", "s"), node("Log", "s", "l"), node("Add", "l s", "a")]
+TWICE = [LINEAR[0], node("MatMul", "f q", "g"), node("Gemm", "g q", "h", transB=1), node("MatMul", "h w")]
+ACCEPTED = {
+    "a sum below a logarithm that is read by another node, too": ([*SUM, node("Flatten", "a", "f"), LINEAR[1]], 1),
+    "one constant as two matrices": (TWICE, 1),
+    "a batch of two": (LINEAR, 2),
+}
+
+
+@pytest.mark.parametrize("nodes, batch", ACCEPTED.values(), ids=ACCEPTED)
+def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
+    weights = {"one": np.float32(1), "w": np.eye(60, 3, dtype=np.float32), "q": np.tri(60, dtype=np.float32) / 60}
+    path = write_onnx(tmp_path / "m.onnx", nodes, weights, shape=(batch, 2, 6, 5))
+    assert len(load_model(path, config=SMALL).classes) == 3  # and compared with it
+    path.write_bytes(network(dtype=onnx.TensorProto.FLOAT16))  # as exactly as half precision is
+    assert len(load_model(path, config=SMALL).classes) == 3
+
+
+def test_layers_named_as_weights_and_as_the_output_can_be_exported():
+    layers = [
+        {"op": "flatten", "name": "w", "inputs": ["volume"]},
+        {"op": "dense", "name": "logits", "inputs": ["w"], "weights": {"weight": "w"}},
+        {"op": "relu", "name": "last", "inputs": ["logits"]},
+    ]
+    model = Model(SMALL, {"w": np.eye(3, 60)}, ["a", "b", "c"], network={"classifier": layers})
+    logits = OnnxClassifier(to_onnx(model))(np.arange(60, dtype=np.float32).reshape(SMALL.shape))
+    assert logits.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_weight_named_as_the_export_names_a_constant_is_kept(tmp_path):

@@ -59,6 +59,7 @@ DAMAGED = [
     (update(0, stride=[0, 1]), "layer 'conv1' (conv): `stride` must be a list of 2 whole numbers from 1 on, got [0, 1"),
     (update(0, kernel=[9, 9]), "layer 'conv1' (conv): its kernel reaches over 9 places, its input has 8 with the padd"),
     (update(0, kernel=[1, 1]), "layer 'conv1' (conv): its weight must have shape (2, 2, 1, 1) here, got (2, 2, 3, 3)"),
+    (update(0, padding=[0, 16383, 0, 16382]), "layer 'conv1' (conv): its map (2, 4, 32768) must have sides below"),
     (update(0, groups=3), "layer 'conv1' (conv): 3 groups must divide its 2 channels and 2 filters"),
     (update(0, weights={"bias": "conv1.bias"}), "layer 'conv1' (conv): `weights` must be weight, bias, got bias"),
     (update(2, padding=[2, 0, 0, 0]), "layer 'pool1' (average_pool): padding [2, 0, 0, 0] must be less than kernel [2"),
@@ -135,6 +136,15 @@ def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(laye
         layer_shapes(*arguments)
     monkeypatch.setattr(graph, limit, 1 << 40)
     assert len(layer_shapes(*arguments)) == len(layers) + 1
+
+
+def test_small_networks_by_hand():
+    """An activation that nothing reads; a pooling of the size of its map, with padding."""
+    mean, whole = ("global_average_pool", {}), {"kernel": [6, 5], "padding": [1, 0, 1, 0], "stride": [2, 1]}
+    unread = [*chain(mean, conv(), ("relu", {})), {"op": "flatten", "name": "output", "inputs": ["conv 1"]}]
+    for layers, logit in ((unread, -1.0), (chain(("average_pool", whole), mean, conv()), -5 / 6)):
+        model = Model(SMALL.replace(bins=1), {"w": -np.ones((1, 1, 1, 1))}, ["a"], network={"classifier": layers})
+        assert CompiledClassifier(model)(np.ones((1, 6, 5))) == pytest.approx(logit)
 
 
 def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):

@@ -264,6 +264,13 @@ def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
             assert a == pytest.approx(b, abs=1e-3)
 
 
+def test_a_map_of_another_program_has_numbers_as_classes(tmp_path):
+    proto = to_onnx(map_model())
+    del proto.metadata_props[:]
+    (tmp_path / "map.onnx").write_bytes(proto.SerializeToString())
+    assert load_model(tmp_path / "map.onnx", config=CONFIG).classes == ("0", "1", "2")
+
+
 def test_the_same_network_for_another_sensor():
     """What it finds near a place does not depend on the sensor, away from the border."""
     model = map_model()

@@ -65,6 +65,18 @@ def test_one_garbled_time_costs_its_event_and_no_more(place, number, garbled):
     assert by_clock(received) == (packets, (garbled < 2**62, 0, 0))
 
 
+@pytest.mark.parametrize("late", [[MINUTE_US - 10], [MINUTE_US - 10, HOUR_US]])
+def test_late_events_do_not_tell_how_much_time_has_passed(late):
+    kept, _ = by_clock([[MINUTE_US], late, [MINUTE_US + 3 * JUMP_US]], [0, 2 * JUMP_US, 2 * JUMP_US])
+    assert kept == [[MINUTE_US], late[:1], [MINUTE_US + 3 * JUMP_US]]
+
+
+def test_packets_of_a_moved_clock_agree_however_rare_they_are():
+    times = [3 * JUMP_US // 2 * k for k in range(N)]
+    kept, counts = by_clock([[HOUR_US], *[[t] for t in times]], [0, *times])
+    assert kept == [[HOUR_US], *NOTHING, [HOUR_US]] and counts == (N - 1, 0, 1)
+
+
 AHEAD = [[15 * MINUTE_US + k, 15 * MINUTE_US + k] for k in range(N + 2)]
 AGAIN = [[k, 10 + k] for k in range(N + 1)]
 WENT_ON = [[MINUTE_US, MINUTE_US + 10], [MINUTE_US + 1, MINUTE_US + 11]]

@@ -1,5 +1,6 @@
 """A trained model's probabilities: what they say on held-out windows, and where nothing is there."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -87,12 +88,17 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     assert found.calibration_error > 0.15 and softer.calibration_error < 0.01
     assert found.sure_of_nothing["scattered"] > softer.sure_of_nothing["scattered"]
     assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
+    assert fit_temperature(softened(truth, 9), labels) == pytest.approx(1 / 5)  # and no less
+    assert fit_temperature(np.array([[1.0, 0.0]] * 9), np.ones(9, int)) == pytest.approx(5)  # nor more
 
 
 def test_a_calibrated_model_decides_the_same(models):
     model = models[0.0]
     calibrated_model, temperature = calibrated(model, 2.5)
     assert temperature == 2.5 and calibrated_model.classes == model.classes
+    *others, last = model.network["classifier"]
+    twice = {"classifier": [*others, last | {"name": "unused"}, last]}  # a layer that has the same weights
+    assert calibrated(replace(model, network=twice), 2.5)[1] == 1.0
     volumes = np.random.default_rng(0).normal(size=(50, *model.config.shape)).astype(np.float32)
     for volume in volumes:
         logits, softer = (np.array(CompiledClassifier(m)(volume)) for m in (model, calibrated_model))

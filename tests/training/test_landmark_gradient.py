@@ -55,6 +55,8 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
     (expected * torch.from_numpy(slope).double()).sum().backward()
     assert at.grad.abs().min() > 0.1
     np.testing.assert_allclose(batches(windows, None, LANDMARKS), expected.detach(), atol=1e-5)
+    with pytest.raises(ValueError, match="`landmarks` must be given with landmark 'regressor', and with no other"):
+        batches(windows)
     fine = NOTHING.draw(windows, config, np.random.default_rng(0))  # augmentation has a finer sensor
     assert fine.sensor != config.sensor
     for draws in (None, fine):

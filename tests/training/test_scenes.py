@@ -13,12 +13,14 @@ import torch
 from tnt_reference import event_volume
 
 from async_tnt import Model, Processor, TNTConfig, load_model
+from async_tnt.training import objectives
 from async_tnt.training import scenes as module
 from async_tnt.training.augment import Augmentation, unchanged
 from async_tnt.training.objectives import SceneScores
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.scenes import SceneMaker
+from async_tnt.training.scenes import SceneMaker, Scenes
+from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 
 CONFIG = TNTConfig(
@@ -114,7 +116,17 @@ def test_a_network_that_computes_no_numbers_finds_nothing():
     with torch.no_grad():
         net[0].bias.fill_(np.nan)
     found = scores.after(pipeline, 1.0)
-    assert (found.found.sum(), found.f1) == (0, 0.0)
+    assert (found.found.sum(), found.f1, pipeline.training) == (0, 0.0, True)
+
+
+def test_the_nearest_place_of_a_coarse_map_names_an_object(monkeypatch):
+    """Though it is further away than `REACH` of the recording's shorter side, 2.4 pixels: places are 16 apart."""
+    coarse = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 16, 16))
+    monkeypatch.setattr(objectives, "build_network", lambda *_: coarse)
+    _, windows = recordings(1)
+    objects = objectives.ObjectsInScenes(CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c"))
+    scenes = Scenes(np.zeros((1, 6, 48, 60)), np.array([0]), np.array([2]), np.array([[20.0, 20.0]]))
+    assert objects._targets(scenes)[0].tolist() == [[[3, 3, 3], [3, 2, 3], [3, 3, 3]]]
 
 
 @pytest.fixture(scope="module")

@@ -103,6 +103,10 @@ def test_evaluation_by_hand():
     assert found.per_recording == 0.5  # mean of .731, .731, .0001 for class 1 is below a half
     assert found.against_time == {10.0: 0.5, 100.0: pytest.approx(5 / 6), 105.0: pytest.approx(5 / 6)}  # nothing yet: 0
     assert found.to_dict()["against_time_ms"] == {"10": 0.5, "100": 0.83333, "105": 0.83333}
+    some = make_windows(recordings, 105_000)[:4]  # three of one class, with a mean loss of 3.2089, one of the other
+    objectives = [ClassOfWindows(CONFIG, some, TrainSettings(balance=balance), 2) for balance in (True, False)]
+    losses = [objective.validate(pipeline)["validation_loss"] for objective in objectives]
+    assert losses == pytest.approx([(3.2089 + 0.0486) / 2, (3 * 3.2089 + 0.0486) / 4], abs=1e-3)
 
 
 def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_path):

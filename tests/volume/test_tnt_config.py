@@ -38,25 +38,31 @@ WRONG = [
         "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), got "
         "representation='count_time', bins=9",
     ),
-    (
-        {"representation": "mean_time", "polarity": "signed"},
-        ValueError,
-        'an image of times needs transform="none" and polarity "split" or "unsigned", got '
-        "representation='mean_time', transform='none', polarity='signed'",
-    ),
+    *[
+        (
+            {"representation": "mean_time", "transform": transform, "polarity": polarity},
+            ValueError,
+            'an image of times needs transform="none" and polarity "split" or "unsigned", got '
+            f"representation='mean_time', transform='{transform}', polarity='{polarity}'",
+        )
+        for transform, polarity in (("none", "signed"), ("tnt", "split"))
+    ],
     *[({"t_max": v}, TypeError, f"`t_max` must be a number, got {v!r}") for v in ("8", True)],
     *[
         ({"t_max": value}, ValueError, f"`t_max` must be in [1e-6, 1e6], got {got}")
-        for value, got in ((0, 0.0), (1e6 + 1, 1e6 + 1), (math.nan, math.nan), (10**400, math.inf))
+        for value, got in ((0, 0.0), (1e-7, 1e-7), (1e6 + 1, 1e6 + 1), (math.nan, math.nan), (10**400, math.inf))
     ],
     ({"landmark": "CENTER"}, ValueError, f"`landmark` must be one of {', '.join(LANDMARKS)}, got 'CENTER'"),
     ({"polarity": 0}, ValueError, f"`polarity` must be one of {', '.join(POLARITIES)}, got 0"),
     ({"remove_flow": 1}, TypeError, "`remove_flow` must be True or False, got 1"),
-    (
-        {"remove_flow": True, "landmark": "center"},
-        ValueError,
-        "`remove_flow` needs landmark=\"line\" and transform=\"tnt\", got landmark='center', transform='tnt'",
-    ),
+    *[
+        (
+            {"remove_flow": True, "landmark": landmark, "transform": transform},
+            ValueError,
+            f'`remove_flow` needs landmark="line" and transform="tnt", got {landmark=}, {transform=}',
+        )
+        for landmark, transform in (("center", "tnt"), ("line", "none"))
+    ],
     ({"grid": (1023, 1023), "bins": 65, "polarity": "split"}, ValueError, CELLS.format(260 << 20)),
 ]
 
@@ -85,7 +91,8 @@ def test_defaults_that_depend_on_the_representation_and_the_windows():
     assert image.replace(representation="volume") == TNTConfig()
     by_events = TNTConfig(window_us=20_000).replace(window_events=9)
     assert by_events == TNTConfig(window_events=9) and by_events.replace(window_events=None) == TNTConfig()
-    assert by_events.replace(window_us=50).replace(window_events=7).window_us == 50
+    fifty = by_events.replace(window_us=50).replace(window_events=7)
+    assert fifty == TNTConfig().replace(window_events=7, window_us=50) and fifty.window_us == 50
 
 
 @pytest.mark.parametrize("number", [np.int8, np.uint64, np.array])

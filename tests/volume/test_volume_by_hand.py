@@ -87,6 +87,13 @@ def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
     assert volume_of(config, (100_000_000, 33, 16, 1)).counts.kept == 1
 
 
+def test_rounding_leaves_no_trace_at_the_border_nor_on_the_next_cell():
+    """At tau = 13 / 13 the first column is at -3.6e-15; pixel 49 of 50 is 1.1e-16 before the second column of two."""
+    assert volume_of(TNT.replace(window_us=104), (13, 0, 33, 1)).counts.kept == 1
+    times = TNTConfig(sensor=(50, 2), grid=(2, 2), window_us=40, representation="count_time")
+    assert volume_of(times, (10, 49, 0, 1)).array[:2, 0].tolist() == [[0, 1], [0, 0.25]]
+
+
 def test_line_landmark_is_the_ridge_line_at_the_windows_start():
     # f = 1/8, 3/8: C_ff = 2 / 64. x = 10, 14: C_xf = 2 * (1/8) * 2 = 1/2, m_x = (1/2) / (1 + 1/32) = 16/33.
     # y = 18, 12: C_yf = -3/4, m_y = -24/33.

@@ -122,7 +122,7 @@ class TextSource(Source):
                     rest = b""
                 rest += chunk[end:]
             if rest:
-                yield rest[:MAX_ROW_BYTES] + b"\n", False
+                yield rest + b"\n", False
 
 
 def _polarity(word: str) -> float:

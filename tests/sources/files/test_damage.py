@@ -117,6 +117,8 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
     [
         ("a.raw", evt3(EVENTS)[len(evt_header("3.0")) :], "its first bytes are not those of a known format"),
         ("a.raw", b"% evt 4.0\n", r"`% evt` 2.0, 2.1 or 3.0, or `% format` EVT2, EVT21 or EVT3; got '4.0'"),
+        ("a.raw", b"% format EVT21;endianness=big\n", "`endianness` must be little or legacy, got 'big'"),
+        ("a.raw", b"% evt 3.0\n% t0 " + b"9" * 19 + b"\n", "`% t0` must be whole microseconds, got '9{19}'"),
         ("a.raw", b"% evt 3.0\n% geometry 12", "the file ends inside its header, in '% geometry 12'"),
         ("a.raw", b"% evt 3.0\n% geometry 0x12\n", "must be two sizes in pixels, got '0x12'"),
         ("a.dat", b"% some table\n1 2 3\n4 5 6\n", "after the header there must be a type of events, 0 or 12"),
@@ -167,6 +169,7 @@ OFF["x"][9] = 34
         ("a.aedat", aedat3(EVENTS) + NEGATIVE, "in the packet around byte .*: t = -1, x = 0, y = 0, p = 0 is not", 12),
         ("a.txt", ROWS, "line 150001: .* got 'what'", 150_000),
         ("a.txt", b"0.5 1 2 1\n#" + b" " * 3_000_000 + b"\n0.6 1 2 1\n", "line 2: expected .* more than 65,536 b", 1),
+        ("a.txt", b"0.5 1 2 1\n0.6 1 2 1" + b" " * 70_000 + b"what", "line 2: expected .* got '0.6 1 2 1", 1),
         # without its line end, `1234` may have been 123456
         ("a.csv", b"x,y,p,t\n1,2,1,1233\n1,2,1,1234", "line 3: .* got '1,2,1,1234', and the file ends there", 1),
         *(

@@ -78,6 +78,7 @@ IMPOSSIBLE = {
     "sides whose product overflows to the right size": npy((2**32, 2**32, 1)),
     "beyond what Python prints": npy(f"({'9' * 4000}, {'9' * 4000})"),
     "records of nothing": npy((2**62,), "'V0'"),
+    "an array in each place": npy((1,), "('<i8', (1,))"),
     "Python objects": npy((1,), "'O'"),
     "no literal": npy("(1,) if 1else (2,)"),
 }
@@ -109,7 +110,7 @@ def test_an_impossible_header_takes_no_memory_and_is_refused_in_one_line_of_ours
     assert "\n" not in text and "allow_pickle" not in text
 
 
-def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
+def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path, monkeypatch):
     path = tmp_path / "a.npz"
     data = npy((10**8,), EVENT_DTYPE.descr)
     with zipfile.ZipFile(path, "w") as archive:
@@ -119,4 +120,7 @@ def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
     archive[place : place + 4] = (len(data) - 8 + 10**8 * EVENT_DTYPE.itemsize).to_bytes(4, "little")
     path.write_bytes(archive)
     with pytest.raises(ValueError, match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$"):
+        open_recording(path)
+    monkeypatch.setattr(numpy_files, "MAX_NPZ_BYTES", 1 << 20)
+    with pytest.raises(ValueError, match=r"events\.npy takes 1,300,000,\d+ bytes; more than 1,048,576 can be read"):
         open_recording(path)

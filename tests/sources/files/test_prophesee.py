@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sources.files.written import evt2, evt3, evt21, evt_header, made_events
+from sources.files.written import dat, evt2, evt3, evt21, evt_header, made_events
 
 from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21
 from async_tnt.sources.files.recording import open_recording
@@ -45,8 +45,9 @@ def test_other_words_change_nothing(tmp_path, version):
 
 
 def test_t0_is_added(tmp_path):
-    data = evt3(EVENTS).replace(b"% end\n", b"% t0 7000000\n% end\n")
-    np.testing.assert_array_equal(read(tmp_path / "a.raw", data)["t"], EVENTS["t"] + 7_000_000)
+    for name, make in (("a.raw", evt3), ("a.dat", dat)):
+        events = read(tmp_path / name, b"% t0 7000000\n" + make(EVENTS))
+        np.testing.assert_array_equal(events["t"], EVENTS["t"] + 7_000_000)
 
 
 HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0x3007, 0x4001, 0x5001
@@ -63,6 +64,8 @@ HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0
         ([HIGH, LOW, ROW, HIGH, X5], [(4101, 5, 9, 0)]),  # cameras repeat TIME_HIGH, which keeps the lower half
         ([HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5], [(t, 5, 9, 0) for t in (8191, 8192, 8195)]),
         ([0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5], [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)]),  # back
+        ([0x8005, ROW, X5, 0x8000, X5], [(5 << 12, 5, 9, 0), (0, 5, 9, 0)]),  # to the beginning
+        ([0x8000 | 3000, ROW, X5, 0x8000 | 952, X5], [(3000 << 12, 5, 9, 0), (952 << 12, 5, 9, 0)]),  # half a period
         ([HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081], [(4101, x, 9, 0) for x in (100, 111, 112, 119)]),
         ([HIGH, ROW, BASE7 | 0x800, X5, VECTOR12], [(4096, 5, 9, 0), (4096, 7, 9, 1)]),  # polarity is the base's
         ([HIGH, ROW, 0x3000 | 2036, 0x4800], [(4096, 2047, 9, 0)]),  # the last column
