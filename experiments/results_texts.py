@@ -60,9 +60,10 @@ A difference *holds* if it does so by Holm's method at .05 among all of its ques
 only large ones do.
 `results/table.json` has all settings, seeds, columns, differences and p.
 
-All rows of 3,000 and 60,000 steps, and TNT+regress trained on 1, were trained on a GPU, by the same steps captured as
-CUDA graphs, in 32 bits; the others on CPUs. The first steps agree to four digits. TNT+regress after 60,000 steps was
-not tested in simulated motions; trained on all saccades, it is of an earlier version, on a CPU."""
+All rows of 3,000 steps, those of 60,000 trained on *all*, and TNT+regress trained on 1 were trained on a GPU, by the
+same steps captured as CUDA graphs, in 32 bits (the last 25,000 of TNT+regress on a CPU); the others on CPUs. The first
+steps agree to four digits. TNT+regress trained on 1 for 60,000 steps is of an earlier version, and was tested in
+simulated motions on *sim* alone, with 3,000 images."""
 
 MOTIONS = """\
 All networks are trained for 8,000 steps; the motions of a row are made once, for all seeds. *confounded*: each digit

@@ -196,7 +196,7 @@ def _spans() -> Iterator[Row]:
 def _motions() -> Iterator[Row]:
     for name, title, config, motions, trained_on in (
         ("raw-motions", "raw + re-synthesis", INPUTS["raw"], MotionSettings(), ("all", "1")),
-        ("running-motions", "`running` + re-synthesis", INPUTS["running"], MotionSettings(), ("all", "1")),
+        ("running-motions", "`running` + re-synthesis", INPUTS["running"], MotionSettings(), ("1",)),
         ("raw-8000", f"raw, {STEPS_MORE:,} steps", INPUTS["raw"], None, ("all", "1", "confounded")),
         ("raw-moved", "raw, re-synthesis only", INPUTS["raw"], MotionSettings(recorded=0.0), ("confounded",)),
     ):
