@@ -34,16 +34,14 @@ from experiments.unseen_motions import command
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
 EQUAL = "--mirror --epochs 6 --validation 0.05"
-BINS = "representation=volume,bins=9,"
-VOLUMES = {"volume": f"{BINS}transform=none"}
-VOLUMES |= {name: f"{BINS}transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
+VOLUMES = {"volume": "transform=none"} | {name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
 HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 5.0  # of the picture
 IMAGES = "count", "count_time", "mean_time", "time_surface"
 TRAIN, TEST, SENSOR_SIZE = "n-cars_train", "n-cars_test", "--sensor 120x100"
 RECIPES = {
     "tuned": TUNED,
     "bare": "",
-    **{f"equal_{name}": f"--volume {volume} {EQUAL}" for name, volume in VOLUMES.items()},
+    **{f"equal_{name}": f"--volume representation=volume,bins=9,{volume} {EQUAL}" for name, volume in VOLUMES.items()},
     **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
 }
 """Name -> options besides the sensor's size; the first one is drawn."""

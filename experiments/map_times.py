@@ -165,8 +165,7 @@ def measure(quick: bool) -> dict[str, Any]:
             for n_objects in range(1, OBJECTS + 1):
                 rows[name]["load"][str(n_objects)] = load(model, n_objects, seconds)
                 bar.update()
-    why = backends.missing("onnxruntime")
-    left_out = {"onnxruntime": why} if why else {}
+    left_out = {"onnxruntime": why} if (why := backends.missing("onnxruntime")) else {}
     return {"machine": machine("torch", "onnxruntime"), "models": rows, "left_out": left_out}
 
 

@@ -19,7 +19,7 @@ from async_tnt import Processor, load_model, warmup
 from async_tnt.events import structured
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import machine
-from experiments.script_options import exit_with, plain_parser, writable_file, write_outputs
+from experiments.script_options import add_json, exit_with, plain_parser, write_outputs
 
 MODEL = "digits"
 FIRST = 1_000_000
@@ -61,7 +61,7 @@ def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
 def main(argv: list[str] | None = None) -> int:
     """Stream, print, and compare with the limit."""
     parser = plain_parser("memory", __doc__)
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    add_json(parser)
     parser.add_argument("--events", type=int, default=100_000_000, metavar="N", help="(default: 100 million)")
     parser.add_argument("--limit-mb", type=float, default=4.0, metavar="MB", help="growth allowed (default: 4)")
     args = parser.parse_args(argv)

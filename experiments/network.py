@@ -35,7 +35,7 @@ from async_tnt.sources.playback import wait_until
 from async_tnt.sources.udp import UdpSource
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import latency, machine
-from experiments.script_options import add_count, exit_with, plain_parser, writable_file, write_outputs
+from experiments.script_options import add_count, add_json, exit_with, plain_parser, write_outputs
 
 EVERY_US = 5_000
 SILENCE_S = 2.0
@@ -193,7 +193,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=60.0, metavar="N", help="duration of the load (default: 60)")
     parser.add_argument("--rate", type=float, default=1e6, metavar="R", help="events a second (default: a million)")
     add_count(parser, "--pings", 2_000, "single datagrams")
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    add_json(parser)
     parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
     if args.task:

@@ -31,11 +31,11 @@ from experiments.made_objects import SENSOR, WINDOW_US, Session, write
 from experiments.script_options import (
     add_count,
     add_folder,
+    add_json,
     earlier_report,
     exit_with,
     plain_parser,
     print_tables,
-    writable_file,
     write_outputs,
 )
 
@@ -135,12 +135,11 @@ def main(argv: list[str] | None = None) -> int:
     )
     add_count(parser, "--seeds", 1, "of each candidate")
     parser.add_argument("--out", type=Path, default=Path("recipes"), metavar="FOLDER", help="runs (default: recipes)")
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    add_json(parser)
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
     names = args.sets or [name for name in SETS if name == "sessions" or getattr(args, name) is not None]
-    report: dict[str, Any] = {"machine": machine("torch"), "sets": {}}
-    report = earlier_report(args, report) | {"machine": report["machine"]}
+    report = earlier_report(args, {"sets": {}}) | {"machine": machine("torch")}
     for name in names:
         _measure_set(name, args, report)
     print_tables(report, "recipes")

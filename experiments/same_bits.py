@@ -23,7 +23,7 @@ from async_tnt.cli.bench import machine
 from async_tnt.files import write_text
 from async_tnt.sources import open_recording, sample_recordings
 from experiments.page_parts import RESULTS
-from experiments.script_options import exit_with, plain_parser, writable_file
+from experiments.script_options import add_json, exit_with, plain_parser
 
 RECORDED = RESULTS / "same_bits.json"
 PREFIXES = (1, 10, 100, 1_000, 100_000)
@@ -69,7 +69,7 @@ def digests() -> dict[str, str]:
 def main(argv: list[str] | None = None) -> int:
     """Print, write or compare. Returns 1 if a digest differs from the recorded one."""
     parser = plain_parser("same_bits", __doc__)
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the digests there")
+    add_json(parser)
     parser.add_argument("--check", action="store_true", help="compare with those of experiments/results")
     args = parser.parse_args(argv)
     report: dict[str, Any] = {"machine": machine(), "sha256": digests()}

@@ -43,7 +43,7 @@ def script_parser(name: str, description: str | None, quick: str, *, draws: bool
     """`plain_parser` with --quick and --json; if the command draws, also with --picture and --from."""
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    add_json(parser)
     if draws:
         parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
         help_from = "take the figures from such a JSON file instead of measuring"
@@ -147,8 +147,12 @@ def _print_line(message: str) -> None:
 
 def add_count(parser: argparse._ActionsContainer, option: str, default: int, text: str) -> None:
     """A whole number of at least 1."""
-    help_text = f"{text} (default: {default:,})"
-    parser.add_argument(option, type=positive_int, default=default, metavar="N", help=help_text)
+    text = f"{text} (default: {default:,})"
+    parser.add_argument(option, type=positive_int, default=default, metavar="N", help=text)
+
+
+def add_json(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
 
 
 def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:
