@@ -57,7 +57,7 @@ class PixelModel:
     refractory_us : time a pixel is held in reset after each event, in microseconds.
     noise_hz : background events per pixel and second, uniform in time, independent of the light.
     noise_on_share : share of the background events that are ON.
-    bandwidth_hz : corner of the pixel's low-pass in the brightest light.
+    bandwidth_hz : corner of the pixel's low-pass in the brightest light, or None: it has no low-pass.
     leak_hz : ON events per pixel and second that leak in steady light.
     after_share : share of the events that an after-pulse follows.
     hot_share, hot_hz : share of the pixels that are hot, and the noise of each, in the mean.
@@ -69,7 +69,7 @@ class PixelModel:
     refractory_us: float = 600.0
     noise_hz: float = 0.3
     noise_on_share: float = 0.99
-    bandwidth_hz: float = math.inf
+    bandwidth_hz: float | None = None
     leak_hz: float = 0.0
     after_share: float = 0.0
     hot_share: float = 0.0
@@ -87,8 +87,8 @@ class PixelModel:
         for name in ("noise_on_share", "after_share", "hot_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"`{name}` must be in [0, 1], got {getattr(self, name)}")
-        if not self.bandwidth_hz > 0:
-            raise ValueError(f"`bandwidth_hz` must be above 0, got {self.bandwidth_hz}")
+        if self.bandwidth_hz is not None and not 0 < self.bandwidth_hz < math.inf:
+            raise ValueError(f"`bandwidth_hz` must be None, or finite and above 0, got {self.bandwidth_hz}")
 
 
 def simulate(
@@ -123,8 +123,8 @@ def simulate(
     )
     reference = frames[0] - threshold_on + rng.random(shape) * (threshold_on + threshold_off)
     refractory_us = float(pixels.refractory_us)
-    if pixels.bandwidth_hz < math.inf:
-        frames = low_pass(frames, times, float(pixels.bandwidth_hz), DARKEST)
+    if pixels.bandwidth_hz is not None:
+        frames = low_pass(frames, times, pixels.bandwidth_hz, DARKEST)
     if pixels.leak_hz:
         frames = frames + pixels.leak_hz * 1e-6 * (times - times[0])[:, None, None] * threshold_on
     events = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))

@@ -147,7 +147,7 @@ def test_invalid_frames_and_pixels_are_refused(frames, times, message):
         ("threshold_on", 0.0, "finite and at least 0.001, got 0.0"),
         ("refractory_us", -1.0, "finite and at least 0, got -1.0"),
         ("after_share", 2.0, r"in \[0, 1\], got 2.0"),
-        ("bandwidth_hz", 0.0, "above 0, got 0.0"),
+        ("bandwidth_hz", np.inf, "None, or finite and above 0, got inf"),
     ):
         with pytest.raises(ValueError, match=f"`{name}` must be {rule}"):
             PixelModel(**{name: value})
