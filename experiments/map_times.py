@@ -113,23 +113,23 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
     followed, fresh = Processor(model, start_us=0), Processor(model, start_us=0)
     measured: dict[str, list[float]] = {}
 
-    def timed(name: str, work: Callable[[np.ndarray], object], on: np.ndarray) -> None:
+    def timed(name: str, work: Callable[[Any], object], on: object) -> None:
         started = time.perf_counter()
         work(on)
         measured.setdefault(name, []).append(1e6 * (time.perf_counter() - started))
 
-    def decide(processor: Processor) -> Callable[[np.ndarray], object]:
+    def decide(processor: Processor) -> Callable[[Any], object]:
         return lambda events: (processor.push(events), processor.fire())
 
     with no_collector():
         for k in range(n_moments):
             of_moment = events[1_400 * k : 1_400 * (k + 1)]
             decide(followed)(of_moment[:300])
-            timed("one event", decide(followed), of_moment[300:301])
+            timed("one event", decide(followed), of_moment[300].item())
             timed("1,000 events", decide(followed), of_moment[301:1301])
             volume = followed.volume()
             fresh.reset()
-            timed("new window", decide(fresh), of_moment[:1])
+            timed("new window", decide(fresh), of_moment[0].item())
             decide(fresh)(of_moment)
             for name, network in networks.items():
                 timed(name, network, volume)

@@ -16,7 +16,7 @@ import numpy as np
 
 from . import program as P
 from . import state as S
-from .changes import FIRST_ROW, LAST_ROW, MAX_ROW, WORDS
+from .changes import EVERY_BIT, FIRST_ROW, LAST_ROW, MAX_ROW, WORDS
 from .empty_window import begin_window
 from .forward import forward
 from .jit import compiled, compiled_without_gil
@@ -106,10 +106,9 @@ def score_map(maps, about, scores, peaks):
     for y in range(about[ROWS]):
         for x in range(about[COLUMNS]):
             _score(maps, about, scores, y, x)
-    peaks[:] = 0
     for y in range(about[ROWS]):
-        for x in range(about[COLUMNS]):
-            _note_peak(scores, peaks, y, x)
+        for word in range(peaks.shape[1]):
+            _note_peaks(scores, peaks, y, word, EVERY_BIT)
 
 
 @compiled
@@ -137,11 +136,7 @@ def _follow_changes(program, bits, maps, about, scores, peaks):
                 n, rest = np.uint64(k), np.uint64(64 - k)
                 reached |= now << n | before >> rest | now >> n | after << rest
             before, now = now, after
-            while reached != 0:
-                x = 64 * word + trailing_zeros(reached)
-                if x < about[COLUMNS]:
-                    _note_peak(scores, peaks, y, x)
-                reached &= reached - np.uint64(1)
+            _note_peaks(scores, peaks, y, word, reached)
 
 
 @compiled
@@ -172,22 +167,29 @@ def _score(maps, about, scores, y, x):
 
 
 @compiled
-def _note_peak(scores, peaks, y, x):
-    """Whether a place is a peak."""
+def _note_peaks(scores, peaks, y, word, which):
+    """Which of these places, a bit each of a word, are peaks."""
+    columns, left, found = scores.shape[1], which, np.uint64(0)
+    while left != 0:
+        bit = trailing_zeros(left)
+        x = 64 * word + bit
+        if x < columns and scores[y, x] > 0 and _is_peak(scores, y, x):
+            found |= np.uint64(1) << np.uint64(bit)
+        left &= left - np.uint64(1)
+    peaks[y, word] = peaks[y, word] & ~which | found
+
+
+@compiled
+def _is_peak(scores, y, x):
     rows, columns = scores.shape
     score = scores[y, x]
-    is_peak = score > 0
-    if is_peak:
-        for near_y in range(max(0, y - NEAR), min(rows, y + NEAR + 1)):
-            for near_x in range(max(0, x - NEAR), min(columns, x + NEAR + 1)):
-                is_before = near_y < y or (near_y == y and near_x < x)
-                other = scores[near_y, near_x]
-                is_peak &= not (other > score or (is_before and other == score))
-    bit = np.uint64(1) << np.uint64(x & 63)
-    if is_peak:
-        peaks[y, x >> 6] |= bit
-    else:
-        peaks[y, x >> 6] &= ~bit
+    for near_y in range(max(0, y - NEAR), min(rows, y + NEAR + 1)):
+        for near_x in range(max(0, x - NEAR), min(columns, x + NEAR + 1)):
+            is_before = near_y < y or (near_y == y and near_x < x)
+            other = scores[near_y, near_x]
+            if other > score or (is_before and other == score):
+                return False
+    return True
 
 
 @compiled

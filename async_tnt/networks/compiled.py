@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,7 @@ class CompiledClassifier:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
+        vars(self).pop("map", None)  # a view of what was copied
         self.network.program[EPOCH] = 0  # in another process, another window may have this number
 
     @one_at_a_time
@@ -102,7 +104,7 @@ class CompiledClassifier:
         self.locate(volume, new_tracks(self.places, self.logits_shape, 0), False)
         return self.map.copy()
 
-    @property
+    @cached_property  # made once: a view takes as long as a small network
     def map(self) -> np.ndarray:
         """Of a map model: its last map, (n_classes + 1, R, C), read-only; the next call changes it."""
         first, *strides = (4 * n for n in self._program.output_layout)
