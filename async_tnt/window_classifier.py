@@ -135,7 +135,7 @@ class WindowClassifier:
         time_us = volume.newest_us if n_events else start_us
         window = start_us, time_us, n_events
         if self._compiled is not None and self._compiled.reader is not None:
-            n = self._compiled.locate(volume, self._tracks, trigger != "fire")
+            n = self._compiled.locate(volume, self._tracks, time_us, trigger != "fire")
             return self._decision_of_map(n, self._compiled.map, window, trigger, complete)
         if self._compiled is not None:
             index, logits, probabilities = self._compiled.answer(volume)

@@ -101,7 +101,7 @@ class CompiledClassifier:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")
         if self.places is None:
             return self.answer(volume)[1]
-        self.locate(volume, new_tracks(self.places, self.logits_shape, 0), False)
+        self.locate(volume, new_tracks(self.places, self.logits_shape, 0), 0, False)
         return self.map.copy()
 
     @cached_property  # made once: a view takes as long as a small network
@@ -123,13 +123,12 @@ class CompiledClassifier:
             self._running.now = False
 
     @one_at_a_time
-    def locate(self, volume: TNTVolume, tracks: np.ndarray, keep: bool) -> int:
+    def locate(self, volume: TNTVolume, tracks: np.ndarray, time_us: int, keep: bool) -> int:
         """`answer` of a map model: how many objects there are (-1 if a logit is not finite), which `reader` has.
 
-        tracks, keep : see `kernels.objects.locate_on_map`.
+        tracks, time_us, keep : see `kernels.objects.locate_on_map`.
         """
         assert self.reader is not None
-        time_us = volume.newest_us if volume.n_events else volume.start_us
         n: int = locate_cells(volume.state(), *self.network, *self.reader.arrays, tracks, time_us, keep)
         return n
 

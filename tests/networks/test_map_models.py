@@ -176,7 +176,7 @@ def test_scores_and_peaks_follow_the_map(seed, script):
             volumes.reverse()
         else:
             volume.update(random_events(step, seed=k, sensor=CONFIG.sensor, duration_us=1, start_us=k))
-        n = classifier.locate(volumes[0], tracks, False)
+        n = classifier.locate(volumes[0], tracks, 0, False)
         logits = dense(volumes[0].array)
         assert classifier.map.tobytes() == logits.tobytes()
         rows = [(int(c), p, x, y) for x, y, p, c, _ in classifier.reader.found[:n].tolist()]
