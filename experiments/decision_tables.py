@@ -21,6 +21,9 @@ WAYS = {
     "eventcv_onnxruntime": "eventcv's voxel grid of all events, onnxruntime",
 }
 MAPS = "maps", "places", "program"
+decisions_machine = of_report("decisions")(about_machine)
+starts_machine = of_report("starts")(about_machine)
+incremental_machine = of_report("incremental")(about_machine)
 
 
 def speed() -> str:
@@ -46,11 +49,6 @@ def speed() -> str:
     return table(["", *names.values()], rows)
 
 
-@of_report("decisions")
-def decisions_machine(found: dict[str, Any]) -> str:
-    return about_machine(found)
-
-
 def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
     counts = list(rows)
     head = ["", *(f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
@@ -70,24 +68,14 @@ def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
     return table(head, body)
 
 
-@of_report("decisions")
-def network_in_blocks(found: dict[str, Any]) -> str:
-    return _turns(found["network"], "in_blocks", NETWORKS)
-
-
-@of_report("decisions")
-def network_call_by_call(found: dict[str, Any]) -> str:
-    return _turns(found["network"], "call_by_call", NETWORKS)
+network_in_blocks = of_report("decisions")(lambda found: _turns(found["network"], "in_blocks", NETWORKS))
+network_call_by_call = of_report("decisions")(lambda found: _turns(found["network"], "call_by_call", NETWORKS))
+end_to_end_call_by_call = of_report("decisions")(lambda found: _turns(found["end_to_end"], "call_by_call", WAYS))
 
 
 @of_report("decisions")
 def end_to_end_in_blocks(found: dict[str, Any]) -> str:
     return _turns(found["end_to_end"], "in_blocks", WAYS)
-
-
-@of_report("decisions")
-def end_to_end_call_by_call(found: dict[str, Any]) -> str:
-    return _turns(found["end_to_end"], "call_by_call", WAYS)
 
 
 @of_report("decisions")
@@ -106,11 +94,6 @@ def every_event(found: dict[str, Any]) -> str:
         for name, row in rows.items()
     ]
     return table(["", "decisions a second", "us each", "ratio"], body)
-
-
-@of_report("starts")
-def starts_machine(found: dict[str, Any]) -> str:
-    return about_machine(found)
 
 
 @of_report("starts")
@@ -134,11 +117,6 @@ def starts(found: dict[str, Any]) -> str:
         for name, row in found["starts"].items()
     ]
     return table(["seconds", *steps.values()], body)
-
-
-@of_report("incremental")
-def incremental_machine(found: dict[str, Any]) -> str:
-    return about_machine(found)
 
 
 @of_report("incremental")

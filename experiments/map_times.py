@@ -1,12 +1,16 @@
 """From events to objects: the time it takes a map model on large sensors, beside computing the whole map.
 
-    python -m experiments.map_times [--quick] [--json FILE]
+    python -m experiments.map_times [--quick] [--ssla-rt PROGRAM WEIGHTS] [--json FILE]
 
 The bundled `digits-everywhere`, and four convolutions with random weights, after bundled recordings that stand anywhere
 on the sensor, 1,400 events a window. One process, one thread, warm; at each moment in turn: one more event, 1,000 more,
 the first event of another window, the whole map by ours and by ONNX Runtime. Each time is that of `push` and `fire`, or
 of the call with the volume as an array. Before that, ours must give the same objects either way to the bit, and ONNX
 Runtime the same map to 1e-4.
+
+With --ssla-rt also SSLA-RT (https://github.com/haohq19/ssla-rt), which has a network of its own that drops three of
+four events at each of its stages, by its own clock: its program `s2_decomp_st`, and a folder that its
+`tools/make_ssla_stub.py --h 240 --w 304` wrote.
 
 Then a million events a second: recordings sped up, each moving across 320x240 pixels, with a decision every
 millisecond; processor time for each second of the stream.
@@ -15,8 +19,11 @@ millisecond; processor time for each second of the stream.
 from __future__ import annotations
 
 import os
+import re
+import subprocess
 import time
 from collections.abc import Callable
+from tempfile import TemporaryDirectory
 from typing import Any
 
 if __name__ == "__main__":  # before any library reads them
@@ -137,6 +144,18 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
     return {name: latency(values) for name, values in warm.items()}
 
 
+def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
+    """Microseconds of an event in SSLA-RT."""
+    events = moving(SENSORS[1], OBJECTS, 1_400 * n_moments, 105_000 * n_moments, 20.0)
+    with TemporaryDirectory() as folder:
+        np.save(path := f"{folder}/events.npy", np.stack([events[name] for name in "txyp"], 1).astype(np.float32))
+        words = [program, "--weights", weights, "--warmup", str(len(events) // 10), "--events", path]
+        printed = subprocess.run(words, stdout=subprocess.PIPE, check=True, text=True).stdout
+    us = {"ns": 1e-3, "us": 1.0, "ms": 1e3}
+    found = {name: float(n) * us[unit] for name, n, unit in re.findall(r"(p50|p99) +: ([\d.]+) (.s)", printed)}
+    return {"median": found["p50"], "p99": found["p99"]}
+
+
 def load(model: Model, n_objects: int, seconds: float) -> float:
     """Processor seconds for each second of the stream."""
     events = moving(SPEED_SENSOR, n_objects, int(RATE * seconds), int(1e6 * seconds), 100.0)
@@ -151,7 +170,7 @@ def load(model: Model, n_objects: int, seconds: float) -> float:
     return (time.process_time() - started) / seconds
 
 
-def measure(quick: bool) -> dict[str, Any]:
+def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
     """The whole report."""
     n_moments, seconds = (20, 0.05) if quick else (MOMENTS, 1.0)
     rows: dict[str, Any] = {}
@@ -165,6 +184,11 @@ def measure(quick: bool) -> dict[str, Any]:
             for n_objects in range(1, OBJECTS + 1):
                 rows[name]["load"][str(n_objects)] = load(model, n_objects, seconds)
                 bar.update()
+    if peer:
+        rows["SSLA-RT, its own network"] = {
+            "times_us": {"304x240": {"one event": ssla_rt(*peer, n_moments=n_moments)}},
+            "load": {},
+        }
     left_out = {"onnxruntime": why} if (why := backends.missing("onnxruntime")) else {}
     return {"machine": machine("torch", "onnxruntime"), "models": rows, "left_out": left_out}
 
@@ -172,7 +196,9 @@ def measure(quick: bool) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON if asked. Returns 1 if ways do not agree."""
     parser = script_parser("map_times", __doc__, "few moments")
-    return run_script(parser, argv, measure, "map_times")
+    parser.add_argument("--ssla-rt", nargs=2, metavar=("PROGRAM", "WEIGHTS"), help="measure it, too")
+    peer = parser.parse_args(argv).ssla_rt
+    return run_script(parser, argv, lambda quick: measure(quick, peer), "map_times")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,8 @@ WAYS = {
     "packet": "`UdpSource`, a packet",
     "decision": "`UdpSource`, `Processor`, a decision of `digits`",
 }
+map_machine = of_report("map_times")(about_machine)
+threads_machine = of_report("threads")(about_machine)
 
 
 def udp_machine() -> str:
@@ -78,7 +80,7 @@ def map_times(found: dict[str, Any]) -> str:
     rows = [
         [
             f"{name}, {sensor}",
-            *(f"{short(of[case]['median'])} ({short(of[case]['p99'])})" for case in cases if case in of),
+            *(f"{short(of[case]['median'])} ({short(of[case]['p99'])})" if case in of else "" for case in cases),
         ]
         for name, row in models.items()
         for sensor, of in row["times_us"].items()
@@ -91,13 +93,8 @@ def map_load(found: dict[str, Any]) -> str:
     """Processor seconds for each second of the stream."""
     models = found["models"]
     numbers = next(iter(models.values()))["load"]
-    rows = [[name, *(f"{row['load'][n]:.2f}" for n in numbers)] for name, row in models.items()]
+    rows = [[name, *(f"{row['load'][n]:.2f}" for n in numbers)] for name, row in models.items() if row["load"]]
     return table(["", *(f"{n} objects" if n != "1" else "one object" for n in numbers)], rows)
-
-
-@of_report("map_times")
-def map_machine(found: dict[str, Any]) -> str:
-    return about_machine(found)
 
 
 @of_report("threads")
@@ -107,11 +104,6 @@ def threads(found: dict[str, Any]) -> str:
     head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
     rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
     return table(head, rows)
-
-
-@of_report("threads")
-def threads_machine(found: dict[str, Any]) -> str:
-    return about_machine(found)
 
 
 @of_report("sustained")
