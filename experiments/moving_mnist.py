@@ -24,7 +24,7 @@ from experiments.script_options import add_folder, data_folder, exit_with, plain
 from experiments.set_manifest import MANIFEST, MovingMnist
 
 DESCRIPTION = """\
-Simulate N-MOVING-MNIST: every digit of MNIST before an event camera of 34 x 34 pixels, under each of 30
+Simulate N-MOVING-MNIST: every digit of MNIST in front of an event camera of 34 x 34 pixels, under each of 30
 motions (10 directions x 3, 5 and 8 pixels) in one window of 105 ms. The folder gets one .safetensors file per
 motion and 1,000 images, with the simulated optical flow, and set.json, which records how they were made.
 

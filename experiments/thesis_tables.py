@@ -160,8 +160,8 @@ def unseen_motion() -> str:
         f"`running` {of['running-translated']}. Without it: untransformed {of['raw-unsigned-translated']}, `running` "
         f"{of['running-unsigned-translated']}, `line` with its flow removed {of['line-unsigned-translated']}. "
         f"A network that guesses in other motions would score {short(_guessed('1/all'))} / {short(GUESS)}. "
-        f"[Re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions, untransformed, not moved and with "
-        f"more steps: {of['raw-motions']}."
+        f"With [re-synthesized motions](docs/guide.md#motions-that-were-not-recorded) (untransformed, windows not "
+        f"moved, more steps): {of['raw-motions']}."
     )
 
 

@@ -153,7 +153,10 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     pixels = _pixels_of(args)
     given: dict[str, Any] = {"grid": args.grid} if args.grid else {}
     given |= {"window_us": args.window_us} if args.window_us else {}
-    config = default_config(**given, **volume_of(args.volume))
+    named = volume_of(args.volume)
+    config = default_config(**given, **named)
+    if config.transform == "none" and not {"landmark", "t_max"}.isdisjoint(named):
+        raise ValueError("--volume: landmark and t_max need transform=tnt")
     in_bins = args.motions == "resynthesized" and not args.volume
     config = with_bins(config) if in_bins else config
     BatchVolumes(config)
@@ -253,8 +256,8 @@ def _other_motions(
     if record["with_path"] < FEW_PATHS * record["windows"]:
         note(
             "warning: so few motions hardly change what is learned. Re-synthesis needs windows in which one object "
-            "moves as a whole by two pixels and more, with some hundred events: try another --window-us, or --roi with "
-            "--crop"
+            "moves as a whole by two pixels and more, with a few hundred events: try another --window-us, or --roi "
+            "with --crop"
         )
     if names := unlike(record["match"]):
         note(f"warning: recorded and simulated windows differ in {', '.join(names)}: compare motions.png, and held out")

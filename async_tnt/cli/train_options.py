@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_range,
         default=SceneSettings.size,
         metavar="MIN-MAX",
-        help="longer side of objects, by the sensor's shorter",
+        help="longer side / sensor's shorter side (default: 0.4-0.8)",
     )
     pictures.add_argument(
         "--light",
@@ -103,11 +103,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--window-us",
         type=positive_int,
         metavar="US",
-        help="of a window (default: 105000, or the longest one)",
+        help="length (default: 105000, or the longest recording)",
     )
     network.add_argument("--grid", type=size_of, metavar="WxH", help="of the volume (default: at most 120 pixels long)")
     add_volume(network, "ON and OFF counts, or 5 bins, by the data")
-    network.add_argument("--everywhere", action="store_true", help="find objects anywhere: learn scenes of several")
+    network.add_argument("--everywhere", action="store_true", help="find objects anywhere: learn from scenes")
     network.add_argument(
         "--network",
         metavar="NAME",
@@ -119,13 +119,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="MODEL",
-        help="learn half from the mean probabilities of these models",
+        help="half of the target is what these models say",
     )
     network.add_argument(
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="passes over the windows (default: 20, or 4000 steps)",
+        help="passes (default: 20, or as many as make 4000 steps)",
     )
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"

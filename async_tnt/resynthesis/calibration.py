@@ -105,7 +105,7 @@ def _moving(
         reasons = ", ".join(f"{why} {n}" for why, n in Counter(path.refused for path, _ in found).most_common())
         raise ValueError(
             f"no motion was found in any of {len(parts)} windows ({reasons}): re-synthesis needs windows in "
-            "which one image moves as a whole, with some hundred events each"
+            "which one image moves as a whole, with a few hundred events each"
         )
     paths, images, recorded = zip(*moving, strict=True)
     return list(paths), list(images), list(recorded)

@@ -144,8 +144,8 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
 def other_run(run_folder: Path, what: str) -> ValueError:
     """The error about a run folder whose run differs in `what`."""
     return ValueError(
-        f"{run_folder}: the folder holds a run with other {what}; delete it to start again, or train into another "
-        "file (`out`)"
+        f"{run_folder}: the folder holds a run with other {what}; delete it (`restart`) to start again, or train "
+        "into another file (`out`)"
     )
 
 

@@ -44,7 +44,7 @@ def test_a_run_with_other_options_is_refused_before_recordings_are_read(tmp_path
     (folder / "flat" / "silent.npz").unlink()  # the run is the same
     assert train(folder)[0] == 0
     begin = f"async-tnt: {tmp_path / 'runs' / 'm'}: the folder holds a run with other "
-    end = "; delete it to start again, or train into another file (--out)"
+    end = "; delete it (--restart) to start again, or train into another file (--out)"
 
     def refused(*words):
         code, err, _ = train(folder, *words)
@@ -113,6 +113,7 @@ REFUSED_EARLY = [
         "must be one of thesis, conv4, residual, separable, map, or FILE.py:FUNCTION; got 'conv5'",
     ),
     (("--motions", "resynthesized", "--roi", "0,0,9,9"), "--roi must come with --crop"),
+    (("--volume", "landmark=line,t_max=2"), "--volume: landmark and t_max need transform=tnt"),
     (("--groups", "("), "--groups must be a regular expression, got '('"),
     (("--test",), "trials_to_test.txt; found neither"),
     (("--out", "DATASET/m.safetensors"), "--out must lie outside of "),
