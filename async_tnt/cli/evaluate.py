@@ -146,7 +146,8 @@ def _stream(args: argparse.Namespace, tasks: Sequence[Task], run: Run) -> list[R
             )
     except KeyboardInterrupt as error:
         n_done = f": {error}" if str(error) else ""
-        kept = "the same command resumes" if args.out else "nothing is kept without --out"
+        resumes = f"the same command{' without --restart' * args.restart} resumes"
+        kept = resumes if args.out else "nothing is kept without --out"
         raise KeyboardInterrupt(f"interrupted{n_done}; {kept}") from None
 
 

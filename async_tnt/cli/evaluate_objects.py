@@ -15,7 +15,7 @@ from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 
-NOT_FOR_OBJECTS = "roi", "mask", "out", "workers", "dask", "restart"
+NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask", "restart"
 
 
 def evaluate_objects(args: argparse.Namespace, model: Model) -> int:

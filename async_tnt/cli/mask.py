@@ -54,6 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     check_writable(args.out, (".npy",))
+    if args.out.exists() and any(path.exists() and path.samefile(args.out) for path in args.files):
+        raise ValueError(f"--out is one of the recordings, {args.out}")
     counts = _count(args.files, args.sensor)
     n_events = int(counts.sum())
     if n_events == 0:

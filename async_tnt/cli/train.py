@@ -22,7 +22,7 @@ from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.picture_scene import SceneSettings
-from async_tnt.sources.labelled_recordings import has_part
+from async_tnt.sources.labelled_recordings import find_recordings, has_part
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import format_size
 
@@ -47,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
     with needs_extra("train", "training needs torch"):
         import torch  # noqa: F401
         from tnt_reference import Classifier  # noqa: F401
-    from async_tnt.training.run_folder import CHECKPOINT, RUN_FILES, begin_again
+    from async_tnt.training.run_folder import CHECKPOINT, RUN_FILES
 
     run_folder = args.out.parent / "runs" / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
@@ -59,11 +59,10 @@ def main(args: argparse.Namespace) -> int:
     _check_options(args, run_folder)
     try:
         with locked_folder(run_folder, "command.lock"):
-            if args.restart:
-                begin_again(run_folder)
             return _train(args, run_folder)
     except KeyboardInterrupt:
-        kept = f"what is finished is kept in {run_folder}. Give the same command again to resume."
+        again = f"again{', without --restart,' * args.restart} to resume"
+        kept = f"what is finished is kept in {run_folder}. Give the same command {again}."
         raise KeyboardInterrupt(f"interrupted; {kept}") from None
 
 
@@ -145,7 +144,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     from async_tnt.training.groups import groups_by_pattern
     from async_tnt.training.networks import build_network
     from async_tnt.training.pipeline import check_network
-    from async_tnt.training.run_folder import load_checkpoint
+    from async_tnt.training.run_folder import begin_again, load_checkpoint
     from async_tnt.training.scenes import SceneMaker
     from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
@@ -174,6 +173,10 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     else:
         check_network(settings.network, seen(config), everywhere=args.everywhere)
     groups_by_pattern((), args.groups or "")
+    kinds = {(teacher.config.sensor, teacher.classes) for teacher in teachers}
+    sensor = pixels.region or pixels.sensor
+    if len(kinds) > 1 or (kinds and sensor not in (None, teachers[0].config.sensor)):
+        raise ValueError("--teacher: all must have the same classes, in the same order, and this training's sensor")
     camera = None
     if args.camera is not None:
         if pixels.sensor is None:
@@ -185,6 +188,9 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     volume = {name: value for name, value in config.to_dict().items() if name not in later}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
+    if args.restart:
+        find_recordings(args.dataset, "Train")  # a mistyped DATASET discards nothing
+        begin_again(run_folder)
     load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network})
     data = dataset_data(
         args.dataset,

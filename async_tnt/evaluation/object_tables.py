@@ -61,6 +61,8 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
         tables = path.with_name(path.stem + CSV), path.with_name(path.stem.removesuffix(OF_BOXES) + BOXES)
         if is_recording(path) and not path.name.endswith((CSV, BOXES)):
             found += [(path, table) for table in tables if table.is_file()][:1]
+    if len({table for _, table in found}) < len(found):
+        raise ValueError(f"{folder}: recordings that differ in their endings share a table of objects; keep one")
     if not found:
         raise ValueError(f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}")
     return found
@@ -80,8 +82,8 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
     kept = np.flatnonzero(label >= 0)
     if not len(kept):
         raise ValueError(f"{path}: no object of the model's classes, {', '.join(classes)}")
-    if not (np.isfinite(corner[kept]).all() and np.isfinite(size[kept]).all() and (size[kept] >= 0).all()):
-        raise ValueError(f"{path}: x, y, w and h must be finite, w and h at least 0")
+    if not (np.isfinite([corner[kept], size[kept]]).all() and min(size[kept].min(), t[kept].min()) >= 0):
+        raise ValueError(f"{path}: x, y, w and h must be finite, w, h and t at least 0")
     kept = kept[np.argsort(t[kept], kind="stable")]
     is_point = size[kept] == 0
     reach = np.where(is_point.all(1, keepdims=True), WITHIN_PX, np.maximum(size[kept] / 2, 0.5))

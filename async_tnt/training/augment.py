@@ -97,6 +97,13 @@ def unchanged(n: int, config: TNTConfig) -> Draws:
     )
 
 
+def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
+    """The same for an image of times, which takes an event between pixels for one of all of them."""
+    if config.representation not in TIME_IMAGES:
+        return draws
+    return replace(draws, matrix=draws.matrix * (config.sensor[0] - 1) / (draws.sensor[0] - 1), sensor=config.sensor)
+
+
 def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
     """The same windows, but that they show nothing where `kinds`, int64 of shape (N,), is not SHOWN."""
     n, sensor = len(kinds), np.array(draws.sensor, np.float64)

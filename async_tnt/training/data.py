@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -235,7 +236,8 @@ def _with_ends(training: Windows, validation: Windows, share: float, n_real: int
         [int(name.rpartition("[")[2].partition(":")[0]) if file_of(name) != name else 0 for name in names]
     )
     times_us = training.start_us + session_us[training.recording]
-    files = np.unique([file_of(name) for name in names], return_inverse=True)[1][training.recording]
+    numbered = [re.sub(r"\d+", lambda n: n[0].zfill(20), file_of(name)) + " " + file_of(name) for name in names]
+    files = np.unique(numbered, return_inverse=True)[1][training.recording]
     keep, ended, ends = np.ones(len(training), bool), [], []
     for label in np.setdiff1d(training.labels, validation.labels) if share else ():
         mine = np.flatnonzero((training.labels == label) & (training.recording < n_real))

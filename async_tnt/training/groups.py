@@ -119,7 +119,7 @@ def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
     (array([0, 1, 2, 3, 4, 5, 6]), array([8, 9]))
     """
     order = np.arange(n_windows)
-    n_held_out = round(share * n_windows) if n_windows >= MIN_WINDOWS else 0
+    n_held_out = min(round(share * n_windows), n_windows - 2) if n_windows >= MIN_WINDOWS else 0
     if n_held_out == 0:
         return order, order[:0]
     return order[: -n_held_out - 1], order[-n_held_out:]

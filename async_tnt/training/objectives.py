@@ -16,7 +16,7 @@ from async_tnt.evaluation.scores import share_right
 from async_tnt.kernels.window_batches import SHOWN
 from async_tnt.networks.model import Model
 from async_tnt.networks.objects import ObjectReader, new_tracks
-from async_tnt.training.augment import Draws, unchanged
+from async_tnt.training.augment import Draws, on_pixels, unchanged
 from async_tnt.training.evaluation import BATCH, class_probabilities, confusion_by_recording
 from async_tnt.training.networks import build_network
 from async_tnt.training.pipeline import Pipeline, pipeline_of
@@ -76,7 +76,8 @@ class ClassOfWindows:
         if not self._masters:
             return target
         with torch.no_grad():
-            said = torch.stack([torch.softmax(master(windows, draws), 1) for master in self._masters]).mean(0)
+            answers = [m(windows, None if draws is None else on_pixels(draws, m.config)) for m in self._masters]
+            said = torch.softmax(torch.stack(answers), 2).mean(0)
         return torch.where(torch.from_numpy(nothing)[:, None], target, (target + said) / 2)
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:

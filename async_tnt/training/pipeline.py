@@ -140,7 +140,7 @@ def new_pipeline(
     grid : of what the classifier takes; by default that of `config`.
     """
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+        torch.manual_seed(seed % (1 << 63))
         classifier = build_network(network, config.channels, grid or config.grid, n_classes)
         regressor = landmark_network(config.channels) if config.needs_regressor else None
     scales = input_scales(config, windows)

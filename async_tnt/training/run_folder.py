@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.evaluation.job import sha256_of
 from async_tnt.files import replacing, write_text
 from async_tnt.networks.model import Model
 from async_tnt.training.recordings import COLUMNS
@@ -111,8 +112,8 @@ def identity_of(
             "classes": classes,
             "motions": None if motions is None else asdict(motions),
             "network_file": zlib.crc32(Path(own_file).read_bytes()) if own_file else None,
-            "start": 0 if start is None else weights_checksum(start),
-            "teachers": [weights_checksum(teacher) for teacher in teachers],
+            "start": 0 if start is None else sha256_of(start),
+            "teachers": [sha256_of(teacher) for teacher in teachers],
         }
     )
 
@@ -121,11 +122,6 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """As JSON gives them back: tuples are lists."""
     plain: dict[str, Any] = json.loads(json.dumps(dict(values)))
     return plain
-
-
-def weights_checksum(model: Model) -> int:
-    """Of all weights of a model."""
-    return zlib.crc32(b"".join(w.tobytes() for w in model.weights.values()))
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:

@@ -97,7 +97,7 @@ class SceneMaker:
         scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
         n_scenes = int(scene.max()) + 1
         until_us = draws.until_us[rng.integers(n, size=n_scenes)]
-        later_us = np.where(rng.random(n) < 0.5, rng.integers(0, self.config.window_us // 2, n), 0)
+        later_us = np.where(rng.random(n) < 0.5, rng.integers(0, max(1, self.config.window_us // 2), n), 0)
         draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
         own = self._crops(windows, draws)
         is_object = (draws.nothing == SHOWN) & (np.abs(own).sum((1, 2, 3)) >= FEWEST)

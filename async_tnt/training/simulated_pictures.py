@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -64,7 +65,7 @@ class LabelledPicture:
 def find_pictures(folder: Path, part: str = "Train") -> dict[str, list[Path]]:
     """Class name -> its pictures, sorted by name, of the classes that have any."""
     found = {
-        c.name: [p for p in sorted(c.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+        c.name: [p for p in sorted(c.glob("[!.]*")) if p.suffix.lower() in SUFFIXES and p.is_file()]
         for c in class_folders(folder, part)
     }
     return {name: paths for name, paths in found.items() if paths}
@@ -193,7 +194,7 @@ def simulate_pictures(
     folder.mkdir(parents=True, exist_ok=True)
     checksum = 0
     for picture in pictures:
-        checksum = zlib.crc32(picture.path.read_bytes(), zlib.crc32(picture.name.encode(), checksum))
+        checksum = zlib.crc32(picture.path.read_bytes(), zlib.crc32(os.fsencode(picture.name), checksum))
     made_from = {
         "format": FORMAT,
         "settings": asdict(settings),
@@ -294,8 +295,8 @@ def measure_camera(path: Path, window_us: int, sensor: tuple[int, int]) -> Measu
     events = recording.read()
     events = events[np.argsort(events["t"], kind="stable")]
     t, x, y, p = (np.ascontiguousarray(events[name]) for name in "txyp")
-    if not len(t) or t[-1] - t[0] < window_us:
-        raise ValueError(f"{path}: shorter than a window of {window_us} us; record a minute")
+    if not len(t) or t[-1] - t[0] <= window_us:
+        raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")
     cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))
     windows = zip(*(np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)), strict=True)
     return measure_pixels(list(windows)[:-1], sensor, window_us)

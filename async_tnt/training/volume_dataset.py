@@ -13,6 +13,8 @@ from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.windows import make_windows
 
+Classes = tuple[str, ...] | None
+
 
 class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     """Item i: the volume of window i, float32, shape (C, H, W), and the index of its class.
@@ -24,6 +26,7 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     folder : with a folder of recordings for each class, or sessions, as for `async-tnt train`.
     config : how events become volumes; not of landmark `regressor`, nor of `window_events`.
     part : the folder in it that is read, where there is one: "Train" or "Test".
+    classes : names, by index; by default those of this part, sorted. For "Test" give those of "Train".
 
     Attributes
     ----------
@@ -41,11 +44,14 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     >>> volumes, labels = next(iter(DataLoader(data, batch_size=64, shuffle=True)))  # doctest: +SKIP
     """
 
-    def __init__(self, folder: str | os.PathLike[str], config: TNTConfig, *, part: str = "Train") -> None:
+    def __init__(
+        self, folder: str | os.PathLike[str], config: TNTConfig, *, part: str = "Train", classes: Classes = None
+    ) -> None:
         if config.needs_regressor:
             raise ValueError("landmark 'regressor' needs a network; volumes of a data set have none")
         self._volumes = BatchVolumes(config)
-        data = read_dataset(folder, part=part, pixels=PixelSelection(sensor=config.sensor), sensor_source="`config`")
+        pixels = PixelSelection(sensor=config.sensor)
+        data = read_dataset(folder, part=part, pixels=pixels, sensor_source="`config`", classes=classes)
         self.classes = data.classes
         self.windows = make_windows(data.recordings, config.window_us)
 

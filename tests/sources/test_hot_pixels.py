@@ -122,6 +122,7 @@ def test_where_nothing_stands_out_the_mask_masks_nothing(tmp_path, program):
         ("a.npy --out m.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
         ("34.npz 50.npz --out m.npy", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
         ("e.npz --out m.npy", "e.npz: no events, no hot pixels can be found"),
+        ("a.npy --sensor 34x34 --out a.npy", "--out is one of the recordings, a.npy"),
         ("34.npz --out m.png", "m.png: its name must end in .npy"),
     ],
 )

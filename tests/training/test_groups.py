@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from async_tnt.training.groups import groups_by_pattern, hold_out_groups, hold_out_last
+from async_tnt.training.groups import groups_by_pattern, hold_out_end, hold_out_groups, hold_out_last
 
 
 def test_a_pattern_groups_by_its_parentheses_or_by_all_it_finds():
@@ -31,6 +31,10 @@ def test_of_numbered_recordings_the_last_are_held_out():
     users = [f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)]  # by user, then by number
     held_out = hold_out_last(users, np.zeros(40, int), 0.1)[1]
     assert {users[r] for r in held_out} == {f"a/user10_{k}.npy" for k in range(16, 20)}
+
+
+def test_of_the_windows_of_one_session_some_are_learned():
+    assert [some.tolist() for some in hold_out_end(10, 0.95)] == [[0], list(range(2, 10))]
 
 
 @given(

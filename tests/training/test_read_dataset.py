@@ -95,10 +95,11 @@ def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
     assert data.record["held_out_in_time"] == ["flat"] and len(data.validation) == 4 + 5
     (note,) = (line for line in data.notes if "the last windows of flat" in line)
     assert note.endswith("only another session tells more")
-    write(tmp_path / "flat" / "then.npz", bar("flat", 1, n=4_000, duration_us=2_000_000))  # of the same group
+    (tmp_path / "flat" / "only.npz").rename(tmp_path / "flat" / "take9.npz")
+    write(tmp_path / "flat" / "take10.npz", bar("flat", 1, n=4_000, duration_us=2_000_000))  # of the same group, later
     data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=EVERYTHING, groups="flat|[0-3]")
     names = data.training.recordings.names
-    for some, windows in ((data.training, {"only": 20, "then": 11}), (data.validation, {"then": 8})):
+    for some, windows in ((data.training, {"take9": 20, "take10": 11}), (data.validation, {"take10": 8})):
         of_flat = some.recording[some.labels == 0]
         assert {name: sum(name in names[r] for r in of_flat) for name in windows} == windows
         assert len(of_flat) == sum(windows.values())

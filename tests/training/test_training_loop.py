@@ -205,21 +205,45 @@ def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_o
     assert orders[0] == orders[1] != orders[2] and seeds[0] == seeds[1] != seeds[2]
 
 
+class Master:
+    """Says the same of all windows, and keeps how they were augmented."""
+
+    def __init__(self, config, row):
+        self.config, self._row = config, row
+
+    def __call__(self, windows, draws):
+        self.draws = draws
+        return torch.tensor([self._row] * len(windows))
+
+
+def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows):
+    """As it was trained, though its student's events may lie between pixels."""
+    images = TNTConfig(sensor=CONFIG.sensor, window_us=CONFIG.window_us, representation="count_time")
+    draws, own = (Augmentation().draw(windows[:4], of, np.random.default_rng(1)) for of in (CONFIG, images))
+    objective = ClassOfWindows(CONFIG, windows[:0], ONE_EPOCH, 2)
+    objective._masters = [Master(images, [0.0, 0.0]), Master(CONFIG, [0.0, 0.0])]
+    objective._targets(windows[:4], draws)
+    shown, same = (master.draws for master in objective._masters)
+    assert same is draws and shown.sensor == own.sensor == CONFIG.sensor != draws.sensor
+    np.testing.assert_allclose(shown.matrix, own.matrix)
+
+
 def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained, tmp_path):
     """Where nothing is shown, the target stays; a run with a teacher is another run than without."""
     draws = Augmentation(nothing=0.5).draw(windows[:4], CONFIG, np.random.default_rng(1))
     draws.nothing[:] = 0, 1, 0, 2
     some = windows[np.concatenate([np.flatnonzero(windows.labels == label)[:2] for label in (0, 1)])]
     objective = ClassOfWindows(CONFIG, windows[:0], ONE_EPOCH, 2)
-    objective._masters = [lambda _, same, row=row: torch.tensor([row] * 4) for row in ([0.0, 0.0], [np.log(3), 0.0])]
+    objective._masters = [Master(CONFIG, [0.0, 0.0]), Master(CONFIG, [np.log(3), 0.0])]
     found = objective._targets(some, draws)
     np.testing.assert_allclose(found, [[0.8125, 0.1875], [0.5, 0.5], [0.3125, 0.6875], [0.5, 0.5]], atol=1e-6)
     model = trained[0].model
     taught = train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, teachers=[model]).model
     with pytest.raises(AssertionError):
         assert_equal(taught, model)
-    with pytest.raises(ValueError, match="other teachers; delete it"):
-        train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path)
+    for teachers in ([], [replace(model, config=CONFIG.replace(t_max=3.0))]):
+        with pytest.raises(ValueError, match="other teachers; delete it"):
+            train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, teachers=teachers)
     with pytest.raises(
         ValueError, match=r"each `teacher` must have the sensor \(34, 34\) and the classes across, down, got"
     ):
