@@ -60,10 +60,9 @@ A difference *holds* if it does so by Holm's method at .05 among all of its ques
 only large ones do.
 `results/table.json` has all settings, seeds, columns, differences and p.
 
-All rows of 3,000 steps, those of 60,000 trained on *all*, and TNT+regress trained on 1 were trained on a GPU, by the
-same steps captured as CUDA graphs, in 32 bits (the last 25,000 of TNT+regress on a CPU); the others on CPUs. The first
-steps agree to four digits. TNT+regress trained on 1 for 60,000 steps is of an earlier version, and was tested in
-simulated motions on *sim* alone, with 3,000 images."""
+All rows of 3,000 steps, those of 60,000 trained on *all*, and TNT+regress of 8,000 trained on 1 were trained on a GPU,
+by the same steps captured as CUDA graphs, in 32 bits (the last 25,000 of TNT+regress' 60,000 on a CPU); the others on
+CPUs. The first steps agree to four digits."""
 
 MOTIONS = """\
 All networks are trained for 8,000 steps; the motions of a row are made once, for all seeds. *confounded*: each digit
@@ -115,7 +114,10 @@ nothing was found in 330 windows.
 --sensor 120x100 --grid 60x50 --everywhere --mirror --epochs 15`; the test: `python -m experiments.everywhere MODEL
 --cars N-CARS --json experiments/results/car_scenes.json`. Cars are told from other things that move, and found where
 they stand; not tried on a street, where all of the background moves. For Prophesee's automotive sets: `async-tnt
-evaluate MODEL FOLDER`."""
+evaluate MODEL FOLDER`.
+
+SSLA-RT (https://github.com/haohq19/ssla-rt at 89e6544, `--ssla-rt`), random weights, by its own clock, without a list
+of objects: three of four events end at each of its stages."""
 
 FROM_PICTURES = """\
 One command each, no event recorded: `async-tnt train PICTURES` and its options. N-MNIST: MNIST's 60,000 training
