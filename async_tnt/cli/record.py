@@ -96,16 +96,16 @@ def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
             complain(f"recording {args.label} from {args.source} into {path}; Ctrl-C stops")
             ending.start()
             try:
-                for packet in source:  # never an empty one
-                    events = as_events(packet, source.sensor)
-                    first_us = int(events["t"].min()) if first_us < 0 else first_us
-                    n_early += int((events["t"] < first_us).sum())
-                    events = events[events["t"] >= first_us]
-                    file.write(dat_records(events, first_us))
-                    n_events, n_on = n_events + len(events), n_on + int(events["p"].sum())
-                    picture.show(events)
-            except KeyboardInterrupt:
-                pass
+                with contextlib.suppress(KeyboardInterrupt):
+                    for packet in source:  # never an empty one
+                        events = as_events(packet, source.sensor)
+                        first_us = int(events["t"].min()) if first_us < 0 else first_us
+                        n_early += int((events["t"] < first_us).sum())
+                        events = events[events["t"] >= first_us]
+                        file.write(dat_records(events, first_us))
+                        n_events, n_on = n_events + len(events), n_on + int(events["p"].sum())
+                        picture.show(events)
+                file.flush()
             except OSError as error:  # the camera was unplugged, or the disk is full: what came before is kept
                 lost = error
                 with contextlib.suppress(OSError):

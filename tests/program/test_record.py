@@ -112,16 +112,16 @@ def test_of_an_unplugged_camera_what_came_before_is_kept_with_its_settings(progr
     assert (about["source"], about["settings"]) == ("EVK4 0042 by played", device.settings) and device.n_closed
 
 
-@pytest.mark.parametrize("n", [100, 5_000])
-def test_on_a_full_disk_all_whole_events_are_kept(n, program, tmp_path, monkeypatch):
-    """Of packets that wait in the file's buffer, and of one that is written in part."""
+@pytest.mark.parametrize("n, room", [(100, 50_003), (5_000, 50_003), (100, 79_003)])
+def test_on_a_full_disk_all_whole_events_are_kept(n, room, program, tmp_path, monkeypatch):
+    """Of packets that wait in the file's buffer, of one that is written in part, and after Ctrl-C."""
     packets = [made_events(*range(k * n, (k + 1) * n)) for k in range(10_000 // n)]
-    device = PlayedDevice(*packets, sensor=(6_000, 34))
+    device = PlayedDevice(*packets, KeyboardInterrupt(), sensor=(6_000, 34))
     monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
-    with full_after(50_003):
+    with full_after(room):
         code, out, _ = program("record", "camera", "--class", "wave", "--out", tmp_path)
     (path,) = (tmp_path / "wave").glob("*.dat")
-    n_whole = (50_003 - len(dat_header((6_000, 34)))) // 8
+    n_whole = (room - len(dat_header((6_000, 34)))) // 8
     assert code == 2 and f"{n_whole:,} events" in out
     assert open_recording(path, strict=True).read()["t"].tolist() == list(range(n_whole))
 
