@@ -140,7 +140,11 @@ def dataset_data(
         return make_windows(of, config.window_us, which=which, first_event=True, duration_us=None)
 
     training, validating, ended = _with_ends(
-        windows_of(recordings, learned), windows_of(recordings, held_out), validation, len(dataset.recordings)
+        windows_of(recordings, learned),
+        windows_of(recordings, held_out),
+        validation,
+        len(dataset.recordings),
+        config.window_us,
     )
     if "bins" in fitted:
         events_a_pixel = training.events_a_pixel(config.window_us)
@@ -220,7 +224,9 @@ def _testing(
     )
 
 
-def _with_ends(training: Windows, validation: Windows, share: float, n_real: int) -> tuple[Windows, Windows, list[int]]:
+def _with_ends(
+    training: Windows, validation: Windows, share: float, n_real: int, window_us: int
+) -> tuple[Windows, Windows, list[int]]:
     """Hold out the last windows of each class whose recordings are all learned from, as there is only one group.
 
     Parameters
@@ -244,8 +250,9 @@ def _with_ends(training: Windows, validation: Windows, share: float, n_real: int
         mine = mine[np.lexsort((times_us[mine], files[mine]))]  # one file after the other
         learned, held_out = hold_out_end(len(mine), share)
         if len(held_out):
-            keep[mine] = False
-            keep[mine[learned]] = True
+            first = mine[held_out[0]]
+            keep[mine] = False  # parts of a session may overlap: nor is what reaches beyond the first one's start kept
+            keep[mine[learned]] = ((files != files[first]) | (times_us + window_us <= times_us[first]))[mine[learned]]
             ended.append(int(label))
             ends.append(mine[held_out])
     if not ended:

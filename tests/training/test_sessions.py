@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from made import random_model, thesis_model
+from made import events_of, random_model, thesis_model
 from sources.files.written import aedat3
 from training.gestures import bar, write
 
@@ -63,6 +63,22 @@ def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
     assert len(sides[1]) == 1 and not sides[0] & sides[1]
     by_user = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3, groups=r"user\d+")
     assert len({recordings.names[r][:6] for r in by_user.validation.recording}) == 1
+
+
+def test_what_is_learned_ends_before_what_is_held_out_in_time(tmp_path):
+    """Also where the parts of a session overlap."""
+    t = np.arange(0, 2_000_000, 100)
+    write(tmp_path / "s.npz", events_of(t, t // 100 % 128, t // 777 % 128, [1] * len(t)))
+    rows = [f"{'ab'[k % 2]},{45_000 * k},{45_000 * k + 500_000}\n" for k in range(30)]
+    (tmp_path / "s_labels.csv").write_text(HEADER + "".join(rows))
+    data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=PixelSelection())
+    begin_us = np.array([int(name[6:].partition(":")[0]) for name in data.training.recordings.names])
+    for label in range(2):
+        learned, held_out = (
+            (begin_us[some.recording] + some.start_us)[some.labels == label]
+            for some in (data.training, data.validation)
+        )
+        assert len(learned) > 25 and len(held_out) > 10 and learned.max() + 100_000 <= held_out.min()
 
 
 def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_path, program):
