@@ -199,7 +199,9 @@ def main(argv: list[str] | None = None) -> int:
         "effects": effects(right),
         "validation": {Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results},
         "curves": {
-            Run(r["row"], r["trained_on"], r["seed"]).name: r["history"]
+            Run(r["row"], r["trained_on"], r["seed"]).name: [
+                {k: round(n, 6) for k, n in row.items()} for row in r["history"]
+            ]
             for r in results
             if ROWS[r["row"]].group == "long"
         },

@@ -26,10 +26,7 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
     "record": ("async_tnt.cli.record", "record a camera or a network stream into class folders"),
     "info": ("async_tnt.cli.info", "describe recordings, folders of recordings, and models"),
     "export": ("async_tnt.cli.export", "write a model's classifier to an ONNX file, checked (extra: onnx)"),
-    "check": (
-        "async_tnt.cli.check",
-        "prove on recordings that the stream equals the batch reference (extra: reference)",
-    ),
+    "check": ("async_tnt.cli.check", "prove that the stream equals the batch reference (extra: reference)"),
     "bench": ("async_tnt.cli.bench", "measure what an event and a decision cost on this machine"),
     "train": ("async_tnt.cli.train", "train a model on recordings (extra: train)"),
     "evaluate": ("async_tnt.cli.evaluate", "report how well a model classifies a folder of held-out recordings"),

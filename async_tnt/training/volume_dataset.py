@@ -13,8 +13,6 @@ from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.windows import make_windows
 
-Classes = tuple[str, ...] | None
-
 
 class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     """Item i: the volume of window i, float32, shape (C, H, W), and the index of its class.
@@ -45,7 +43,12 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     """
 
     def __init__(
-        self, folder: str | os.PathLike[str], config: TNTConfig, *, part: str = "Train", classes: Classes = None
+        self,
+        folder: str | os.PathLike[str],
+        config: TNTConfig,
+        *,
+        part: str = "Train",
+        classes: tuple[str, ...] | None = None,
     ) -> None:
         if config.needs_regressor:
             raise ValueError("landmark 'regressor' needs a network; volumes of a data set have none")

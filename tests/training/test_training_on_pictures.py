@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def test_each_picture_is_recorded_and_on_one_side(tmp_path):
 def test_bad_pictures_are_named_and_left_out(tmp_path):
     write_pictures(tmp_path / "p")
     (tmp_path / "p/bar/bar07.jpg").write_text("no picture")
-    if hasattr(os, "mkfifo"):
+    if sys.platform == "linux":  # others have no such names
         os.mkfifo(tmp_path / "p/bar/pipe.png")  # no file: to read it would take forever
         (tmp_path / "p/bar/bar00.png").rename(tmp_path / os.fsdecode(b"p/bar/bar00\xff.png"))
         data_of(tmp_path / "p", store=tmp_path)
