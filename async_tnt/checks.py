@@ -72,13 +72,6 @@ def refuse_mask(name: str, values: Any, advice: str) -> None:
         raise TypeError(f"`{name}` must not be a masked array, whose mask would be ignored; pass {advice}")
 
 
-def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
-    """Raise a ValueError for the first of the `values` of events that is `bad`, which is a bool array."""
-    if bad.any():
-        i = int(np.argmax(bad))
-        raise ValueError(f"`{name}` {rule}, got {values[i]} at event {i}")
-
-
 def one_line(error: Exception, limit: int = 300) -> str:
     """Text from a library or a file for a message: on one line, cut after `limit` characters."""
     text = " ".join(str(error).split()) or type(error).__name__

@@ -57,6 +57,7 @@ def main(args: argparse.Namespace) -> int:
             complain(error)
             failed = True
             continue
+        failed |= any("error" in found for found in report.get("recordings", ()))
         say(json.dumps(report)) if args.json else say(*lines)
     return 2 if failed else 0
 
@@ -118,7 +119,7 @@ def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], lis
                 seconds = (found.last_us - found.first_us) * 1e-6
                 lines.append(f"{name} {size:>9} {seconds:>11,.3f} s {found.events:>12,} events")
                 n_events += found.events
-            except (OSError, ValueError, ImportError) as error:
+            except (OSError, ValueError, ImportError, MemoryError) as error:
                 reports.append({"recording": str(path), "error": str(error)})
                 lines.append(f"{name} cannot be read: {error}")
             bar.update()

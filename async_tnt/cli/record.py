@@ -68,19 +68,28 @@ def main(args: argparse.Namespace) -> int:
                 f"{args.source}: DAT files hold {DAT_SIDE} pixels a side, got {format_size(source.sensor)}"
             )
         folder.mkdir(parents=True, exist_ok=True)
-        return _record(args, source, _free_name(folder))
+        path = _claim_name(folder)
+        try:
+            return _record(args, source, path)
+        finally:
+            if not path.exists():
+                path.with_suffix(".json").unlink(missing_ok=True)
     finally:
         source.close()
         with contextlib.suppress(OSError):  # a class without recordings would be an error of `train`
             folder.rmdir()
 
 
-def _free_name(folder: Path) -> Path:
-    """A file that is not there yet, nor being written, named by the time."""
+def _claim_name(folder: Path) -> Path:
+    """A file that is not there yet, named by the time. No other process gets the same: the file beside it is made."""
     now, n = time.strftime("%Y%m%d_%H%M%S"), 1
-    while any(folder.glob((name := f"{now}{f'_{n}' if n > 1 else ''}.dat") + "*")):
+    while True:
+        path = folder / f"{now}{f'_{n}' if n > 1 else ''}.dat"
+        if not any(folder.glob(f"{path.name}*")):
+            with contextlib.suppress(FileExistsError):
+                path.with_suffix(".json").touch(exist_ok=False)
+                return path
         n += 1
-    return folder / name
 
 
 def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
@@ -144,7 +153,7 @@ class _Picture:
     def __init__(self, sensor: tuple[int, int], label: str) -> None:
         self._sensor, self._label = sensor, label
         size = shutil.get_terminal_size()
-        self._columns, self._rows = min(COLUMNS, size.columns - 1), min(ROWS, size.lines - 2)
+        self._columns, self._rows = min(COLUMNS, size.columns - 1), max(0, min(ROWS, size.lines - 2))
         self._counts = np.zeros((2 * self._rows, self._columns), np.int64)
         self._is_shown = sys.stderr.isatty() and self._columns > 8 and self._rows > 4
         self._drawn = False

@@ -16,11 +16,12 @@ faery, https://github.com/aestream/faery (udp_encoder.py); spif, https://github.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import refuse_where
-from async_tnt.events import EVENT_DTYPE, structured
+from async_tnt.config import MAX_SIDE
+from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.kernels.clock import NO_LIMIT
 from async_tnt.kernels.datagrams import ARGUMENTS, SPIF, SPIF_T32, T32, T64, decode_events
 from async_tnt.kernels.jit import compile_only
@@ -30,7 +31,6 @@ from async_tnt.sources.sensor import checked_sensor
 EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
 """Format -> bytes of one event."""
 
-_MAX_SIDE = 1 << 15  # of the formats that pack x and y
 _ABSENT = 1 << 31  # SPIF: no time follows
 _KIND = {"t64_x16_y16_on8": T64, "t32_x16_y15_on1": T32, "spif": SPIF, "spif_t32": SPIF_T32}
 
@@ -42,17 +42,17 @@ def checked_format(format: str) -> str:
     return format
 
 
-def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
+def encode(events: Any, format: str = "t64_x16_y16_on8") -> bytes:
     """Events as the payload of one datagram.
 
     Parameters
     ----------
-    events : structured array with fields t, x, y, p, such as `EVENT_DTYPE`; see `async_tnt.events.as_events`.
+    events : in any form that `async_tnt.event_forms` lists.
     format : one of `EVENT_BYTES`. Those with 32 bits of time keep the low ones: the receiver unwraps.
 
     Raises
     ------
-    ValueError : unknown format; a coordinate too large for it; a polarity other than 0 and 1.
+    ValueError, TypeError : unknown format, or invalid events.
 
     Examples
     --------
@@ -61,13 +61,10 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
     ('02 01 00 00 00 00 00 00 03 00 04 00 01', '04 80 03 80')
     """
     checked_format(format)
-    refuse_where((events["p"] != 0) & (events["p"] != 1), "p", events["p"], "must be 0 or 1")
+    own = as_events(events, (MAX_SIDE, MAX_SIDE))
     if format == "t64_x16_y16_on8":  # our own records, bit for bit
-        own = events if events.dtype == EVENT_DTYPE else structured([events[field] for field in "txyp"])
         return own.tobytes()
-    t, x, y, p = (events[field].astype("<u4") for field in "txyp")  # of t the low half
-    for field, column in (("x", x), ("y", y)):
-        refuse_where(column >= _MAX_SIDE, field, column, f"must be in [0, {_MAX_SIDE}) for {format}")
+    t, x, y, p = (own[field].astype("<u4") for field in "txyp")  # of t the low half
     if format == "t32_x16_y15_on1":
         words = np.column_stack([t, y << 17 | p << 16 | x])
     elif format == "spif":

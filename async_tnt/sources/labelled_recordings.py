@@ -11,7 +11,6 @@ import csv
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 from async_tnt.sources.files.recording import READERS
@@ -170,10 +169,14 @@ def _sessions(folder: Path) -> dict[Path, Path]:
     """Recording -> its table."""
     tables = {path.name.removesuffix(TABLE): path for path in folder.glob(f"*{TABLE}") if path.is_file()}
     recordings = [path for path in sorted(folder.iterdir()) if path.stem in tables and is_recording(path)]
-    for one, other in pairwise(path for path in recordings if path.suffix.lower() not in TEXTS):
-        if one.stem == other.stem:
-            raise ValueError(f"{folder}: {one.name} and {other.name} have one table; keep one of them there")
-    return {path: tables[path.stem] for path in recordings}
+    sessions: dict[Path, Path] = {}
+    for name, table in sorted(tables.items()):
+        named = [path for path in recordings if path.stem == name]
+        found = [path for path in named if path.suffix.lower() not in TEXTS] or named
+        if len(found) > 1:
+            raise ValueError(f"{folder}: {found[0].name} and {found[1].name} have one table; keep one of them there")
+        sessions |= dict.fromkeys(found, table)
+    return sessions
 
 
 def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: list[Path]) -> None:

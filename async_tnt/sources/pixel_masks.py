@@ -7,7 +7,8 @@ recording. A plausible count for it is
 
     neighbours   the 4th largest count among the other pixels of the 5x5 block around it (at the sensor's border the
                  block is shifted inwards): a moving edge, even a line one pixel wide that moves along itself, passes at
-                 least four of them. A median, as in image filters, would mistake such lines for hot pixels.
+                 least four of them, but at its very ends. A median, as in image filters, would mistake such lines for
+                 hot pixels.
     mean         the mean count of all pixels: in a still scene neighbours say nothing
     1            a single event is no evidence
 
@@ -18,11 +19,11 @@ and the pixel is hot if both hold:
 
 The second is Chernoff's bound on a Poisson count, P(count >= n) <= exp(n - plausible) (plausible / n)^n, so that among
 the N pixels of the sensor one passes it by chance in one of a hundred recordings. Hot pixels raise the mean and hide
-weaker ones nearby: the search is repeated, with the count `neighbours` for those found, until it finds no more. (A
-count of zero would break a line in two, and the rest would be found next, pixel by pixel.)
+weaker ones nearby: the search is repeated until it finds no more, those found having the largest count of the others
+in their block. (With a lower one the end of a line would move inwards, and the line be found pixel by pixel.)
 
-Five or more equally hot pixels in one 5x5 block explain one another and are not found: a flickering lamp looks the
-same. Conversely, something small and bright that visits one pixel all the time looks like a hot pixel: learn from
+Five or more hot pixels in one 5x5 block explain one another, and not all are found: a flickering lamp looks the same.
+Conversely, something small and bright that visits one pixel all the time looks like a hot pixel: learn from
 recordings in which things move, or of a still scene, with some thousand events at least.
 """
 
@@ -196,27 +197,27 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
     rest = counts.copy()
     while True:
         mean = max(1.0, rest.mean())
-        y, x = np.nonzero(rest > FACTOR * mean)
+        y, x = np.nonzero((rest > FACTOR * mean) & ~hot)
         n = rest[y, x].astype(np.float64)
-        neighbours = _neighbours(rest, y, x)
-        plausible = np.maximum(mean, neighbours)
+        plausible = np.maximum(mean, _largest(rest, y, x, RANK))
         found = (n > FACTOR * plausible) & (n * np.log(n / plausible) - (n - plausible) > chance)
         if not found.any():
             return hot
         y, x = y[found], x[found]
         hot[y, x] = True
-        rest[y, x] = neighbours[found]
+        rest[y, x] = 0
+        rest[y, x] = _largest(rest, y, x, 0)
 
 
-def _neighbours(counts: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The 4th largest count in the 5x5 block around each pixel, itself not counted.
+def _largest(counts: np.ndarray, y: np.ndarray, x: np.ndarray, rank: int) -> np.ndarray:
+    """The largest count in the 5x5 block around each pixel, after the `rank` largest ones.
 
-    The pixel stays in its block: if it is larger than its 4th largest neighbour, that is the 5th largest count of the
-    block; if not, the 5th largest of the block is no smaller than the pixel, which is then not hot.
+    After four it is `neighbours`: if a pixel is larger than its 4th largest neighbour, that is the 5th largest count of
+    the block; if not, the 5th largest of the block is no smaller than the pixel, which is then not hot.
     """
     height, width = (min(BLOCK, side) for side in counts.shape)
     blocks = sliding_window_view(counts, (height, width))
     top = np.clip(y - BLOCK // 2, 0, blocks.shape[0] - 1)
     left = np.clip(x - BLOCK // 2, 0, blocks.shape[1] - 1)
-    rank = min(RANK, height * width - 1)
+    rank = min(rank, height * width - 1)
     return np.sort(blocks[top, left].reshape(y.size, height * width), axis=1)[:, -1 - rank]

@@ -46,9 +46,9 @@ class PixelSelection:
     def __post_init__(self) -> None:
         check_crop(self.crop, self.roi)
         if self.roi is not None:
-            checked_region(self.roi)
+            object.__setattr__(self, "roi", checked_region(self.roi))
         if self.sensor is not None:
-            checked_sensor(self.sensor)
+            object.__setattr__(self, "sensor", checked_sensor(self.sensor))
         if self.mask is not None and self.sensor is not None and self.sensor != self.mask.size:
             raise ValueError(
                 f"{self.mask.name}: a mask of {format_size(self.mask.size)} pixels, but the camera's are given as "

@@ -24,7 +24,7 @@ class RecordingSummary:
     ----------
     recording, format, bytes : the file, the name of its format, and its size.
     sensor : (width, height) as the file states it or the caller does; None: neither does.
-    sensor_stated : whether the file states it.
+    sensor_stated : whether the file, or its format, states it.
     extent : the smallest (width, height) that holds all events; (0, 0) without events.
     events, on, unsorted : how many there are, are ON, and are earlier than the one before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.

@@ -239,8 +239,8 @@ class UdpSource:
         self.close()
 
 
-def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -> UdpSource:
-    """A `UdpSource` of a `url`, udp://HOST:PORT[?format=...&timeout_s=...]; `sensor` and `settings` are its arguments.
+def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
+    """A `UdpSource` of a `url`, udp://HOST:PORT[?format=...&timeout_s=...]; `sensor` is its argument.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -
     """
     try:
         host, port, options = _parse_url(url)
-        return UdpSource(host, port, sensor=sensor, **{**options, **settings})
+        return UdpSource(host, port, sensor=sensor, **options)
     except ValueError as error:
         raise ValueError(f"{url}: {error}") from None
 

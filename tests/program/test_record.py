@@ -82,15 +82,16 @@ def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path
     monkeypatch.setattr(record.time, "strftime", lambda form: "20261126_120000")
     when_recorded(1, lambda: timers[-1][1]())
     (tmp_path / "wave").mkdir()
-    (tmp_path / "wave" / "20261126_120000.dat.part").touch()  # another program is writing it
+    for name in ("20261126_120000.dat.part", "20261126_120000_2.json"):  # other programs are writing
+        (tmp_path / "wave" / name).touch()
     for n in range(2):
         port = free_port()
         threading.Thread(target=send_in_parts, args=(port, EVENTS), daemon=True).start()
         words = ["record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "wave", "--seconds", 1.5]
         assert program(*words, "--out", tmp_path)[0] == 0 and timers[n][0] == 1.5
     assert [path.name for path in sorted((tmp_path / "wave").glob("*.dat"))] == [
-        "20261126_120000_2.dat",
         "20261126_120000_3.dat",
+        "20261126_120000_4.dat",
     ]
 
 

@@ -57,6 +57,10 @@ def test_a_line_that_moves_along_itself_is_not_hot():
     counts[7, 12] = 400 * 6
     before = counts.copy()
     assert np.argwhere(hot_pixels(counts)).tolist() == [[7, 12]] and (counts == before).all()
+    for x, y in ((np.arange(60) + 20, np.arange(60) + 10), (np.arange(60), np.full(60, 9))):  # one ends on the sensor
+        counts = np.random.default_rng(0).poisson(0.2, (90, 120))
+        counts[y, x] = 25
+        assert hot_pixels(counts).sum() <= 4  # its very ends
 
 
 @pytest.mark.parametrize(

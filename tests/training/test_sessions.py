@@ -127,7 +127,8 @@ def test_only_texts_and_the_other_part_may_lie_beside_sessions(tmp_path):
     write_session(tmp_path, "a", ("flat",))
     found = find_recordings(tmp_path)
     write_session(tmp_path / "Test", "c", ("flat",))
-    (tmp_path / "notes.csv").touch()
+    for name in ("notes.csv", "a.csv"):
+        (tmp_path / name).touch()
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "setup.png").touch()
     assert not find_pictures(tmp_path)

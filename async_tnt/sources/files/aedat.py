@@ -47,7 +47,6 @@ SENSORS: dict[str, Sensor] = {
 }
 """Name of a camera, in capitals, without the letter of a version -> its pixels."""
 EVENT_BYTES = 8
-ONLY_ASCII = bytes(range(128)) + b"?" * 128
 MAX_LINE, MAX_LINES = 1 << 16, 4096
 PERIOD_US = 1 << 32
 
@@ -167,12 +166,8 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
 
 
 def _is_comment(line: bytes) -> bool:
-    """Events follow without a mark, and their first byte may be a #. jAER writes in the encoding of its system: a few
-    bytes may be anything."""
-    line, end = line.rstrip(b"\r\n"), line.endswith(b"\n")
-    ascii_line = line.translate(ONLY_ASCII)
-    is_mostly_ascii = 8 * sum(byte > 0x7F for byte in line) <= len(line)
-    return end and line.startswith(b"#") and (is_text(line) or (is_mostly_ascii and is_text(ascii_line)))
+    """Events follow without a mark, and their first byte may be a #."""
+    return line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
 
 
 def _camera(path: Path, names: list[str]) -> str:

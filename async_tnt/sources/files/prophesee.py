@@ -78,10 +78,12 @@ class Header:
                 break
             if end < 0:
                 if len(data) < MAX_HEADER_BYTES:
-                    raise ValueError(f"{path}: the file ends inside its header, in {line.decode()[:80]!r}")
+                    raise ValueError(
+                        f"{path}: the file ends inside its header, in {line.decode(errors='replace')[:80]!r}"
+                    )
                 break
             self.length = end + 1
-            keyword, _, rest = line[2:].decode().strip().partition(" ")
+            keyword, _, rest = line[2:].decode(errors="replace").strip().partition(" ")
             if keyword.lower() == "end":
                 break
             self.fields[keyword.lower()] = rest.strip()

@@ -13,6 +13,7 @@ from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.sources.sensor import Sensor
 
 BLOCK_EVENTS = 1 << 16
+ONLY_ASCII = bytes(range(128)) + b"?" * 128
 
 
 class DamagedRecording(UserWarning):
@@ -102,7 +103,10 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 
 
 def is_text(line: bytes) -> bool:
-    """Whether a line of a header is text in UTF-8; binary data that follows hardly is."""
+    """Whether a line of a header is text; binary data that follows hardly is. Programs write in the encoding of their
+    system: a few bytes may be anything."""
+    if 8 * sum(byte > 0x7F for byte in line) <= len(line):
+        line = line.translate(ONLY_ASCII)
     try:
         return line.decode().replace("\t", " ").replace("\xa0", " ").isprintable()
     except UnicodeDecodeError:

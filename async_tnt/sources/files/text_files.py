@@ -73,7 +73,8 @@ class TextSource(Source):
         for text, is_whole in self._chunks():
             rows = _NO_EVENT.sub(b"", text).decode("utf-8", "backslashreplace").split("\n")
             # the last number of the file may have lost its last digits, a polarity has one
-            n = len(rows) if is_whole or self.columns[-1] in ("", "p") else len(rows) - 2
+            whole = is_whole or self.columns[-1] in ("", "p") or not rows[-2]
+            n = len(rows) if whole else len(rows) - 2
             columns = self._columns(rows[:n])
             if columns is None:
                 n = bisect_left(range(n), True, key=lambda k: self._columns(rows[: k + 1]) is None)
@@ -90,7 +91,7 @@ class TextSource(Source):
         if not any(rows):
             empty = np.zeros(0, np.int64)
             return empty, empty, empty, empty
-        row = np.dtype([(name or f"skipped {i}", "f8" if name else "S1") for i, name in enumerate(self.columns)])
+        row = np.dtype([(name or f"skipped {i}", "f8" if name else "U1") for i, name in enumerate(self.columns)])
         # calling a function for each polarity is slow: only where some may be words
         words: Any = {self.columns.index("p"): _polarity} if _WORD.search("\n".join(rows)) else None
         try:
@@ -209,7 +210,7 @@ def open_csv(path: Path) -> Source:
         )
     comments = [_names_in(row.text.lstrip("".join(COMMENTS)), len(columns)) for row in rows[: rows.index(first)]]
     header = next(filter(_is_header, reversed(comments)), None)  # a comment may be one: `# x,y,p,t`
-    if header is None and any(re.search("[A-Za-z]", column) for column in columns[:2]):
+    if header is None and any(re.search("[A-Za-z]", c) and not _NUMBER.fullmatch(c) for c in columns[:2]):
         header = columns
         if not _is_header(header):
             wanted = ", ".join("|".join(names) for names in NAMES.values())

@@ -88,9 +88,11 @@ def test_a_row_that_no_event_can_be_is_damage(text, row):
     "content",
     [
         "7,1,2,1\n",
+        "7.000e+00,1.000e+00,2e0,1\n",
+        "x,y,p,t\n1,2,1,7\n  ",
         "x;y;polarity;timestamp\n1;2;1;7\n",
         "P\tTS\tY\tX\n1\t7\t2\t1\n",
-        "id,x,y,on,t,name\nabc,1,2,True,7,some-one\n",
+        "id,x,y,on,t,name\nabc,1,2,True,7,日本\n",
         '"t","x","y","pol"\n7.0,1,2,1\n',
         "# y;x;p;t\n2;1;1;7\n",
         "# y x p t\n2,1,1,7\n",

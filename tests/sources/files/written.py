@@ -82,7 +82,7 @@ def evt3(events, sensor=SENSOR):
 
 
 def dat(events, sensor=SENSOR):
-    header = f"% {ANY_TEXT}\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
+    header = f"% {ANY_TEXT}\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode("latin-1")
     body = (struct.pack("<II", t & 0xFFFFFFFF, p << 28 | y << 14 | x) for t, x, y, p in events.tolist())
     return header + b"\x0c\x08" + b"".join(body)
 
