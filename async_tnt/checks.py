@@ -130,9 +130,13 @@ class Running:
 
     def begin(self) -> None:
         """Refuse to begin if a call is running. To be followed by `try`, and at its end by `now = False`."""
+        self.check()
+        self.now = True
+
+    def check(self) -> None:
+        """Refuse if a call is running."""
         if self.now:
             raise self.overlap()
-        self.now = True
 
     def overlap(self) -> RuntimeError:
         """The error of the second call."""

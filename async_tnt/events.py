@@ -114,10 +114,11 @@ class EventDecoder:
         """`decode` for one event; quick for Python integers."""
         width, height = self.sensor
         try:
-            valid = type(t | x | y | p) is int and 0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height
-        except TypeError:  # `|` refuses floats
+            is_plain = type(t) is type(x) is type(y) is type(p * 1) is int
+            valid = is_plain and 0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height and -1 <= p <= 1
+        except TypeError:
             valid = False
-        if not (valid and -1 <= p <= 1) or (self.late != "accept" and t < self.newest_us):
+        if not valid or (self.late != "accept" and t < self.newest_us):
             return self.decode(([t], [x], [y], [p]))
         if self.late != "accept":
             self.newest_us = t

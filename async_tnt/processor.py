@@ -262,7 +262,7 @@ class Processor(TriggerAttributes):
     def finish(self) -> list[Decision]:
         """End the stream: classify the open windows that hold events, and close them.
 
-        Their `complete` is False and their trigger `end`. Events that follow nevertheless belong to later windows.
+        Their `complete` is False and their trigger `end`. Events of these windows that follow nevertheless are late.
         """
         decisions: list[Decision] = []
         if self._windows.is_full:  # its decision failed
@@ -336,10 +336,13 @@ class Processor(TriggerAttributes):
         alone = settings.every_us is None or not overlap  # else time passes for several windows at once
         self._in_stretches = alone and self._classifier.decides_in_stretches
 
-    @one_at_a_time
     def __copy__(self) -> Processor:
         """A copy continues by itself; so does what `pickle` returns, in any process."""
         return copy.deepcopy(self)
+
+    def __getstate__(self) -> Any:
+        self._running.check()
+        return super().__getstate__()
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:

@@ -74,6 +74,7 @@ class TNTVolume:
         self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
+        self._running.check()
         return {name: value for name, value in vars(self).items() if name not in ("_ints", "_view")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -90,21 +91,18 @@ class TNTVolume:
 
     # -- events in ---------------------------------------------------------------------------------------
 
+    @one_at_a_time
     def open(self, start_us: int) -> None:
         """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to end.
 
         `start_us` is in microseconds.
         """
         start_us = checked_time("start_us", start_us)
-        if self._replay is not None:
-            self._replay.close(self._buffer, self._array)
         self._empty(start_us, start_us + self.config.window_us)
 
     @one_at_a_time
     def close(self) -> None:
         """Close the open window: the volume is empty until an event, or `open`, opens the next one."""
-        if self._replay is not None:
-            self._replay.close(self._buffer, self._array)
         self._empty(0, UNOPENED)
 
     def set_limit(self, limit_us: int) -> None:
@@ -116,9 +114,9 @@ class TNTVolume:
         self._ints[S.DECIDED_FROM_US] = start_us
 
     def _empty(self, start_us: int, limit_us: int) -> None:
-        empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
         if self._replay is not None:
-            self._replay.open()
+            self._replay.close(self._buffer, self._array)
+        empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
 
     def update(self, events: Any) -> int:
         """Add a packet of `events`, in any form that `async_tnt.event_forms` lists.
@@ -147,8 +145,8 @@ class TNTVolume:
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
         try:  # as `absorb_one`, whose call would cost another 40 ns
-            is_plain = self._is_plain and not self._running.now and type(t | x | y | p) is int
-            if is_plain and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
+            is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
+            if is_plain and not self._running.now and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
                 return 0
         except (TypeError, OverflowError):
             pass
@@ -167,9 +165,9 @@ class TNTVolume:
         is invalid, or not four Python integers, or this volume drops late events or stores events for a replay.
         """
         try:
-            # `|` refuses floats; a NumPy scalar would make Numba compile for its type
-            if type(t | x | y | p) is int and self._is_plain:
-                answer: int = absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1: Numba would compile for bool
+            # Numba would compile for a bool, a float or a NumPy scalar
+            if type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain:
+                answer: int = absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1
                 return answer
         except (TypeError, OverflowError):
             pass  # the decoder names the mistake
@@ -187,10 +185,9 @@ class TNTVolume:
     def _open_next(self, t_us: int) -> int:
         """Open the window that holds `t_us`, at or after the open window's end; returns how many that closes."""
         closed = int(self.n_events > 0)
-        if self._ints[S.LIMIT_US] == UNOPENED or self.config.window_events is not None:
-            self.open(t_us)
-        else:
-            self.open(t_us - (t_us - self.start_us) % self.config.window_us)
+        if self._ints[S.LIMIT_US] != UNOPENED and self.config.window_events is None:
+            t_us -= (t_us - self.start_us) % self.config.window_us
+        self._empty(t_us, t_us + self.config.window_us)
         return closed
 
     @one_at_a_time
@@ -206,6 +203,7 @@ class TNTVolume:
     # -- results -------------------------------------------------------------------------------
 
     @property
+    @one_at_a_time
     def array(self) -> np.ndarray:
         """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
 

@@ -104,12 +104,9 @@ class ReplayBuffer:
         self.reset()
 
     def reset(self) -> None:
-        """All counts zero, no window open."""
+        """All counts zero, no events stored."""
         self._closed_kept = 0  # counts of closed windows; the open window's change with every replay
         self._closed_tau_zero = 0
-
-    def open(self) -> None:
-        """Begin a window, without events."""
         self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
         self._is_replayed = True
 
@@ -180,11 +177,12 @@ class ReplayBuffer:
         self._is_replayed = True
 
     def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """End the window, and keep its final counts."""
+        """End the window, keep its final counts, and begin another one, without events."""
         self.run(buffer, array)
         ints = buffer.view(np.int64)
         self._closed_kept = int(ints[S.KEPT])
         self._closed_tau_zero = int(ints[S.TAU_ZERO])
+        self._landmark = None
 
     def _grow(self, n_stored: int, n: int) -> None:
         n = min(n, self._n_most)

@@ -16,7 +16,7 @@ from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, softma
 from async_tnt.kernels.objects import N_KNOWN, NEXT_NUMBER
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.networks.objects import ObjectReader, even_places, logits_shape, new_tracks
+from async_tnt.networks.objects import LOGITS, ObjectReader, even_places, logits_shape, new_tracks
 from async_tnt.volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
@@ -87,6 +87,8 @@ class WindowClassifier:
         if compiled is not None and compiled.shape != self._config.shape:
             shape = compiled.shape
             raise ValueError(f"`classifier` must take volumes of shape {self._config.shape}, got one for {shape}")
+        if compiled is not None and self.classes is not None:
+            self._classes_for(compiled.n_classes)
         if compiled is not None and compiled.places is not None and compiled.sensor != self._config.sensor:
             raise ValueError(
                 f"`classifier` must be for the sensor {self._config.sensor}, in whose pixels objects stand, got one "
@@ -142,6 +144,8 @@ class WindowClassifier:
         else:
             logits = self._call(volume)
             shape = logits_shape(logits.shape)
+            if shape is None and logits.size:
+                raise ValueError(f"`classifier` must return logits {LOGITS}, got shape {logits.shape}")
             if shape is not None and len(shape) == 3:
                 logits = logits.reshape(shape)
                 reader = self._reader_for(logits.shape)
@@ -151,9 +155,9 @@ class WindowClassifier:
             logits = logits.reshape(-1)
             probabilities = np.empty(logits.size)
             index = softmax(logits, probabilities) if logits.size else -1
-        classes = self._classes_for(logits.size)
-        if index < 0:
+        if index < 0 and logits.size:
             raise _not_finite(logits)
+        classes = self._classes_for(logits.size)
         if confidence is not None and probabilities[index] >= confidence:
             trigger, complete = "confidence", True
         return Decision(classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger)
@@ -186,10 +190,10 @@ class WindowClassifier:
         complete: bool,
     ) -> Decision:
         """The decision of a map on which the reader has found n objects; window: start, newest time, events."""
-        reader, classes = self._reader, self._classes_for(logits.shape[0] - 1, is_map=True)
-        assert reader is not None
         if n < 0:
             raise ValueError("`classifier` must return finite logits, got some on its map that are not")
+        reader, classes = self._reader, self._classes_for(logits.shape[0] - 1, is_map=True)
+        assert reader is not None
         objects = tuple(
             Object(classes[int(k)], int(k), probability, x, y, int(number))
             for x, y, probability, k, number in reader.found[:n].tolist()

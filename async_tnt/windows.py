@@ -133,9 +133,8 @@ class WindowScheduler:
             start_us += hops * self.hop_us
             self._decided_from_us = None
         while start_us <= t_us or not self._open:
-            volume = self._free.pop()
-            volume.open(start_us)
-            self._open.append(volume)
+            self._free[-1].open(start_us)  # first: an impossible time changes nothing
+            self._open.append(self._free.pop())
             start_us += self.hop_us
         self._next_start_us = start_us
         if was_empty:

@@ -60,6 +60,9 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
     """N-MNIST's saccades, at each rate."""
     rng = np.random.default_rng(0)
     files = [Path(name) for name in rng.permutation(sorted(map(str, folder.glob("Train/*/*.bin"))))[:n]]
+    if not files:
+        raise FileNotFoundError(f"no recordings {folder}/Train/<digit>/*.bin")
+    n = len(files)
     rows: dict[str, Any] = {}
     angles: dict[int, float] = {}
 

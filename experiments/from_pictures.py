@@ -139,27 +139,28 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--fonts", "TrueType and OpenType files, at any depth (default: those of matplotlib)")
     add_count(parser, "--pictures", 60_000, "of MNIST")
     add_count(parser, "--seeds", 5, "networks")
-    parser.add_argument("--out", type=Path, default=Path("pictures"), metavar="FOLDER", help="default: pictures")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="default: pictures, of --quick pictures/quick")
     args = parser.parse_args(argv)
+    out = args.out or Path("pictures/quick" if args.quick else "pictures")
     folders = {name: getattr(args, name) for name in TITLES if getattr(args, name)}
     if not folders:
         parser.error(f"give one of --{', --'.join(TITLES)}")
     if args.made:
-        folders["made"] = args.out / "recordings"
+        folders["made"] = out / "recordings"
         made_pictures.write_recordings(folders["made"] / "Test", 30, 1)
     report = earlier_report(args, {"sets": {}})
     for name, folder in folders.items():
-        pictures = args.out / name
+        pictures = out / name
         write_pictures(name, pictures, args.mnist, 20 if args.quick else args.pictures, args.fonts)
         seeds, more = (1, ("--epochs", "1")) if args.quick else (args.seeds, ())
         if name == "nmnist":
-            link_official(folder, args.out)
-            folder = args.out
+            link_official(folder, out)
+            folder = out
         parts = [folder / part for part in TESTS[name]]
-        report["sets"][name] = measure(name, pictures, parts, seeds, args.out / "models", more)
+        report["sets"][name] = measure(name, pictures, parts, seeds, out / "models", more)
         if name == "nmnist":
             tests = data_folder(args.mnist, "mnist", "--mnist"), 5 if args.quick else 1_000
-            report["sets"][name]["simulated"] = test_moving(report["sets"][name]["networks"], args.out, *tests)
+            report["sets"][name]["simulated"] = test_moving(report["sets"][name]["networks"], out, *tests)
         write_outputs(args, report)
     print_tables(report, "from_pictures")
     return 0

@@ -59,9 +59,7 @@ def build(
     workers: int | None = None,
     recordings_per_shard: int = 1_000,
     scene: Scene | None = None,
-    pixels: PixelModel | None = None,
     frame_us: float = 1_000.0,
-    sensor: tuple[int, int] = NMNIST_SENSOR,
 ) -> MovingMnist:
     """Simulate the set, or what is missing of it; shows a progress bar.
 
@@ -76,7 +74,7 @@ def build(
     kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond" (30 motions), or
         "nmnist" (1).
     workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
-    scene, pixels, frame_us, sensor : as in `simulate_digit`.
+    scene, frame_us : as in `simulate_digit`.
 
     Raises
     ------
@@ -87,7 +85,7 @@ def build(
     for name, n, least in (("seed", seed, 0), *((name, n, 1) for name, n in counts.items())):
         if n is not None and n < least:
             raise ValueError(f"`{name}` must be at least {least}, got {n}")
-    scene, pixels = scene or Scene(), pixels or PixelModel()
+    scene = scene or Scene()
     moving = motions_of(kind)
     images, labels = load_mnist(mnist_folder, split)
     which = list(range(len(images))) if which is None else [int(i) for i in which]
@@ -97,9 +95,9 @@ def build(
     shared = {
         "split": split,
         "seed": int(seed),
-        "sensor": [int(n) for n in sensor],
+        "sensor": list(NMNIST_SENSOR),
         "simulator": {
-            "pixels": dataclasses.asdict(pixels),
+            "pixels": dataclasses.asdict(PixelModel()),
             "scene": dataclasses.asdict(scene),
             "frame_us": float(frame_us),
         },
@@ -122,7 +120,7 @@ def build(
             images[first : first + recordings_per_shard],
             labels[first : first + recordings_per_shard],
             seed,
-            {"scene": scene, "pixels": pixels, "frame_us": frame_us, "sensor": sensor},
+            {"scene": scene, "frame_us": frame_us},
             {"motion": dataclasses.asdict(motion), **shared},
         )
         for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True)
@@ -171,7 +169,7 @@ def _make_shard(job: _Job) -> int:
     height, width = job.images.shape[1:]
     for i, (index, image) in enumerate(zip(job.which, job.images, strict=True)):
         rng = np.random.default_rng((job.seed, job.motion.index, index))
-        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.settings["sensor"])
+        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=NMNIST_SENSOR)
         flow[i] = flow_of(trajectory, times_us)
         events = simulate_digit(image, rng, trajectory=trajectory, **job.settings)
         # The last half microsecond is rounded up to `duration_us`, where the next window begins.
@@ -183,7 +181,7 @@ def _make_shard(job: _Job) -> int:
         image=np.array(job.which),
         flow=flow,
         flow_times_us=times_us,
-        sensor=job.settings["sensor"],
+        sensor=NMNIST_SENSOR,
         duration_us=duration_us,
         metadata=job.metadata,
     )

@@ -3,7 +3,7 @@
 With N events in R recordings, all of which last `duration_us`:
 
     t              int32    (N,)       time since the recording's start, us; 0 <= t < duration_us
-    x, y           uint8    (N,)       pixel; uint16 where the sensor is wider or higher than 256
+    x, y           uint8    (N,)       pixel
     p              uint8    (N,)       1 = ON, 0 = OFF
     offsets        int64    (R + 1,)   recording i is events offsets[i] to offsets[i + 1]; in order of time
     labels         uint8    (R,)       class
@@ -31,7 +31,8 @@ from safetensors.numpy import save
 from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.files import replacing
 
-COLUMNS = ("t", "x", "y", "p", "offsets", "labels", "image", "flow", "flow_times_us")
+COLUMNS = {"t": "i4", "x": "u1", "y": "u1", "p": "u1", "offsets": "i8", "labels": "u1", "image": "i4", "flow": "f4"}
+COLUMNS |= {"flow_times_us": "i8"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +95,10 @@ def write_shard(
         "flow_times_us": flow_times_us,
     }
     columns = {}
-    for name, dtype in _types(about).items():
+    for name, dtype in COLUMNS.items():
         columns[name] = np.asarray(given[name]).astype(dtype)
         if name != "flow" and not np.array_equal(columns[name], given[name]):
-            raise ValueError(f"`{name}` must hold whole numbers that fit in {dtype}")
+            raise ValueError(f"`{name}` must hold whole numbers that fit in {np.dtype(dtype)}")
     _check(columns, about)
     content = save(columns, metadata={"shard": json.dumps(about)})
     with replacing(path) as part:
@@ -116,23 +117,15 @@ def open_shard(path: str | os.PathLike[str]) -> Shard:
         with safe_open(path, framework="numpy") as file:
             columns = {name: file.get_tensor(name) for name in COLUMNS}
             metadata = json.loads((file.metadata() or {})["shard"])
-        for name, dtype in _types(metadata).items():
-            if columns[name].dtype != dtype:
-                raise ValueError(f"`{name}` must be {dtype}, got {columns[name].dtype}")
+        for name, dtype in COLUMNS.items():
+            if columns[name].dtype != np.dtype(dtype):
+                raise ValueError(f"`{name}` must be {np.dtype(dtype)}, got {columns[name].dtype}")
         _check(columns, metadata)
     except (SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path}: not a shard, or a damaged one: {error}") from None
     for column in columns.values():
         column.flags.writeable = False
     return Shard(path, **columns, metadata=metadata)
-
-
-def _types(metadata: Mapping[str, Any]) -> dict[str, np.dtype]:
-    """The type of each column, by the sensor's size."""
-    width, height = metadata["sensor"]
-    pixel = "u1" if max(width, height) <= 256 else "u2"
-    codes = ("i4", pixel, pixel, "u1", "i8", "u1", "i4", "f4", "i8")
-    return {name: np.dtype(code) for name, code in zip(COLUMNS, codes, strict=True)}
 
 
 def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """The results of some rows of the table put into a file that has more: a day of training need not be one run.
 
 What was measured again replaces what is there: a row's numbers in a column, a difference, an effect. p is adjusted
-again over all that a question then has.
+again over all that a question then has. A difference from numbers that are replaced is left out.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     record["seeds"] = sorted({*there["seeds"], *new["seeds"]})
     table = {row: there["table"].get(row, {}) | new["table"].get(row, {}) for row in ROWS}
     record["table"] = {row: {c: of[c] for c in in_order(of)} for row, of in table.items() if of}
-    differences = _replaced(there["differences"], new["differences"], QUESTION)
+    again = {(row, column) for row, of in new["table"].items() for column in of}
+    kept = [d for d in there["differences"] if again.isdisjoint((d[r], d["column"]) for r in ("row", "against"))]
+    differences = _replaced(kept, new["differences"], QUESTION)
     columns = in_order(d["column"] for d in differences)
     names = [(question, *pair, c) for question, pairs in QUESTIONS.items() for pair in pairs for c in columns]
     differences.sort(key=lambda d: names.index(tuple(d[name] for name in QUESTION)))

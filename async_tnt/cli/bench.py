@@ -13,10 +13,10 @@ from typing import Any
 import numba
 import numpy as np
 
+from async_tnt.cli.options import model_of
 from async_tnt.cli.output import say
 from async_tnt.compile_ahead import warmup
 from async_tnt.networks.compiled import CompiledRegressor
-from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.package import __version__
 from async_tnt.processor import Processor
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    model = load_model(args.model)
+    model = model_of(args.model)
     rounds, moments, n_events = (both[args.quick] for both in (ROUNDS, MOMENTS, N_EVENTS))
     recordings, origin = _recordings_for(model.config.sensor)
     with progress(len(NEW_EVENTS) + 2, "compiling") as bar:

@@ -47,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
         import tnt_reference  # noqa: F401
         import torch
     torch.set_num_threads(1)
-    model = model_of(args)
+    model = model_of(args.model)
     paths = paths_of(args)
     fill_cache()
     results: dict[Path, list[Comparison]] = {}

@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     run = _how_to_run(args)
-    model = model_of(args)
+    model = model_of(args.model)
     if model.places is not None:
         return evaluate_objects(args, model)
     pixels = selector_of(args, model)

@@ -14,6 +14,7 @@ from async_tnt.evaluation.object_tables import find_tables, read_table
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.sensor import check_sensor
 
 NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask", "restart"
 
@@ -22,6 +23,8 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
     """Score the recordings of `args.dataset` that have tables of objects; print the report."""
     if given := [f"--{name}" for name in NOT_FOR_OBJECTS if getattr(args, name)]:
         raise ValueError(f"{args.model} finds objects: {', '.join(given)} cannot be used with it")
+    if model.config.window_events is not None:
+        raise ValueError(f"{args.model}: objects are scored in windows of a duration, not of a number of events")
     scores: dict[float, ObjectScores] = {}
     skipped: list[str] = []
     unknown: dict[str, int] = {}
@@ -32,6 +35,8 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
             try:
                 table = read_table(file, model.classes)
                 recording = open_recording(path, sensor=args.sensor, strict=True)
+                if args.sensor is not None:
+                    check_sensor(path, recording.sensor, args.sensor, "--sensor says", advice="")
                 if recording.sensor is None:
                     raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
                 found = score_recording(model.for_sensor(recording.sensor), recording, table)

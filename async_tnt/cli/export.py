@@ -41,7 +41,7 @@ def main(args: argparse.Namespace) -> int:
     from async_tnt.networks.onnx_network import OnnxClassifier, import_onnxruntime
 
     check_writable(args.out, (".onnx",))
-    model = model_of(args)
+    model = model_of(args.model)
     if model.config.needs_regressor:
         raise ValueError(
             f"{args.model} has a landmark network, which has no ONNX form; its classifier alone runs by onnxruntime: "

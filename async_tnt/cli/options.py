@@ -99,12 +99,10 @@ def of_windows(model: Model, name: str | Path) -> Model:
     return model
 
 
-def model_of(args: argparse.Namespace) -> Model:
-    if Path(args.model).suffix.lower() == ".onnx":
-        raise ValueError(
-            f"{args.model}: an .onnx file can only be run (async-tnt run --model); here {MODELS} is needed"
-        )
-    return load_model(args.model)
+def model_of(name: str) -> Model:
+    if Path(name).suffix.lower() == ".onnx":
+        raise ValueError(f"{name}: an .onnx file can only be run (async-tnt run --model); here {MODELS} is needed")
+    return load_model(name)
 
 
 def positive_int(text: str) -> int:

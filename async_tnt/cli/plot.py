@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import MODELS, READABLE, add_volume, positive_int, size_of, volume_of
+from async_tnt.cli.options import MODELS, READABLE, add_volume, model_of, positive_int, size_of, volume_of
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
-from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
@@ -95,7 +94,9 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     if args.sensor is not None:
         check_sensor(path, recording.sensor, args.sensor, "--sensor says", advice="")
     name = args.model or DEFAULT_MODEL
-    trained = load_model(name)
+    trained = model_of(name)
+    if (n := trained.config.window_events) is not None:
+        raise ValueError(f"{name}: windows of a duration can be drawn, but not of {n} events")
     sensor = recording.sensor or trained.config.sensor
     recording.sensor = sensor  # events off it are refused
     if trained.places is not None:
@@ -127,8 +128,6 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         changes["window_us"] = args.window_us
     if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
         changes.setdefault("remove_flow", False)
-    if config.window_events is not None:
-        raise ValueError(f"{args.model}: windows of a duration can be drawn, but not of {config.window_events} events")
     if config.representation in TIME_IMAGES:
         raise ValueError(f"{args.model}: event volumes and counts can be drawn, but not {config.representation}")
     if changes.setdefault("transform", "tnt") != "tnt":

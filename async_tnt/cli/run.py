@@ -106,7 +106,7 @@ def main(args: argparse.Namespace) -> int:
         except (OSError, ValueError) as error:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output, not of a recording
                 raise
-            complain(error)
+            complain(error if str(path) in str(error) else ValueError(f"{path}: {error}"))
             failed = True
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")

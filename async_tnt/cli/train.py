@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import command_words, of_windows, volume_of
+from async_tnt.cli.options import command_words, model_of, of_windows, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
 from async_tnt.cli.train_options import add_arguments
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
-from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
@@ -95,7 +94,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.fitting import fit
     from async_tnt.training.run_folder import plot_curves
 
-    teachers = [of_windows(load_model(name), name) for name in args.teacher]
+    teachers = [of_windows(model_of(name), name) for name in args.teacher]
     data, settings = _read(args, teachers, run_folder)
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)

@@ -36,7 +36,7 @@ def evaluate_recording(task: Task) -> Record:
     ImportError : its format needs a library that is not installed.
     ValueError : the model is not the one that the task was made for.
     """
-    processor, classes, pixels = processor_of(task.job)
+    processor, pixels = processor_of(task.job)
     fields: Record = {name: [] for name in ("window_start_us", "window_probabilities", *EARLY)}
     n_decisions = 0
     window: list[Decision] = []
@@ -53,7 +53,8 @@ def evaluate_recording(task: Task) -> Record:
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed(task, _error_line(error, task))
     mean = np.mean(fields["window_probabilities"], axis=0)
-    fields |= {"label": classes[int(mean.argmax())], "probabilities": mean.tolist(), "decisions": n_decisions}
+    assert processor.classes is not None
+    fields |= {"label": processor.classes[int(mean.argmax())], "probabilities": mean.tolist(), "decisions": n_decisions}
     counts = {"events": processor.counts.received, "late": processor.counts.dropped_late}
     return _record(task, fields | counts, None)
 
@@ -77,8 +78,8 @@ def _record(task: Task, fields: Record, error: str | None) -> Record:
 _kept = threading.local()  # a Processor has one stream; workers of a cluster may have several threads
 
 
-def processor_of(job: Job) -> tuple[Processor, tuple[str, ...], PixelSelector]:
-    """The Processor of a job, reset, its classes, and its selector of pixels: the same for all recordings of a thread.
+def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
+    """The Processor of a job, reset, and its selector of pixels: the same for all recordings of a thread.
 
     It decides as often as `early.every_us` says. The selector is not reset: its counts go on.
 
@@ -86,7 +87,7 @@ def processor_of(job: Job) -> tuple[Processor, tuple[str, ...], PixelSelector]:
     ------
     ValueError : the model or this package are not those that the job was made for, or its pixels do not fit the model.
     """
-    kept: tuple[Job, Processor, tuple[str, ...], PixelSelector] | None = getattr(_kept, "of_job", None)
+    kept: tuple[Job, Processor, PixelSelector] | None = getattr(_kept, "of_job", None)
     if kept is None or kept[0] != job:
         if job.version != __version__:
             raise ValueError(
@@ -98,10 +99,10 @@ def processor_of(job: Job) -> tuple[Processor, tuple[str, ...], PixelSelector]:
                 f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"
             )
         processor = Processor(model, every_us=every_us(model.config))
-        kept = _kept.of_job = job, processor, model.classes, PixelSelector(job.pixels, model.config.sensor)
-    _, processor, classes, pixels = kept
+        kept = _kept.of_job = job, processor, PixelSelector(job.pixels, model.config.sensor)
+    _, processor, pixels = kept
     processor.reset()
-    return processor, classes, pixels
+    return processor, pixels
 
 
 def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Iterator[Decision]:

@@ -107,8 +107,9 @@ class ResultFile:
         self._out, self._job, self._is_new = out, job, not out.exists()
         self._names: list[str] = []  # of all lines
         self._file = open_locked(out, f"{out}: another program is writing it; wait for that one, or name another file")
+        self._restarts = restart
         try:
-            self._load(restart)
+            self._load()
         except BaseException:
             self.close()
             raise
@@ -116,6 +117,9 @@ class ResultFile:
     def append(self, record: Record) -> None:
         """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
         with naming(self._out):
+            if self._restarts:  # not before there is something new
+                self._file.truncate(0)
+                self._restarts = False
             self._file.write(_line(record))
             self._file.flush()
         self._add(record)
@@ -141,12 +145,12 @@ class ResultFile:
             if is_empty and self._is_new:
                 self._out.unlink(missing_ok=True)
 
-    def _load(self, restart: bool) -> None:
+    def _load(self) -> None:
         start = self._file.read(len(START))
         if not START.startswith(start):
             raise ValueError(_not_ours(self._out))
-        if restart:
-            self._file.truncate(0)
+        if self._restarts:
+            return
         self._file.seek(0)
         while line := self._file.readline():
             if not line.endswith(b"\n"):

@@ -155,7 +155,8 @@ def cell_for(windows: Sequence[Columns], sensor: tuple[int, int]) -> int:
     """Sensor pixels along a side of a cell, by the median of how far the middle 70 % of each window's events reach."""
     reach = [max(np.ptp(np.quantile(axis, (0.15, 0.85))) for axis in (x, y)) for _, x, y, _ in windows if len(x)]
     wanted = round(float(np.median(reach)) / OBJECT_CELLS) if reach else 1
-    return int(np.clip(wanted, -(-max(sensor) // MOST_CELLS), -(-max(sensor) // FEWEST_CELLS)))
+    least = -(-max(sensor) // MOST_CELLS)
+    return int(np.clip(wanted, least, max(least, max(sensor) // FEWEST_CELLS)))
 
 
 def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> np.ndarray:

@@ -91,7 +91,8 @@ def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_u
     noise = -np.log1p(-min(0.99, n_lonely / max(1, n_quiet)))  # events of a pixel in a window, of a Poisson process
     noise_on_share = n_lonely_on / n_lonely if n_lonely else 0.5
     n_noise = noise * width * height * len(windows)
-    ratio = max(1.0, n_off - (1 - noise_on_share) * n_noise) / max(1.0, n_on - noise_on_share * n_noise)
+    least = max(1.0, 3 * np.sqrt(n_on + n_off))  # below it noise differs from what is expected of it by chance
+    ratio = max(least, n_off - (1 - noise_on_share) * n_noise) / max(least, n_on - noise_on_share * n_noise)
     step_on = float(np.sqrt(np.clip(ratio, 1 / LARGEST_RATIO, LARGEST_RATIO)))
     all_intervals = np.concatenate(intervals)
     shortest = float(np.quantile(all_intervals, REFRACTORY_SHARE)) if len(all_intervals) else 0.0

@@ -79,6 +79,8 @@ def _colours(path: Path) -> np.ndarray:
             image: Image.Image = ImageOps.exif_transpose(file)
             if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
                 values = np.asarray(image, np.float64)
+                if not np.isfinite(values).all():
+                    raise ValueError("a picture must have finite values")
                 image = Image.fromarray((255.0 * values / max(values.max(), 1e-12)).clip(0, 255).astype(np.uint8))
             image = image.convert("RGBA")  # before: pictures with a palette would be made smaller without averaging
             image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))

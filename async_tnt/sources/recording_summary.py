@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from async_tnt.kernels.pixels import count_events
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixel_masks import hot_pixels
 from async_tnt.sources.sensor import Sensor
@@ -61,24 +62,23 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
     """
     recording = open_recording(path, PACKET_EVENTS, sensor=sensor)
     known = recording.sensor
-    pixels = np.zeros(0 if known is None else known[0] * known[1], np.int64)
+    pixels = np.zeros((0, 0) if known is None else known[::-1], np.int64)
     first_us, duration_us = recording.earliest_us, recording.duration_us
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
     counts = np.zeros(N_PARTS, np.int64)
     extent, n_on, n_unsorted, newest_us = (0, 0), 0, 0, -1
     for packet in recording:
-        t, x, y = (packet[name].astype(np.int64) for name in "txy")
+        t, x, y = (np.ascontiguousarray(packet[name]) for name in "txy")
         extent = max(extent[0], int(x.max()) + 1), max(extent[1], int(y.max()) + 1)
         if known is not None:
-            pixels += np.bincount(y * known[0] + x, minlength=len(pixels))
+            count_events(x, y, len(t), pixels)
         n_on += int((packet["p"] > 0).sum())
         n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())
         newest_us = int(t[-1])
         counts += np.histogram(t - first_us, edges)[0]
     found = []
     if known is not None and recording.n_events:
-        image = pixels.reshape(known[1], known[0])
-        found = [{"x": x, "y": y, "events": int(image[y, x])} for y, x in np.argwhere(hot_pixels(image)).tolist()]
+        found = [{"x": x, "y": y, "events": int(pixels[y, x])} for y, x in np.argwhere(hot_pixels(pixels)).tolist()]
     return RecordingSummary(
         recording=str(path),
         format=recording.format,

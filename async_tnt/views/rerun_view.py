@@ -122,12 +122,14 @@ class RerunView:
             return []
         newest = np.maximum.accumulate(packet["t"])  # an event out of order comes with the newest before it
         np.maximum(newest, self._newest_us, out=newest)
+        if int(newest[-1]) > LAST_US:
+            raise ValueError(f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}")
+        if self.processor.late == "raise" and (newest > packet["t"]).any():
+            return self.processor.push(packet)  # as a whole: it is refused
         if self._origin_us is None:  # windows, and thus pictures, begin with the first event
             start_us = self.processor.start_us
             self._origin_us = int(newest[0]) if start_us is None else start_us
             self._due_us = self._after(int(newest[0]))
-        if int(newest[-1]) > LAST_US:
-            raise ValueError(f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}")
         decisions: list[Decision] = []
         first = 0
         while first < len(packet):

@@ -154,6 +154,7 @@ def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
     unfinished.write_bytes(b"".join(lines))
     with closing(ResultFile(unfinished, JOB, restart=True)) as file:
         assert not file.records
+    assert unfinished.read_bytes() == b"".join(lines)  # nothing is discarded before there is something new
 
 
 def test_two_programs_at_once_are_refused(unfinished):

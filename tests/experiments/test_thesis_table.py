@@ -118,6 +118,7 @@ def test_results_put_into_a_file_of_more_rows():
     moved = {**old["rows"]["raw-motions"], "motions": {"all": {}}}
     new |= {"rows": {"raw-motions": moved}, "validation": {}, "curves": {"x": []}}
     new |= {"differences": [{**before, "mean": 0.125, "p": 0.9}]}
+    assert len(merged(old, {**new, "differences": []})["differences"]) == len(old["differences"]) - 1  # of old numbers
     found = merged(old, new)
     assert found["table"][row][column]["mean"] == 0.25 and found["machine"]["cpu"] == "another"
     assert found["table"][row]["1/sim"] == old["table"][row]["1/sim"] and list(found["table"]) == list(old["table"])

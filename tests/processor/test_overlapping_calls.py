@@ -1,6 +1,7 @@
 """Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a crash."""
 
 import copy
+import pickle
 import threading
 
 import numpy as np
@@ -56,6 +57,8 @@ CALLS = [
     Processor.reset,
     Processor.volume,
     copy.copy,
+    copy.deepcopy,
+    pickle.dumps,
     lambda processor: setattr(processor, "confidence", 0.5),
     lambda processor: setattr(processor, "classifier", total_and_size),
 ]
@@ -109,7 +112,8 @@ def test_a_network_shared_by_two_threads_refuses_the_second_call(network):
 
 def test_a_volume_and_a_filter_refuse_events_while_they_read_others():
     volume, chosen = TNTVolume(CONFIG), PixelFilter(CONFIG.sensor)
-    others = [lambda: volume.update(EVENTS), lambda: volume.update_one(5000, 1, 1, 1)]
+    others = [lambda: volume.update(EVENTS), lambda: volume.update_one(5000, 1, 1, 1), lambda: volume.open(0)]
+    others += [lambda: volume.array, lambda: copy.copy(volume)]
     assert_refused_during(volume.update, EVENTS, others, "TNTVolume")
     assert_refused_during(chosen, EVENTS, [lambda: chosen(EVENTS)], "PixelFilter")
     assert volume.counts.received == chosen.counts.received == 40

@@ -29,12 +29,26 @@ def test_decision_carries_logits_probabilities_and_label():
         ([float("nan"), 1.0], None, "finite logits, got"),
         (None, None, "finite logits, got"),
         ([0.0], ["a", "b"], "2 logits, one for each class, got 1"),
+        (np.zeros((2, 5)), None, r"logits \(1, n_classes\), or a map .*, got shape \(2, 5\)"),
     ],
 )
 def test_answers_that_are_refused(answer, classes, message):
     processor = Processor(CONFIG, classifier=lambda volume: answer, classes=classes)
     with pytest.raises(ValueError, match=f"`classifier` must return {message}"):
         processor.fire()
+    processor.classifier = lambda volume: [0.0, 1.0]  # what was wrong says nothing of the classes
+    assert len(processor.fire().probabilities) == 2
+
+
+def test_a_time_that_is_impossible_changes_nothing():
+    processor = Processor(CONFIG, classifier=total_and_size)
+    for wrong in ((True, 3, 3, 1), (5, True, 3, 1), (5, 3, 3.0, 1)):
+        with pytest.raises(TypeError, match=r"^`[txy]` must be whole numbers, got"):
+            processor.push_one(*wrong)
+    assert processor.push_one(2**62 - 1, 3, 3, 1) == [] and len(processor.finish()) == 1
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"^`start_us` must be in \[0, 2\*\*62\)"):
+            processor.push_one(2**62 - 1, 3, 3, 1)
 
 
 @pytest.mark.parametrize(

@@ -158,8 +158,13 @@ def test_a_camera_is_measured(tmp_path):
     np.savez(tmp_path / "a.npz", t=t, x=x, y=y, p=rng.random(len(t)) < 2 / 3)
     camera = measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
     assert camera.step_on / camera.step_off == pytest.approx(0.5, rel=0.05)
+    # noise alone, before and after an hour
+    t = np.concatenate([np.sort(rng.integers(start, start + 10_000_000, 500)) for start in (0, 3_600_000_000)])
+    np.savez(tmp_path / "b.npz", t=t, x=rng.integers(0, 24, 1000), y=rng.integers(0, 20, 1000), p=np.arange(1000) % 2)
+    noisy = measure_camera(tmp_path / "b.npz", 100_000, SENSOR)
+    assert (noisy.step_on, noisy.step_off) == (1, 1) and noisy.noise_hz == pytest.approx(1000 / 480 / 20, rel=0.2)
     with pytest.raises(ValueError, match=f"no longer than a window of {t[-1]} us"):
-        measure_camera(tmp_path / "a.npz", int(t[-1]), SENSOR)
+        measure_camera(tmp_path / "b.npz", int(t[-1]), SENSOR)
 
 
 def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):

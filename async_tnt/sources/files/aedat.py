@@ -154,7 +154,9 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
         for _ in range(MAX_LINES):
             place = file.tell()
             line = file.readline(MAX_LINE)
-            if end is None and not _is_comment(line):
+            # events follow without a mark, and their first byte may be a #
+            is_comment = line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
+            if end is None and not is_comment:
                 return _camera(path, names), place
             if found := re.match(camera_line, line):
                 names.append(found[1].decode("ascii", "replace"))
@@ -163,11 +165,6 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
             if end is not None and not line.endswith(b"\n"):
                 break
     raise ValueError(f"{path}: the header must end within {MAX_LINES} lines{f' by {end.decode()}' if end else ''}")
-
-
-def _is_comment(line: bytes) -> bool:
-    """Events follow without a mark, and their first byte may be a #."""
-    return line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
 
 
 def _camera(path: Path, names: list[str]) -> str:
