@@ -107,16 +107,16 @@ def dataset_data(
     )
     grid = default_grid(dataset.sensor) if "grid" in fitted else config.grid
     config = config.replace(sensor=dataset.sensor, grid=grid)
-    recordings = dataset.recordings
+    recordings, n_real, classes = dataset.recordings, len(dataset.recordings), dataset.classes
     notes = _notes(dataset, "the recordings")
-    longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1 if len(recordings) else config.window_us
+    longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1 if n_real else config.window_us
     if "window_us" in fitted and longest_us < config.window_us:
         config = config.replace(window_us=-(-longest_us // 1000) * 1000)
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
-    of_pictures, bad_pictures = check_pictures(pictures, dataset.classes, dataset.recordings.labels, progress)
+    of_pictures, bad_pictures = check_pictures(pictures, classes, recordings.labels, progress)
     names = (*recordings.names, *(picture.name for picture in of_pictures))
     labels = np.concatenate([recordings.labels, np.array([one.label for one in of_pictures], np.int64)])
-    kinds = 2 * labels + (np.arange(len(labels)) >= len(recordings))  # of pictures as large a share as of recordings
+    kinds = 2 * labels + (np.arange(len(labels)) >= n_real)  # of pictures as large a share as of recordings
     learned, held_out, how, counted = _split(names, kinds, groups, validation, seed)
     held_out_names = tuple(names[r] for r in held_out)
     about: dict[str, Any] = {}
@@ -139,26 +139,21 @@ def dataset_data(
     def windows_of(of: Recordings, which: np.ndarray | None = None) -> Windows:
         return make_windows(of, config.window_us, which=which, first_event=True, duration_us=None)
 
-    training, validating, ended = _with_ends(
-        windows_of(recordings, learned),
-        windows_of(recordings, held_out),
-        validation,
-        len(dataset.recordings),
-        config.window_us,
-    )
+    windows = windows_of(recordings, learned), windows_of(recordings, held_out)
+    training, validating, ended = _with_ends(*windows, validation, n_real, config.window_us)
     if "bins" in fitted:
         events_a_pixel = training.events_a_pixel(config.window_us)
         config = with_bins(config, events_a_pixel)
         if config.representation == "volume":
             notes.append(f"{config.bins} time bins, as an active pixel fires {events_a_pixel:.1f} times in a window")
     _check_time_unit(training, config)
-    counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
+    counts = {name: int((labels == k).sum()) for k, name in enumerate(classes)}
     record: dict[str, Any] = {
         "source": f"recordings of own classes, held out by {how}",
         "classes": counts,
         "sensor": list(dataset.sensor),
-        "real_recordings": int((learned < len(dataset.recordings)).sum()),
-        "held_out_recordings": int((held_out < len(dataset.recordings)).sum()),
+        "real_recordings": int((learned < n_real).sum()),
+        "held_out_recordings": int((held_out < n_real).sum()),
         "left_out": [*dataset.left_out, *bad_pictures],
         **({"pictures": about} if about else {}),
     }
@@ -166,39 +161,29 @@ def dataset_data(
         record["pixels"] = {**pixels.about, "camera": list(dataset.camera), **dataset.left_out_events}
     if dataset.n_late:
         record["left_out_late"] = dataset.n_late
-    notes.append(
-        f"recordings{' and pictures' if about else ''}: " + ", ".join(f"{name} {n}" for name, n in counts.items())
-    )
+    of_each = ", ".join(f"{name} {n}" for name, n in counts.items())
+    notes.append(f"recordings{' and pictures' if about else ''}: {of_each}")
     notes.append(f"held out by {how}: {counted}")
     if how == BY_NUMBER and record["held_out_recordings"]:
         notes.append("the first of them may follow the last learned ones within seconds: such recordings need groups")
-    single = [one for k, one in enumerate(dataset.classes) if counts[one] and k not in validating.labels]
+    single = [one for k, one in enumerate(classes) if counts[one] and k not in validating.labels]
     if single and validation:
         notes.append(f"not held out, as there is only one short recording, or one group of them: {', '.join(single)}")
     if ended:
-        alone = ", ".join(dataset.classes[k] for k in ended)
+        alone = ", ".join(classes[k] for k in ended)
         notes.append(
             f"held out in time, as there is only one recording, or one group of them: the last windows of {alone}; "
             "they are of the day, place and person that was learned from: only another session tells more"
         )
-        record["held_out_in_time"] = [dataset.classes[k] for k in ended]
-    left_out, tests = [*dataset.left_out, *bad_pictures], {}
+        record["held_out_in_time"] = [classes[k] for k in ended]
+    left_out, tests, mask = [*dataset.left_out, *bad_pictures], {}, _masked(pixels, dataset)
     if test:
         testing = _testing(folder, dataset, pixels, store, progress)
         tests["test"] = (windows_of(testing.recordings), {"left_out": list(testing.left_out)})
         left_out += [f"Test/{line}" for line in testing.left_out]
         notes += _notes(testing, "Test")
     return TrainingData(
-        config,
-        dataset.classes,
-        training,
-        validating,
-        record,
-        tests,
-        held_out_names,
-        _masked(pixels, dataset),
-        tuple(left_out),
-        tuple(notes),
+        config, classes, training, validating, record, tests, held_out_names, mask, tuple(left_out), tuple(notes)
     )
 
 

@@ -114,9 +114,8 @@ def read_dataset(
             bar.update()
         recordings = writer.finish()
     empty = [name for k, name in enumerate(names) if k not in recordings.labels and name not in with_pictures]
-    if empty and (
-        classes is None or not (len(recordings) or with_pictures)
-    ):  # of given classes, some may have no recordings
+    # of given classes, some may have no recordings
+    if empty and (classes is None or not (len(recordings) or with_pictures)):
         out = [line.removesuffix(".") for label, line in left_out if names[label] in empty]
         raise ValueError(
             f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the folder "
@@ -262,16 +261,14 @@ def _check_classes(
     with_pictures: Collection[str],
 ) -> None:
     if classes is not None:
-        unknown = [name for name in found if name not in classes]
-        if unknown:
+        if unknown := [name for name in found if name not in classes]:
             raise ValueError(f"{folder}: unknown class {', '.join(unknown)}; known are {', '.join(classes)}")
         if not any(found.values()) and not with_pictures:
             raise ValueError(f"{folder}: no recordings in any class folder")
         return
     if len(found) < 2:
         raise ValueError(f"{folder}: there must be at least two class folders, got {', '.join(found)}")
-    without = [name for name, paths in found.items() if not paths and name not in with_pictures]
-    if without:
+    if without := [name for name, paths in found.items() if not paths and name not in with_pictures]:
         raise ValueError(
             f"{folder}: no recordings in the class folder {', '.join(without)}; expected files in "
             f"{', '.join(sorted(READERS))} there, or pictures, or remove the folder"
