@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from async_tnt.checks import short
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.entry_points import ENTRY_POINTS
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
@@ -47,6 +48,8 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     float : seconds it took.
     """
     started = time.perf_counter()
+    if not isinstance(model, (Model, TNTConfig, type(None))):
+        raise TypeError(f"`model` must be a Model or a TNTConfig, got {short(model)}; load_model(name) loads one")
     config = model.config if isinstance(model, Model) else model
     names = EVENTS | LATE | OTHER_CLASSIFIERS | EVENT_TRIGGERS
     if config is None or config.needs_replay:
@@ -99,11 +102,12 @@ def compile_kernels(names: Iterable[str]) -> None:
             compile_for_types(*ENTRY_POINTS[name])
 
 
-def fill_cache(names: Iterable[str] = EVENTS | CLASSIFIER) -> None:
+def fill_cache(names: Iterable[str] | None = None, model: object = None) -> None:
     """Where nothing has been compiled yet, say so on stderr and compile these kernels with two processes.
 
-    The commands call it with the default, the largest kernels of a stream, before they make a `Processor`.
+    The commands call it with their model, for the largest kernels of its streams, before they make a `Processor`.
     """
+    names = names or EVENTS | (LOCATOR if getattr(model, "places", None) is not None else CLASSIFIER)
     absorb, types = ENTRY_POINTS["absorb"]
     with _not_collecting():
         if is_cached(absorb, types):

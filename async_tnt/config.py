@@ -157,8 +157,7 @@ class TNTConfig:
         if not isinstance(values, Mapping):
             raise TypeError(f"a configuration must be a mapping of names to values, got {short(values)}")
         known = {field.name for field in fields(cls)}
-        unknown = sorted(str(name) for name in set(values) - known)
-        if unknown:
+        if unknown := sorted(str(name) for name in set(values) - known):
             raise ValueError(f"unknown configuration {', '.join(unknown)}; known: {', '.join(sorted(known))}")
         arguments: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
         return cls(**arguments)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import add_files, add_start, model_of, paths_of
+from async_tnt.cli.options import add_files, add_start, model_of, paths_of, positive_int
 from async_tnt.cli.output import note, say
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.progress import progress
@@ -19,7 +19,7 @@ DESCRIPTION = f"""Compare streaming with the batch reference in torch on recordi
 
   packets of {", ".join(str(size) for size in PACKET_SIZES[:-1])} and all events give the same volume, bit for bit
   the volume equals the reference's to 1e-6 of its largest cell, the landmark to 1e-9 pixels, at prefixes
-  the model's logits equal the reference pipeline's to 1e-4, and with them the class
+  the model's logits equal the reference pipeline's to 1e-4 (above 1, of the largest), and with them the class
   a decision after every event, refreshed from the one before, has the bits of the whole network's
 
 A model with landmark "regressor" is also checked with that landmark. It comes from float32 convolutions and may differ
@@ -49,7 +49,7 @@ def main(args: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     model = model_of(args.model)
     paths = paths_of(args)
-    fill_cache()
+    fill_cache(model=model)
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:
@@ -70,11 +70,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _prefixes(text: str) -> int | None:
-    if text == "all":
-        return None
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be `all` or a whole number of at least 1, got {text!r}")
-    return int(text)
+    return None if text == "all" else positive_int(text)
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:

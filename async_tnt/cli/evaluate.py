@@ -160,8 +160,7 @@ def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRe
     OSError : no such folder.
     """
     found = find_recordings(folder, "Test")
-    unknown = [name for name in found if name not in model.classes]
-    if unknown:
+    if unknown := [name for name in found if name not in model.classes]:
         theirs, ours = (shorten(", ".join(names), SHOWN) for names in (unknown, model.classes))
         raise ValueError(f"{folder}: the model does not know class {theirs}; it knows {ours}")
     if not any(found.values()):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.output import complain, say
+from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.object_scores import ObjectScores, score_recording
 from async_tnt.evaluation.object_tables import find_tables, read_table
 from async_tnt.networks.model import Model
@@ -30,6 +31,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
     unknown: dict[str, int] = {}
     n_moments = 0
     tables = find_tables(args.dataset)
+    fill_cache(model=model)
     with progress(len(tables), "recordings") as bar:
         for path, file in tables:
             try:

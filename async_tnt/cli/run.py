@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     check_keep_up(args)
     engine = choose_engine(args.model, sensor_to_read(args), args.config)
-    fill_cache()
+    fill_cache(model=engine.model)
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     processor = Processor(engine.model, classes=engine.classes, **engine.networks, **settings)
     pixels = selector_of(args, engine.model)

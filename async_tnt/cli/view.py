@@ -77,7 +77,7 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(args, engine.model)
     opened = None if live else pixels.open(path)
     speed = args.speed or (1.0 if args.out is None else math.inf)
-    fill_cache()
+    fill_cache(model=engine.model)
     view = RerunView(
         engine.model,
         out=args.out,

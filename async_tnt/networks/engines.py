@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
@@ -72,7 +72,9 @@ def _of_other_program(path: Path, config: Path) -> Engine:
     try:
         given = json.loads(config.read_text(encoding="utf-8"))
         volume = TNTConfig.from_dict(given["config"])
-        classes = tuple(map(str, given["classes"])) if given.get("classes") is not None else None
+        classes = given.get("classes")
+        if classes is not None and not (isinstance(classes, list) and 0 < len(set(map(str, classes))) == len(classes)):
+            raise ValueError(f"`classes` must be different names, got {short(classes)}")
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
         raise ValueError(f'{config}: expected a JSON object with "config", and maybe "classes": {what}') from None
@@ -82,6 +84,8 @@ def _of_other_program(path: Path, config: Path) -> Engine:
         raise ValueError(one_line(error)) from None
     except NotImplementedError:
         network = OnnxClassifier(path, shape=volume.shape)
-        names = classes or tuple(map(str, range(network.n_classes)))
+        names = list(map(str, range(network.n_classes) if classes is None else classes))
+        if len(names) != network.n_classes:
+            raise ValueError(f"{config}: {len(names)} classes, but {path} computes {network.n_classes}") from None
         return Engine(volume, names, {"classifier": network})
     return Engine(model, model.classes)

@@ -65,7 +65,7 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
         shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
         read = logits_shape(list(shapes.values())[-1]) or (0,)
         classes = [str(k) for k in range(read[0] - (len(read) == 3))]
-    model = Model(config, weights, tuple(classes), network={CLASSIFIER: layers})
+    model = Model(config, weights, classes, network={CLASSIFIER: layers})  # type: ignore[arg-type]
     try:
         _compare_with_onnxruntime(path, proto, model)
     except ValueError as error:
@@ -166,8 +166,7 @@ def input_type(model: onnx.ModelProto) -> np.dtype:
 
 def _check_meanings(model: onnx.ModelProto) -> int:
     """The opset; refuses operations that are not ONNX's own of that name, or whose meaning was another one."""
-    theirs = [node for node in model.graph.node if node.domain not in STANDARD]
-    if theirs:
+    if theirs := [node for node in model.graph.node if node.domain not in STANDARD]:
         where = Node(theirs[0]).where
         raise NotImplementedError(f"{where} is of the domain {theirs[0].domain!r}, not ONNX's own")
     if any(function.domain in STANDARD for function in model.functions):

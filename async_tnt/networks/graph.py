@@ -151,8 +151,7 @@ def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, S
     inputs = layer["inputs"]
     if not isinstance(inputs, Sequence) or isinstance(inputs, str) or not all(isinstance(name, str) for name in inputs):
         raise ValueError(f"`inputs` must be a list of names, got {short(inputs)}")
-    unknown = [name for name in inputs if name not in shapes]
-    if unknown:
+    if unknown := [name for name in inputs if name not in shapes]:
         raise ValueError(f"no earlier layer is named {unknown[0]!r}")
     if len(inputs) < op.n_inputs or (op.n_inputs == 1 and len(inputs) > 1):
         expected_inputs = "2 inputs or more" if op.n_inputs > 1 else "1 input"
@@ -171,7 +170,6 @@ def _weights(layer: Layer, op: Operation, tensors: Mapping[str, Shape]) -> dict[
     missing = [role for role, needed in op.roles.items() if needed and role not in weights]
     if unknown or missing:
         raise ValueError(f"`weights` must be {', '.join(op.roles)}, got {', '.join(weights) or 'none'}")
-    lost = [name for name in weights.values() if name not in tensors]
-    if lost:
+    if lost := [name for name in weights.values() if name not in tensors]:
         raise ValueError(f"no tensor is named {lost[0]!r}")
     return {role: tuple(tensors[name]) for role, name in weights.items()}

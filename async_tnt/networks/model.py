@@ -115,7 +115,8 @@ class Model:
                     part, config.shape, prefix="" if name == CLASSIFIER else f"{name}."
                 )
                 weights |= tensors
-            model = cls(config, weights, tuple(classes), record or {}, network=network)
+            # `Model` refuses a string and a set, which `tuple` would take apart
+            model = cls(config, weights, classes, record or {}, network=network)  # type: ignore[arg-type]
             for name, part in parts.items():
                 check_torch_layers(part, network[name], weights, config.shape)
         except NotImplementedError as error:
@@ -244,8 +245,7 @@ def _check_centroids(network: Mapping[str, Any], shapes: Mapping[str, Any], conf
 
 def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray]) -> None:
     """Every weight is used and finite, and a batch norm never divides by zero."""
-    unused = set(weights) - set().union(*(tensors_of(layers) for layers in network.values()))
-    if unused:
+    if unused := set(weights) - set().union(*(tensors_of(layers) for layers in network.values())):
         raise ValueError(f"no layer has the weights {', '.join(sorted(unused))}")
     for name, w in weights.items():
         if not np.isfinite(w).all():

@@ -131,7 +131,7 @@ class _Lowering:
             else:
                 self._maps[layer["name"]] = getattr(self, f"_{layer['op']}")(layer, inputs)
         output = self._maps[self._layers[-1]["name"]]
-        return self._steps, self._copy(volume, replace(volume)) if output is volume else output
+        return self._steps, self._copy(volume, replace(volume, writers=[])) if output is volume else output
 
     def _tensor(self, layer: Layer, role: str, default: float, n: int) -> np.ndarray:
         name = layer["weights"].get(role)

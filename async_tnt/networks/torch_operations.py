@@ -248,7 +248,7 @@ class Operation:
 
     def arguments(self, node: fx.Node, module: nn.Module | None) -> dict[str, Any]:
         if self.rule is _view:
-            shape = node.args[1:]
+            shape = node.args[1:] or tuple(node.kwargs.values())
             return {"input": node.args[0], "shape": shape[0] if isinstance(shape[0], (tuple, list)) else shape}
         names = [*self.inputs, *([*self.parameters, "out"] if module is None else [])]
         given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}

@@ -202,8 +202,7 @@ def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
     if not file.is_file():
         return None
     wanted = {name for line in file.read_text(encoding="utf-8-sig").splitlines() if (name := line.strip())}
-    missing = sorted(wanted - {path.name for path in sessions})
-    if missing:
+    if missing := sorted(wanted - {path.name for path in sessions}):
         raise ValueError(f"{file} names {missing[0]}, which is not there, or has no table")
     return {path for path in sessions if path.name in wanted}
 

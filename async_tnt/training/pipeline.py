@@ -68,7 +68,7 @@ class Pipeline(nn.Module):
     def classify(self, volumes: torch.Tensor) -> torch.Tensor:
         """Logits of volumes (N, C, H, W)."""
         logits: torch.Tensor = self.classifier(self._on_device(volumes, self.scale))
-        return logits.float()
+        return logits.float().flatten(1) if logits.shape[2:] == (1, 1) else logits.float()
 
     def volumes(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
         """(N, C, H, W): what the classifier sees, but for `scale`."""
@@ -161,7 +161,7 @@ def check_network(name: str, config: TNTConfig, *, everywhere: bool = False) -> 
         model = Model.from_torch(
             build_network(name, config.channels, config.grid, 2),
             config.replace(landmark="center", remove_flow=False),
-            "ab",
+            ("a", "b"),
         )
     except NotImplementedError as error:
         raise ValueError(f"`network` {name}: {error}") from None

@@ -93,8 +93,7 @@ def resynthesize(
     }
     if manifest.exists():
         there = _read_manifest(manifest)["made_from"]
-        differ = [name for name, value in made_from.items() if there.get(name) != value]
-        if differ:
+        if differ := [name for name, value in made_from.items() if there.get(name) != value]:
             raise other_run(folder, f"motions ({', '.join(differ)})")
     chunks = _chunks("training", training, config, folder, settings.variations)
     chunks += _chunks("held-out", held_out, config, folder, 1)

@@ -83,8 +83,7 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
         raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
     if written != FORMAT:
         raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
-    differ = [name for name, value in _plain(known).items() if state["identity"].get(name) != value]
-    if differ:
+    if differ := [name for name, value in _plain(known).items() if state["identity"].get(name) != value]:
         raise other_run(run_folder, ", ".join(sorted(differ)))
     return state
 

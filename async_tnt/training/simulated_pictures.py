@@ -262,8 +262,7 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
             there = dict(json.loads(path.read_text(encoding="utf-8")))
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path}: damaged ({error}); remove {path.parent}") from None
-    differ = [name for name, value in made_from.items() if there.get(name, value) != value]
-    if differ:
+    if differ := [name for name, value in made_from.items() if there.get(name, value) != value]:
         raise other_run(path.parent, f"pictures ({', '.join(differ)})")
     write_text(path, json.dumps({**there, **made_from}, indent=1) + "\n")
 

@@ -316,6 +316,9 @@ def test_what_a_map_model_refuses():
     one_place = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(4, 4, 1))
     with pytest.raises(ValueError, match=r"must compute 3 logits, .* got \(4, 1, 1\)"):
         Model.from_torch(one_place, CONFIG, ["a", "b", "c"])  # not a map, but a name too few
+    for classes in ("abcd", {"a", "b", "c", "d"}):
+        with pytest.raises(TypeError, match="`classes` must be a tuple or list of names"):
+            Model.from_torch(one_place, CONFIG, classes)
 
 
 def test_an_exported_map_model_runs_as_the_model_does(tmp_path, program):

@@ -48,7 +48,7 @@ def test_a_landmark_network_of_any_layers_holds():
     config, batch_norm = TNTConfig(bins=3, landmark="regressor", t_max=2.0), nn.BatchNorm2d(6)
     batch_norm.running_mean.normal_()
     layers = nn.Conv2d(3, 6, 3, padding=1), batch_norm, nn.ReLU(), nn.Conv2d(6, 1, 1), HeatmapCentroid()
-    decides = nn.Sequential(nn.Flatten(), nn.Linear(3 * 34 * 34, 2))
+    decides = nn.Sequential(nn.Conv2d(3, 2, 3), nn.AdaptiveAvgPool2d(1))  # logits (2, 1, 1)
     model = Model.from_torch(decides, config, ["a", "b"], regressor=nn.Sequential(*layers))
     assert all(one.holds for one in check_recording(random_events(150, duration_us=90_000), model, prefixes=2))
 

@@ -30,7 +30,7 @@ def linear(channels, grid, n_classes):
 
 def normed(channels, grid, n_classes):
     return nn.Sequential(nn.BatchNorm2d(channels), nn.Conv2d(channels, 4, 3), nn.ReLU(), nn.AdaptiveAvgPool2d(1),
-                         nn.Flatten(), nn.Linear(4, n_classes))
+                         nn.Conv2d(4, n_classes, 1))  # logits (n_classes, 1, 1)
 
 def mish(channels, grid, n_classes):
     return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.Mish(), nn.Flatten(), nn.Linear(4096, n_classes))
