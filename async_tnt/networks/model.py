@@ -111,9 +111,10 @@ class Model:
         weights: dict[str, np.ndarray] = {}
         try:
             for name, part in parts.items():
-                network[name], tensors = layers_from_torch(
-                    part, config.shape, prefix="" if name == CLASSIFIER else f"{name}."
-                )
+                prefix = "" if name == CLASSIFIER else f"{name}."
+                while prefix and any(tensor.startswith(prefix) for tensor in weights):  # of a submodule of this name
+                    prefix = f"_{prefix}"
+                network[name], tensors = layers_from_torch(part, config.shape, prefix)
                 weights |= tensors
             # `Model` refuses a string and a set, which `tuple` would take apart
             model = cls(config, weights, classes, record or {}, network=network)  # type: ignore[arg-type]

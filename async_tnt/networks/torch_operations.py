@@ -191,7 +191,7 @@ def _affine(made: LayerList, call: Call, x: Any, factor: Any = None, shift: Any 
         while shape[:1] == [1]:
             del shape[0]
         expect_form(shape in ([], [channels, *[1] * len(sides)]), f"a constant of shape {list(values.shape)} here")
-        weights[role] = f"{made.prefix}{call.node.name}.{role}"
+        weights[role] = f"{made.prefix}{call.node.name}().{role}"  # unlike any module's
         made.weights[weights[role]] = float_array(values.reshape(-1).expand(channels))
     return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
 
