@@ -23,21 +23,21 @@ class Block(nn.Module):
 
 
 class Branches(nn.Module):
-    """Residual blocks, a concatenation, a mean, a view: methods, functions and modules."""
+    """Residual blocks, a concatenation, a mean, a view: methods, functions and modules, one of a function's name."""
 
     def __init__(self):
         super().__init__()
         self.stem = nn.Sequential(nn.BatchNorm2d(3), nn.Conv2d(3, 6, 5, stride=2, padding=2), nn.ReLU6())
         self.block, self.pool = Block(6), nn.MaxPool2d(3, 2, 1)
-        self.depthwise, self.drop = nn.Conv2d(12, 12, (3, 2), groups=12, padding="same"), nn.Dropout2d(0.5)
+        self.mul, self.drop = nn.Conv2d(12, 12, (3, 2), groups=12, padding="same"), nn.Dropout2d(0.5)
         self.head = nn.Sequential(nn.Linear(12, 7), nn.BatchNorm1d(7), nn.LeakyReLU(), nn.Dropout(), nn.Linear(7, 4))
 
     def forward(self, x):
         x = self.pool(self.block(self.stem(x)))
         x = torch.cat([x, self.block(x).clamp(min=0.1)], 1)
-        x = F.max_pool2d(F.leaky_relu(self.depthwise(x), 0.2), kernel_size=2)
+        x = F.max_pool2d(F.leaky_relu(self.mul(x * 2), 0.2), kernel_size=2)
         x = F.dropout(self.drop(x), training=self.training).mean((2, 3))
-        return self.head(x.view(x.size(0), -1))
+        return self.head(x.reshape(shape=(x.size(0), -1)))
 
 
 def branches():
