@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt import config as limits
 from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
-from async_tnt.config import MAX_CELLS
 from async_tnt.networks.objects import LOGITS, Places, logits_shape, places_of
 from async_tnt.networks.onnx_export import Exported, read_metadata
 
@@ -211,8 +211,8 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, in
     for side, wanted in zip(sides[1:], (channels, height, width), strict=True):
         if isinstance(side, int) and side != wanted:
             raise ValueError(f"`shape` must fit the network's input {_spelled(sides)}, got {tuple(shape)}")
-    if channels * height * width > MAX_CELLS:
-        raise ValueError(f"the network's input must have at most {MAX_CELLS:_} cells, got {_spelled(sides)}")
+    if channels * height * width > limits.MAX_CELLS:
+        raise ValueError(f"the network's input must have at most {limits.MAX_CELLS:_} cells, got {_spelled(sides)}")
     return channels, height, width
 
 
