@@ -104,7 +104,7 @@ class _Nodes:
         taken = {VOLUME, "logits", *self.weights}
         for layer in layers:
             name = layer["name"]
-            while name in taken:
+            while name in taken or any(one["name"].startswith(f"{name}.") for one in layers):  # as helping values' are
                 name += "_"
             if layer is layers[-1] and len(self._shapes[layer["name"]]) == 1:
                 name = "logits"

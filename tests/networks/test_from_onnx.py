@@ -155,11 +155,13 @@ def test_layers_named_as_weights_and_as_the_output_can_be_exported():
     layers = [
         {"op": "flatten", "name": "w", "inputs": ["volume"]},
         {"op": "dense", "name": "logits", "inputs": ["w"], "weights": {"weight": "w"}},
-        {"op": "relu", "name": "last", "inputs": ["logits"]},
+        {"op": "silu", "name": "s", "inputs": ["logits"]},
+        {"op": "relu", "name": "s.sigmoid", "inputs": ["s"]},  # as the export names a part of `s`
+        {"op": "relu", "name": "last", "inputs": ["s.sigmoid"]},
     ]
     model = Model(SMALL, {"w": np.eye(3, 60)}, ["a", "b", "c"], network={"classifier": layers})
     logits = OnnxClassifier(to_onnx(model))(np.arange(60, dtype=np.float32).reshape(SMALL.shape))
-    assert logits.tolist() == [0.0, 1.0, 2.0]
+    assert logits == pytest.approx([0.0, 1 / (1 + np.exp(-1.0)), 2 / (1 + np.exp(-2.0))])
 
 
 def test_a_weight_named_as_the_export_names_a_constant_is_kept(tmp_path):
