@@ -142,8 +142,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="default: pictures, of --quick pictures/quick")
     args = parser.parse_args(argv)
     out = args.out or Path("pictures/quick" if args.quick else "pictures")
-    folders = {name: getattr(args, name) for name in TITLES if getattr(args, name)}
-    if not folders:
+    if not (folders := {name: getattr(args, name) for name in TITLES if getattr(args, name)}):
         parser.error(f"give one of --{', --'.join(TITLES)}")
     if args.made:
         folders["made"] = out / "recordings"

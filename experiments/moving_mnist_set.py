@@ -149,8 +149,7 @@ def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
     """
     folder = Path(folder)
     made = read_manifest(folder)
-    missing = sum(not path.is_file() for path in made.shards)
-    if missing:
+    if missing := sum(not path.is_file() for path in made.shards):
         p = made.parameters
         bright = "" if p["simulator"]["scene"]["dark_on_bright"] else " --bright-on-dark"
         raise ValueError(

@@ -127,8 +127,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                 for way, source in (("packet", packets), ("decision", deciding)):
                     if n_events[way] > k * EVENTS:  # it came with the one before: we were a round late
                         continue
-                    packet = source.receive(30)
-                    if packet is None:
+                    if (packet := source.receive(30)) is None:
                         raise RuntimeError("the sender sent nothing for 30 seconds")
                     n_events[way] += len(packet)
                     n_decided = len(processor.push(packet)) if way == "decision" else 1

@@ -5,7 +5,7 @@
 For each landmark that needs no network, each polarity and each image, the volumes of the bundled recordings' windows at
 several prefixes; for each bundled model, its logits. --check compares with the recorded digest,
 and exits with 1 where it differs. Kernels say in which order they add, so that the length of a processor's vectors
-does not matter. Compared so far: x86-64 with AVX2, and arm64 under emulation.
+does not matter. Compared so far: x86-64 with AVX2 and with AVX-512, and arm64 under emulation.
 """
 
 from __future__ import annotations

@@ -163,8 +163,7 @@ def data_folder(given: Path | None, name: str, option: str, *, alternative: str 
     """A data folder: as given, or `name` in $TNT_DATA. An error names `option`, after an `alternative` to it."""
     folder = given
     if folder is None:
-        root = os.environ.get("TNT_DATA")
-        if not root:
+        if not (root := os.environ.get("TNT_DATA")):
             raise FileNotFoundError(
                 f"no data: give {alternative}{option} FOLDER, or set TNT_DATA to the folder with {name}/"
             )

@@ -136,8 +136,7 @@ def main(argv: list[str] | None = None) -> int:
             min(args.iterations or 30, 30),
         )
         args.images = min(args.images, 20)
-    runs = runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))
-    if not runs:
+    if not (runs := runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))):
         raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
     if args.list:
         say(*_listed(runs, args.iterations))

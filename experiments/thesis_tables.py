@@ -131,8 +131,7 @@ def thesis_answers() -> str:
 
 def answer(question: str, every: Iterable[dict[str, Any]]) -> str:
     """One question's differences that hold, of each pair of rows in each column."""
-    found = [d for d in every if d["question"] == question]
-    if not found:
+    if not (found := [d for d in every if d["question"] == question]):
         return f"**{question}**: not measured yet."
     pairs: dict[tuple[str, str], dict[str, str]] = {}
     for d in found:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt import config as limits
+import async_tnt.config as limits
 from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
 from async_tnt.networks.objects import LOGITS, Places, logits_shape, places_of
 from async_tnt.networks.onnx_export import Exported, read_metadata

@@ -110,7 +110,7 @@ def test_a_network_that_computes_no_numbers_finds_nothing():
     """Not what an earlier map has left."""
     net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
     _, windows = recordings(30)
-    scores = SceneScores(CONFIG, Model.from_torch(net, SceneMaker(CONFIG).config, "abc"), windows)
+    scores = SceneScores(CONFIG, Model.from_torch(net, SceneMaker(CONFIG).config, tuple("abc")), windows)
     pipeline = Pipeline(CONFIG, net)
     assert scores.after(pipeline, 1.0).there.sum() > 20
     with torch.no_grad():
