@@ -130,7 +130,8 @@ class Running:
 
     def begin(self) -> None:
         """Refuse to begin if a call is running. To be followed by `try`, and at its end by `now = False`."""
-        self.check()
+        if self.now:
+            raise self.overlap()
         self.now = True
 
     def check(self) -> None:

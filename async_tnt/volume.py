@@ -203,17 +203,20 @@ class TNTVolume:
     # -- results -------------------------------------------------------------------------------
 
     @property
-    @one_at_a_time
     def array(self) -> np.ndarray:
         """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
 
         A read-only view of the same memory each time, updated by each access to this property and by nothing else.
         Copy it to keep it.
         """
-        buffer = self.state()
-        if self._ints[S.N_LOG] > self._ints[S.N_READ]:
-            cells_to_float32(buffer, self._array, self.config.bins)
-        return self._view
+        self._running.begin()
+        try:
+            buffer = self.state()
+            if self._ints[S.N_LOG] > self._ints[S.N_READ]:
+                cells_to_float32(buffer, self._array, self.config.bins)
+            return self._view
+        finally:
+            self._running.now = False
 
     def state(self) -> np.ndarray:
         """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; do not write to it."""

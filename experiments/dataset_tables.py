@@ -122,6 +122,18 @@ def from_pictures(report: dict[str, Any]) -> str:
     return table(["recordings of", "options", "pictures", "networks", "windows", "recordings"], rows)
 
 
+@of_report("few_recordings")
+def few_recordings(report: dict[str, Any]) -> str:
+    """With and without pictures, by how many real recordings a class has: windows and recordings right."""
+    found: dict[int, dict[str, str]] = {}
+    for way, rows in report["ways"].items():
+        for row in rows:
+            shares = ([one[key] for one in row["networks"]] for key in ("window_accuracy", "accuracy"))
+            found.setdefault(row["per_class"], {})[way] = " / ".join(cell(summary(values)) for values in shares)
+    rows = [[f"{n:,}", *(of.get(way, "-") for way in report["ways"])] for n, of in found.items()]
+    return table(["recordings of each class", *report["ways"]], rows)
+
+
 def _tested(found: dict[str, Any]) -> list[str]:
     """Networks, windows right, recordings right."""
     networks = found["networks"]

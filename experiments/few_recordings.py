@@ -25,11 +25,11 @@ from experiments.script_options import (
     add_folder,
     data_folder,
     exit_with,
+    print_tables,
     report_of,
     script_parser,
     write_outputs,
 )
-from experiments.table_numbers import cell, summary
 from experiments.unseen_motions import command
 
 if TYPE_CHECKING:
@@ -82,18 +82,6 @@ def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> di
     return {"ways": found, "pictures": n_pictures, "machine": machine("torch")}
 
 
-def lines(report: dict[str, Any]) -> list[str]:
-    """For people."""
-    printed = []
-    for way, rows in report["ways"].items():
-        for row in rows:
-            windows, recordings = (
-                cell(summary([one[key] for one in row["networks"]])) for key in ("window_accuracy", "accuracy")
-            )
-            printed.append(f"{way:26}{row['per_class']:>6} a class: {windows} of windows, {recordings} of recordings")
-    return printed
-
-
 def draw(report: dict[str, Any]) -> Figure:
     """Share of windows right against recordings of each class, on axes that spread out what is near 100 %."""
     figure = new_figure(3.6)
@@ -131,7 +119,7 @@ def main(argv: list[str] | None = None) -> int:
 
     report = report_of(args, measured)
     write_outputs(args, report, draw)
-    print("\n".join(lines(report)))
+    print_tables(report, "few_recordings")
     return 0
 
 

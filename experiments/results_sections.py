@@ -237,6 +237,15 @@ SECTIONS = (
         },
     ),
     Section(
+        "Pictures and few recordings",
+        "How many real recordings of each class a classifier of N-MNIST needs, with MNIST's 60,000 training images and "
+        "without: one network each, `async-tnt train FOLDER --sensor 34x34`, which reads 1,000 of Test once.",
+        "experiments.few_recordings --json experiments/results/few_recordings.json --picture "
+        "docs/images/few_recordings.png",
+        {datasets.few_recordings: "Windows and recordings right"},
+        picture="few_recordings",
+    ),
+    Section(
         "Several objects on a large sensor",
         EVERYWHERE,
         "experiments.everywhere digits-everywhere --json experiments/results/everywhere.json",
