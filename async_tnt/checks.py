@@ -134,11 +134,6 @@ class Running:
             raise self.overlap()
         self.now = True
 
-    def check(self) -> None:
-        """Refuse if a call is running."""
-        if self.now:
-            raise self.overlap()
-
     def overlap(self) -> RuntimeError:
         """The error of the second call."""
         return RuntimeError(

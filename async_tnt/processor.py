@@ -262,7 +262,8 @@ class Processor(TriggerAttributes):
     def finish(self) -> list[Decision]:
         """End the stream: classify the open windows that hold events, and close them.
 
-        Their `complete` is False and their trigger `end`. Events of these windows that follow nevertheless are late.
+        Their `complete` is False and their trigger `end`. Events of these windows that follow are late; where a window
+        has a number of events, they begin another one.
         """
         decisions: list[Decision] = []
         if self._windows.is_full:  # its decision failed
@@ -340,9 +341,9 @@ class Processor(TriggerAttributes):
         """A copy continues by itself; so does what `pickle` returns, in any process."""
         return copy.deepcopy(self)
 
+    @one_at_a_time
     def __getstate__(self) -> Any:
-        self._running.check()
-        return super().__getstate__()
+        return copy.deepcopy(super().__getstate__())  # while no other call runs
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:

@@ -74,7 +74,8 @@ class TNTVolume:
         self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
-        self._running.check()
+        if self._running.now:
+            raise self._running.overlap()
         return {name: value for name, value in vars(self).items() if name not in ("_ints", "_view")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

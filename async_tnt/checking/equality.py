@@ -2,7 +2,7 @@
 
 (a) the streamed volume is bit for bit the same however the stream was cut into packets;
 (b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9 px;
-(c) logits equal the reference's to 1e-4 (above 1: of the largest), and so does the class, but for ties of twice that;
+(c) logits equal the reference's to 1e-4 (of the largest, where it exceeds 1), and the class, but for near ties;
 (d) a decision after every event, for which only what changed is computed, has the bits of the whole network's;
 
 but for (b) where the tolerance of the border ends, 1e-9 px beyond it, where rounding decides whether an event is kept,

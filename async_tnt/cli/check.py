@@ -19,7 +19,7 @@ DESCRIPTION = f"""Compare streaming with the batch reference in torch on recordi
 
   packets of {", ".join(str(size) for size in PACKET_SIZES[:-1])} and all events give the same volume, bit for bit
   the volume equals the reference's to 1e-6 of its largest cell, the landmark to 1e-9 pixels, at prefixes
-  the model's logits equal the reference pipeline's to 1e-4 (above 1, of the largest), and with them the class
+  the model's logits equal the reference's to 1e-4 (of the largest, where it exceeds 1), and with them the class
   a decision after every event, refreshed from the one before, has the bits of the whole network's
 
 A model with landmark "regressor" is also checked with that landmark. It comes from float32 convolutions and may differ

@@ -134,8 +134,7 @@ def _is_flat_map(layer: Layer, shapes: Mapping[str, Shape], flat_maps: set[str])
 
 
 def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> Shape:
-    op = OPERATIONS.get(layer["op"])
-    if op is None:
+    if (op := OPERATIONS.get(layer["op"])) is None:
         raise NotImplementedError(
             f"layer {layer['name']!r} is a {layer['op']!r}; this release knows {', '.join(OPERATIONS)}"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,7 +56,7 @@ class Model:
     network: Network = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.classes, (tuple, list)):
+        if not isinstance(self.classes, Iterable) or isinstance(self.classes, (str, set, frozenset)):  # without order
             raise TypeError(f"`classes` must be a tuple or list of names, got {short(self.classes)}")
         if not isinstance(self.record, Mapping):
             raise TypeError(f"`record` must be a mapping, got {short(self.record)}")
@@ -116,7 +116,6 @@ class Model:
                     prefix = f"_{prefix}"
                 network[name], tensors = layers_from_torch(part, config.shape, prefix)
                 weights |= tensors
-            # `Model` refuses a string and a set, which `tuple` would take apart
             model = cls(config, weights, classes, record or {}, network=network)  # type: ignore[arg-type]
             for name, part in parts.items():
                 check_torch_layers(part, network[name], weights, config.shape)

@@ -58,8 +58,7 @@ def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict
 
 def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig, Any, Any]:
     """Configuration, classes and record of `Model.description`; a ValueError if they, or `more` names, are missing."""
-    missing = [name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata]
-    if missing:
+    if missing := [name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata]:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
     config, classes, record = (json.loads(metadata[name]) for name in ("config", "classes", "record"))
     return TNTConfig.from_dict(config), classes, record

@@ -87,8 +87,7 @@ class LayerList:
         """Keep a module's tensors; role -> name, without those that are None."""
         weights = {}
         for role, attribute in roles.items():
-            tensor = getattr(call.module, attribute)
-            if tensor is not None:
+            if (tensor := getattr(call.module, attribute)) is not None:
                 weights[role] = f"{self.prefix}{call.node.target}.{attribute}"
                 self.weights[weights[role]] = float_array(tensor)
         return weights

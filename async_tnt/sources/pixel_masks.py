@@ -203,9 +203,9 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
         found = (n > FACTOR * plausible) & (n * np.log(n / plausible) - (n - plausible) > chance)
         if not found.any():
             return hot
-        y, x = y[found], x[found]
-        hot[y, x] = True
-        rest[y, x] = 0
+        hot[y[found], x[found]] = True
+        rest = np.where(hot, 0, counts)
+        y, x = np.nonzero(hot)
         rest[y, x] = _largest(rest, y, x, 0)
 
 

@@ -138,8 +138,7 @@ def _stated_sensor(files: list[LabelledRecording]) -> tuple[Sensor | None, str]:
     """The sensor of the first recording that states one, and its name."""
     for file in files:
         with contextlib.suppress(ValueError, OSError):  # told when it is read
-            stated = open_recording(file.path, strict=True, between_us=file.between_us).stated_sensor
-            if stated is not None:
+            if (stated := open_recording(file.path, strict=True, between_us=file.between_us).stated_sensor) is not None:
                 return (int(stated[0]), int(stated[1])), file.name
     return None, ""
 

@@ -31,8 +31,7 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
         raise ValueError(f"`groups` must be a regular expression, got {pattern!r}: {error}") from None
     groups = []
     for name in names:
-        found = compiled.search(name)
-        if found is None:
+        if (found := compiled.search(name)) is None:
             raise ValueError(f"`groups` must be found in the name of every recording, but {pattern!r} is not in {name}")
         groups.append("/".join(part or "" for part in found.groups()) or found[0])
     return groups

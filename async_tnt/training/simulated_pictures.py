@@ -45,6 +45,7 @@ FULL_PIXELS, FOLLOWED, FEWEST = 128 * 128, 6, 0.1
 """Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many times; but at least this
 share."""
 CHUNK = 200
+PAUSE = 100  # windows without any event
 """Recordings of a file."""
 N_EXAMPLES, N_TAKES = 5, 6
 """Classes of a figure, and recordings of each."""
@@ -294,8 +295,10 @@ def measure_camera(path: Path, window_us: int, sensor: tuple[int, int]) -> Measu
     events = recording.read()
     events = events[np.argsort(events["t"], kind="stable")]
     t, x, y, p = (np.ascontiguousarray(events[name]) for name in "txyp")
+    gaps = np.diff(t, prepend=t[:1])
+    t = t - np.cumsum(np.where(gaps > PAUSE * window_us, gaps, 0))  # a pause of the camera is not a quiet scene
     if not len(t) or t[-1] - t[0] <= window_us:
         raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")
-    cuts = np.flatnonzero(np.diff((t - t[0]) // window_us)) + 1  # a pause is no window
+    cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))
     windows = zip(*(np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)), strict=True)
     return measure_pixels(list(windows)[:-1], sensor, window_us)

@@ -108,8 +108,7 @@ class Aedat3Source(Source):
             file.seek(self._start)
             while True:
                 place = file.tell()
-                head = file.read(28)
-                if not head:
+                if not (head := file.read(28)):
                     return
                 if len(head) < 28:
                     raise CorruptData(f"the file ends {len(head)} bytes into the header of a packet, which has 28")
