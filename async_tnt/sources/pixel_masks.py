@@ -194,7 +194,7 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
     """`learn_mask` from the `counts` of events: int64, shape (H, W)."""
     hot = np.zeros(counts.shape, bool)
     chance = math.log(counts.size / FALSE_ALARMS)
-    rest = counts.copy()
+    rest = counts
     while True:
         mean = max(1.0, rest.mean())
         y, x = np.nonzero((rest > FACTOR * mean) & ~hot)

@@ -107,6 +107,7 @@ def test_what_is_wrong_is_said(folder, saved, program):
     np.save(folder / "a_td.npy", events_of(*np.array(EVENTS).T))
     assert "recordings that differ in their endings share a table of objects" in error()
     (folder / "a_td.npy").unlink()
+    assert "but --sensor says 32x32" in error("--sensor", "32x32")
     np.save(folder / "b.npy", events_of(*np.array(EVENTS).T))
     write_points(folder / "b_objects.csv")
     assert "the file does not state its sensor; give it with --sensor WxH" in error("--strict")
