@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,6 @@ from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import TrainingData, dataset_data
 from async_tnt.training.fitting import fit
 from async_tnt.training.settings import default_config, settings_for
-from async_tnt.training.windows import Windows
 from experiments.bench_timing import machine
 from experiments.made_objects import SENSOR, WINDOW_US, Session, write
 from experiments.script_options import (
@@ -54,46 +54,12 @@ EPOCHS = {"cars": 10, "nmnist": 10}
 """Of large sets, for every candidate; of the others those that are the default."""
 
 
-def cars(folder: Path, config: Any) -> TrainingData:
-    return _read(folder / "n-cars_train", config, (120, 100))
-
-
-def nmnist(folder: Path, config: Any) -> TrainingData:
-    return _read(folder, config, (34, 34))
-
-
-def poker(folder: Path, config: Any) -> TrainingData:
-    return _read(folder / "pips_train", config, (35, 35), validation=0.34)
-
-
-def characters(folder: Path, config: Any) -> TrainingData:
-    """Windows of 35 ms; the third one, and what follows, is held out."""
-    data = _read(folder, config.replace(window_us=35_000), (32, 32), validation=0.0)
-    late = data.training.start_us >= 2 * 35_000
-    return replace(data, training=_some(data.training, ~late), validation=_some(data.training, late))
-
-
-def sessions(folder: Path, config: Any) -> TrainingData:
-    """Made in `folder`."""
-    parts = {}
-    for k, session in enumerate((Session(), Session(0.28, 0.2, 2.0, 0.8, (6.0, -4.0)))):
-        made = write(folder / f"session{k}", 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session)
-        parts[k] = _read(made, config.replace(window_us=WINDOW_US), SENSOR, validation=0.0)
-    return replace(parts[0], validation=parts[1].training)
-
-
-SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
-    "cars": cars,
-    "nmnist": nmnist,
-    "poker": poker,
-    "characters": characters,
-    "sessions": sessions,
-}
-
-
-def _read(folder: Path, config: Any, sensor: tuple[int, int], validation: float = 0.2) -> TrainingData:
+def read(
+    folder: Path, config: Any, *, part: str = "", sensor: tuple[int, int], validation: float = 0.2
+) -> TrainingData:
+    """A folder of recordings, or `part` of it; the last `validation` of each class are held out."""
     return dataset_data(
-        folder,
+        folder / part,
         config,
         pixels=PixelSelection(sensor=sensor),
         validation=validation,
@@ -102,8 +68,29 @@ def _read(folder: Path, config: Any, sensor: tuple[int, int], validation: float 
     )
 
 
-def _some(windows: Windows, which: np.ndarray) -> Windows:
-    return windows[np.flatnonzero(which)]
+def characters(folder: Path, config: Any) -> TrainingData:
+    """Windows of 35 ms; the third one, and what follows, is held out."""
+    data = read(folder, config.replace(window_us=35_000), sensor=(32, 32), validation=0.0)
+    late = data.training.start_us >= 2 * 35_000
+    return replace(data, training=data.training[~late], validation=data.training[late])
+
+
+def sessions(folder: Path, config: Any) -> TrainingData:
+    """Made in `folder`."""
+    parts = {}
+    for k, session in enumerate((Session(), Session(0.28, 0.2, 2.0, 0.8, (6.0, -4.0)))):
+        made = write(folder / f"session{k}", 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session)
+        parts[k] = read(made, config.replace(window_us=WINDOW_US), sensor=SENSOR, validation=0.0)
+    return replace(parts[0], validation=parts[1].training)
+
+
+SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
+    "cars": partial(read, part="n-cars_train", sensor=(120, 100)),
+    "nmnist": partial(read, sensor=(34, 34)),
+    "poker": partial(read, part="pips_train", sensor=(35, 35), validation=0.34),
+    "characters": characters,
+    "sessions": sessions,
+}
 
 
 def measure(name: str, data: TrainingData, volume: Mapping[str, Any], seed: int, run_folder: Path) -> dict[str, Any]:
