@@ -20,16 +20,7 @@ from async_tnt.progress import progress
 from async_tnt.views.figure_style import OFF, ON, axes_at, headline, new_figure
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
-from experiments.script_options import (
-    add_count,
-    add_folder,
-    data_folder,
-    exit_with,
-    print_tables,
-    report_of,
-    script_parser,
-    write_outputs,
-)
+from experiments.script_options import add_count, add_folder, data_folder, exit_with, run_script, script_parser
 from experiments.unseen_motions import command
 
 if TYPE_CHECKING:
@@ -112,15 +103,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: few)")
     args = parser.parse_args(argv)
 
-    def measured() -> dict[str, Any]:
+    def measured(quick: bool) -> dict[str, Any]:
         folders = data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist")
         with TemporaryDirectory() as name:
-            return measure(*folders, args.out or Path(name if args.quick else "few"), args.seeds, args.quick)
+            return measure(*folders, args.out or Path(name if quick else "few"), args.seeds, quick)
 
-    report = report_of(args, measured)
-    write_outputs(args, report, draw)
-    print_tables(report, "few_recordings")
-    return 0
+    return run_script(parser, argv, measured, "few_recordings", draw)
 
 
 if __name__ == "__main__":

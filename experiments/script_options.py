@@ -51,19 +51,6 @@ def script_parser(name: str, description: str | None, quick: str, *, draws: bool
     return parser
 
 
-def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """The figures of --from, or new ones.
-
-    Raises
-    ------
-    OSError, ValueError : a file cannot be read, or the picture could not be written.
-    """
-    if getattr(args, "picture", None):
-        check_picture(args.picture)
-    source = getattr(args, "source", None)
-    return read_json(source) if source else measure()
-
-
 def run_script(
     parser: argparse.ArgumentParser,
     argv: list[str] | None,
@@ -75,7 +62,10 @@ def run_script(
     Returns the exit code: 1 if backends do not agree."""
     args = parser.parse_args(argv)
     try:
-        report = report_of(args, lambda: measure(args.quick))
+        if getattr(args, "picture", None):
+            check_picture(args.picture)
+        source = getattr(args, "source", None)
+        report = read_json(source) if source else measure(args.quick)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     except WorkDiffers as error:
