@@ -118,17 +118,12 @@ def exit_with(main: Callable[[], int]) -> NoReturn:
     except BrokenPipeError:  # `| head`: the reader has seen enough
         code = 0
     except (OSError, ValueError, ImportError, RuntimeError, subprocess.CalledProcessError) as error:
-        code = complain(str(error))
+        _print_line(str(error))
+        code = 2
     except KeyboardInterrupt as error:
         _print_line(str(error) or "interrupted")
         code = 130
     sys.exit(code)
-
-
-def complain(message: str) -> int:
-    """One line on stderr. Returns the exit code of bad input."""
-    _print_line(message)
-    return 2
 
 
 def _print_line(message: str) -> None:
@@ -149,14 +144,12 @@ def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> No
     parser.add_argument(option, type=Path, metavar="FOLDER", help=text)
 
 
-def data_folder(given: Path | None, name: str, option: str, *, alternative: str = "") -> Path:
-    """A data folder: as given, or `name` in $TNT_DATA. An error names `option`, after an `alternative` to it."""
+def data_folder(given: Path | None, name: str, option: str) -> Path:
+    """A data folder: as given, or `name` in $TNT_DATA. An error names `option`."""
     folder = given
     if folder is None:
         if not (root := os.environ.get("TNT_DATA")):
-            raise FileNotFoundError(
-                f"no data: give {alternative}{option} FOLDER, or set TNT_DATA to the folder with {name}/"
-            )
+            raise FileNotFoundError(f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/")
         folder = Path(root) / name
     if not folder.is_dir():
         raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")
