@@ -5,14 +5,13 @@ python -m experiments.figure_directions --picture docs/images/directions.png
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.views.figure_style import OFF, ON, TEXT, check_picture, headline, new_figure, save, styled
+from async_tnt.views.figure_style import OFF, ON, TEXT, headline, new_figure
 from experiments.page_parts import results
-from experiments.script_options import exit_with, plain_parser
+from experiments.script_options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,12 +70,8 @@ def draw(report: dict[str, Any]) -> Figure:
 
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
-    parser = plain_parser("figure_directions", __doc__)
-    parser.add_argument("--picture", type=Path, metavar="FILE", required=True, help=".png, .svg or .pdf")
-    args = parser.parse_args(argv)
-    check_picture(args.picture)
-    with styled():
-        save(draw(results("table")), args.picture, dpi=100)
+    args = picture_parser("figure_directions", __doc__).parse_args(argv)
+    draw_into(args.picture, draw, results("table"))
     return 0
 
 

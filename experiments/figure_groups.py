@@ -9,7 +9,6 @@ shown, and how far they differ, relative to the size of the features.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,19 +16,8 @@ import torch
 import torch.nn.functional as F
 
 from async_tnt.sources import open_recording, sample_recordings
-from async_tnt.views.figure_style import (
-    PALE,
-    SMALL,
-    TEXT,
-    axes_at,
-    check_picture,
-    headline,
-    new_figure,
-    save,
-    styled,
-    write_at,
-)
-from experiments.script_options import exit_with, plain_parser
+from async_tnt.views.figure_style import PALE, SMALL, TEXT, axes_at, headline, new_figure, write_at
+from experiments.script_options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -146,12 +134,8 @@ def _tiled(maps: torch.Tensor) -> np.ndarray:
 
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
-    parser = plain_parser("figure_groups", __doc__)
-    parser.add_argument("--picture", type=Path, metavar="FILE", required=True, help=".png, .svg or .pdf")
-    args = parser.parse_args(argv)
-    check_picture(args.picture)
-    with styled():
-        save(draw(), args.picture, dpi=100)
+    args = picture_parser("figure_groups", __doc__).parse_args(argv)
+    draw_into(args.picture, draw)
     return 0
 
 

@@ -7,7 +7,6 @@ The first two windows, in which the digit moves in different directions.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,12 +19,9 @@ from async_tnt.views.figure_style import (
     SMALL,
     TEXT,
     axes_at,
-    check_picture,
     headline,
     new_figure,
     polarity_legend,
-    save,
-    styled,
     write_at,
 )
 from async_tnt.views.figure_subject import Subject, Window, shown_evenly
@@ -39,7 +35,7 @@ from async_tnt.views.figure_window import (
     transform_words,
 )
 from async_tnt.volume import TNTVolume
-from experiments.script_options import exit_with, plain_parser
+from experiments.script_options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -164,15 +160,12 @@ def flow_of(window: Window) -> tuple[float, float]:
 
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
-    parser = plain_parser("figure_motions", __doc__)
+    parser = picture_parser("figure_motions", __doc__)
     parser.add_argument("digit", nargs="?", type=int, choices=range(10), default=3, help="default: %(default)s")
     parser.add_argument("--model", default="digits", help="a bundled model or a file (default: %(default)s)")
-    parser.add_argument("--picture", type=Path, required=True, metavar="FILE", help=".png, .svg or .pdf")
     args = parser.parse_args(argv)
-    check_picture(args.picture)
     subject = subject_of(args.digit, args.model)
-    with styled():
-        save(draw_motions(subject.window(1), subject.window(2)), args.picture, 150)
+    draw_into(args.picture, draw_motions, subject.window(1), subject.window(2), dpi=150)
     return 0
 
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from async_tnt import load_model, stream
 from async_tnt.views.figure_objects import draw_objects
-from async_tnt.views.figure_style import check_picture, save, styled
-from experiments.script_options import exit_with, plain_parser
+from experiments.script_options import draw_into, exit_with, picture_parser
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples/several_digits.py"
 TIMES_MS = 90, 200, 400
@@ -22,21 +21,17 @@ TIMES_MS = 90, 200, 400
 
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
-    parser = plain_parser("figure_objects", __doc__)
+    parser = picture_parser("figure_objects", __doc__)
     parser.add_argument("--model", default="digits-everywhere", help="a map model (default: %(default)s)")
-    parser.add_argument("--picture", type=Path, metavar="FILE", required=True, help=".png, .svg or .pdf")
     args = parser.parse_args(argv)
-    check_picture(args.picture)
     example: dict[str, Any] = runpy.run_path(str(EXAMPLE))
     events, _ = example["scene"](np.random.default_rng(0))
     model = load_model(args.model).for_sensor(example["SENSOR"])
     found = [one for one in stream(np.array_split(events, 100), model, every_us=10_000) if not one.complete]
     shown = [[one for one in found if one.time_us <= 1000 * ms][-1] for ms in TIMES_MS]
+    titles = [f"{ms} ms" for ms in TIMES_MS]
     words = "Six digits that begin one after the other on 320x240 pixels"
-    with styled():
-        save(
-            draw_objects(shown, [f"{ms} ms" for ms in TIMES_MS], events, model.config.sensor, words), args.picture, 130
-        )
+    draw_into(args.picture, draw_objects, shown, titles, events, model.config.sensor, words, dpi=130)
     return 0
 
 

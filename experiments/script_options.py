@@ -20,13 +20,18 @@ from experiments.bench_interleaved import WorkDiffers
 from experiments.page_parts import REPORT_OF, Table, read_json
 
 
-def writable_file(text: str) -> Path:
+def writable_file(text: str, check: Callable[[Path], object] = check_writable) -> Path:
     """An argparse type: a path that can be written or replaced."""
     try:
-        check_writable(Path(text))
+        check(Path(text))
     except (OSError, ValueError) as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return Path(text)
+
+
+def picture_file(text: str) -> Path:
+    """An argparse type: a picture that can be written or replaced."""
+    return writable_file(text, check_picture)
 
 
 def plain_parser(name: str, description: str | None, epilog: str | None = None) -> argparse.ArgumentParser:
@@ -39,13 +44,20 @@ def plain_parser(name: str, description: str | None, epilog: str | None = None) 
     )
 
 
+def picture_parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """`plain_parser` of a command that draws into --picture."""
+    parser = plain_parser(name, description)
+    parser.add_argument("--picture", type=picture_file, metavar="FILE", required=True, help=".png, .svg or .pdf")
+    return parser
+
+
 def script_parser(name: str, description: str | None, quick: str, *, draws: bool = False) -> argparse.ArgumentParser:
     """`plain_parser` with --quick and --json; if the command draws, also with --picture and --from."""
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
     add_json(parser)
     if draws:
-        parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
+        parser.add_argument("--picture", type=picture_file, metavar="FILE", help="also draw them: .png, .svg or .pdf")
         help_from = "take the figures from such a JSON file instead of measuring"
         parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help=help_from)
     return parser
@@ -62,8 +74,6 @@ def run_script(
     Returns the exit code: 1 if backends do not agree."""
     args = parser.parse_args(argv)
     try:
-        if getattr(args, "picture", None):
-            check_picture(args.picture)
         source = getattr(args, "source", None)
         report = read_json(source) if source else measure(args.quick)
     except (OSError, ValueError) as error:
@@ -105,8 +115,13 @@ def write_outputs(args: argparse.Namespace, report: dict[str, Any], draw: Callab
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if draw is not None and args.picture:
-        with styled():
-            save(draw(report), args.picture, dpi=100)
+        draw_into(args.picture, draw, report)
+
+
+def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100) -> None:
+    """Draw what is given, in the style of all figures, and write the picture."""
+    with styled():
+        save(draw(*given), path, dpi)
 
 
 def exit_with(main: Callable[[], int]) -> NoReturn:
