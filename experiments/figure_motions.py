@@ -137,13 +137,6 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
         axes.plot(*zip(*means, strict=True), color="black", lw=2, solid_capstyle="round")
 
 
-def subject_of(digit: int, model_name: str = "digits") -> Subject:
-    """The bundled recording of a digit, as a model sees it."""
-    path = sample_recordings()[digit]
-    model = load_model(model_name)
-    return Subject(path.name, open_recording(path).read(), model.config, model, model_name)
-
-
 def grid_xy(window: Window) -> np.ndarray:
     """Each event's pixel on the volume's grid: float64, shape (2, N)."""
     gain_x, gain_y = window.subject.config.to_grid(1.0, 1.0)
@@ -164,7 +157,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("digit", nargs="?", type=int, choices=range(10), default=3, help="default: %(default)s")
     parser.add_argument("--model", default="digits", help="a bundled model or a file (default: %(default)s)")
     args = parser.parse_args(argv)
-    subject = subject_of(args.digit, args.model)
+    path, model = sample_recordings()[args.digit], load_model(args.model)
+    subject = Subject(path.name, open_recording(path).read(), model.config, model, args.model)
     draw_into(args.picture, draw_motions, subject.window(1), subject.window(2), dpi=150)
     return 0
 
