@@ -110,9 +110,10 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
     """Events along one axis against time, in grid pixels."""
     config = window.subject.config
     u, v, kept, _ = window.coordinates()
+    gain = config.to_grid(1.0, 1.0)[axis]
     # pixels are whole numbers: spread out over their pixel, dots do not hide one another
-    spread = np.random.default_rng(0).uniform(-0.4, 0.4, kept.size) * config.to_grid(1.0, 1.0)[axis]
-    _draw_dots(raw, window, grid_xy(window)[axis] + spread, np.ones(kept.size, bool))
+    spread = np.random.default_rng(0).uniform(-0.4, 0.4, kept.size) * gain
+    _draw_dots(raw, window, window.events["xy"[axis]] * gain + spread, np.ones(kept.size, bool))
     _draw_dots(tnt, window, (u, v)[axis], kept)
     raw.set(xlim=(0, config.window_us / 1e3), ylim=(config.grid[axis] - 0.5, -0.5))
     raw.set_ylabel(("x, after TNT u (px)", "y, after TNT v (px)")[axis])
@@ -135,12 +136,6 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
     if len(means) > 1:
         axes.plot(*zip(*means, strict=True), color="white", lw=4.5, solid_capstyle="round")
         axes.plot(*zip(*means, strict=True), color="black", lw=2, solid_capstyle="round")
-
-
-def grid_xy(window: Window) -> np.ndarray:
-    """Each event's pixel on the volume's grid: float64, shape (2, N)."""
-    gain_x, gain_y = window.subject.config.to_grid(1.0, 1.0)
-    return np.stack([window.events["x"] * gain_x, window.events["y"] * gain_y])
 
 
 def flow_of(window: Window) -> tuple[float, float]:
