@@ -119,28 +119,19 @@ def polarity(found: dict[str, Any]) -> str:
     return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
 
 
-@of_report("unseen_hands")
-def unseen_hands(found: dict[str, Any]) -> str:
-    return _unseen(found["accuracy"])
-
-
-@of_report("unseen_saccades")
-def unseen_saccades(found: dict[str, Any]) -> str:
-    return _unseen(found["accuracy"])
-
-
-@of_report("unseen_volumes")
-def unseen_volumes(found: dict[str, Any]) -> str:
-    return _unseen(found["accuracy"])
-
-
-def _unseen(accuracy: dict[str, Any]) -> str:
+def _unseen(found: dict[str, Any]) -> str:
     """Means over seeds by what was trained on and tested in, with the range of several."""
+    accuracy = found["accuracy"]
     tests = list(next(iter(accuracy.values())))
     rows = [[mode, *(_with_range(found[test]["seeds"]) for test in tests)] for mode, found in accuracy.items()]
     if closed := share_closed(accuracy):
         rows.append(["*of the gap closed*", *(percent(closed[test]) if test in closed else "" for test in tests)])
     return table(["trained on", *(f"tested in {test}" for test in tests)], rows)
+
+
+unseen_hands = of_report("unseen_hands")(_unseen)
+unseen_saccades = of_report("unseen_saccades")(_unseen)
+unseen_volumes = of_report("unseen_volumes")(_unseen)
 
 
 def _with_range(values: list[float]) -> str:

@@ -13,10 +13,7 @@ WAYS = {
 }
 map_machine = of_report("map_times")(about_machine)
 threads_machine = of_report("threads")(about_machine)
-
-
-def udp_machine() -> str:
-    return about_machine(results("network"))
+udp_machine = of_report("network")(about_machine)
 
 
 def udp_latency() -> str:
