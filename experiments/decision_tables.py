@@ -54,18 +54,18 @@ def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
     head = ["", *(f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
     body = []
     for name, words in names.items():
-        cells = [words]
-        for n in counts:
-            us = rows[n][mode]["us"].get(name)
-            ratio = rows[n][mode]["ratio"].get(name)
-            cells.append(
-                ""
-                if us is None
-                else f"{short(us['median'])} ({short(us['p99'])})" + (f" {ratio['median']:.1f}x" if ratio else "")
-            )
-        if any(cells[1:]):
-            body.append(cells)
+        cells = [_cell(rows[n][mode], name) for n in counts]
+        if any(cells):
+            body.append([words, *cells])
     return table(head, body)
+
+
+def _cell(found: dict[str, Any], name: str) -> str:
+    """Median, 99th percentile, and ratio to the first network's; empty where there is none."""
+    if (us := found["us"].get(name)) is None:
+        return ""
+    ratio = found["ratio"].get(name)
+    return f"{short(us['median'])} ({short(us['p99'])})" + (f" {ratio['median']:.1f}x" if ratio else "")
 
 
 network_in_blocks = of_report("decisions")(lambda found: _turns(found["network"], "in_blocks", NETWORKS))
@@ -126,13 +126,8 @@ def incremental_times(report: dict[str, Any]) -> str:
     for network, row in report["networks"].items():
         volume = " x ".join(map(str, row["volume"]))
         for n_new, found in row["network"].items():
-            us, ratio = found["in_blocks"]["us"], found["in_blocks"]["ratio"]
-            cells = [f"{short(us['incremental']['median'])} ({short(us['incremental']['p99'])})"]
-            cells += [
-                f"{short(us[name]['median'])} ({short(us[name]['p99'])}) {ratio[name]['median']:.1f}x"
-                for name in NETWORKS
-                if name in ratio
-            ]
+            us = found["in_blocks"]["us"]
+            cells = [_cell(found["in_blocks"], name) for name in NETWORKS if name in us]
             body.append([f"`{network}`, {volume}" if n_new == "1" else "", f"{int(n_new):,}", *cells])
     names = [words for name, words in NETWORKS.items() if name in us]
     return table(["network", "new events", *names], body)
