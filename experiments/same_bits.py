@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,12 +19,10 @@ import numpy as np
 
 from async_tnt import Processor, TNTConfig, TNTVolume, bundled_models, load_model
 from async_tnt.cli.bench import machine
-from async_tnt.files import write_text
 from async_tnt.sources import open_recording, sample_recordings
-from experiments.page_parts import RESULTS
-from experiments.script_options import add_json, exit_with, plain_parser
+from experiments.page_parts import results
+from experiments.script_options import add_json, exit_with, plain_parser, write_outputs
 
-RECORDED = RESULTS / "same_bits.json"
 PREFIXES = (1, 10, 100, 1_000, 100_000)
 WINDOW_US = 105_000
 
@@ -75,10 +72,9 @@ def main(argv: list[str] | None = None) -> int:
     report: dict[str, Any] = {"machine": machine(), "sha256": digests()}
     for name, digest in report["sha256"].items():
         print(f"{name:<24} {digest}")
-    if args.json:
-        write_text(args.json, json.dumps(report, indent=1) + "\n")
+    write_outputs(args, report)
     if args.check:
-        recorded = json.loads(RECORDED.read_text(encoding="utf-8"))["sha256"]
+        recorded = results("same_bits")["sha256"]
         differ = [name for name, digest in report["sha256"].items() if recorded.get(name) != digest]
         print(f"different from the recorded ones: {', '.join(differ)}" if differ else "the same as the recorded ones")
         return int(bool(differ))
