@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -128,6 +128,7 @@ ENGINES = {
         ("torch", "tnt_reference"),
     ),
 }
+NEEDS = {name: engine.packages for name, engine in ENGINES.items()}
 ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")  # which is faster differs from machine to machine
 
 
@@ -141,12 +142,12 @@ def dense_networks(model: Model) -> dict[str, Network]:
     return {name: engine.make(model) for name, engine in installed.items() if name != "incremental"}
 
 
-def left_out() -> dict[str, str]:
-    """The engines of `ENGINES` that are not available, and why."""
-    return {name: why for name, engine in ENGINES.items() if (why := missing(*engine.packages))}
+def left_out(needs: Mapping[str, tuple[str, ...]] = NEEDS) -> dict[str, str]:
+    """Of rows that need packages, those that are not available, and why."""
+    return {row: why for row, packages in needs.items() if (why := _missing(*packages))}
 
 
-def missing(*packages: str) -> str:
+def _missing(*packages: str) -> str:
     """A message that names the packages that are not installed; empty if all are."""
     names = [package for package in packages if not is_installed(package)]
     return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""

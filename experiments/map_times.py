@@ -189,7 +189,7 @@ def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
             "times_us": {"304x240": {"one event": ssla_rt(*peer, n_moments=n_moments)}},
             "load": {},
         }
-    left_out = {"onnxruntime": why} if (why := backends.missing("onnxruntime")) else {}
+    left_out = backends.left_out({"onnxruntime": ("onnxruntime",)})
     return {"machine": machine("torch", "onnxruntime"), "models": rows, "left_out": left_out}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Model, Processor
-from experiments.bench_backends import ENGINES, Network, missing
+from experiments.bench_backends import ENGINES, Network
 from experiments.bench_interleaved import Backend, compare
 from experiments.bench_moments import Moment, Moments
 from experiments.bench_timing import is_installed
@@ -23,6 +23,12 @@ WORK = {
     "as an array, then onnxruntime's network on it, argmax; the events are in its stream "
     "beforehand. Its volume is another one, so that its answers mean nothing here",
 }
+NEEDS = {
+    "ours_onnxruntime": ("onnx", "onnxruntime"),
+    "torch": ("torch", "tnt_reference"),
+    "eventcv_onnxruntime": ("eventcv", "onnx", "onnxruntime"),
+}
+"""Row of `WORK` -> packages."""
 
 
 class Stream:
@@ -71,7 +77,8 @@ class TorchRebuild:
 
 
 class EventcvRebuild:
-    """eventcv's voxel grid of the window so far, and a network on it."""
+    """eventcv's voxel grid of the window so far, and a network on it: of the sensor's size and signed, as the volume of
+    `digits`."""
 
     def __init__(self, model: Model, network: Network) -> None:
         self._config, self._network = model.config, network
@@ -106,26 +113,10 @@ def bench_end_to_end(
         made: dict[str, Backend] = {"ours": Stream(model)}
         if onnxruntime is not None:
             made["ours_onnxruntime"] = Stream(model, ENGINES[onnxruntime].make(model))
-        if is_installed("torch", "tnt_reference"):
+        if is_installed(*NEEDS["torch"]):
             made["torch"] = TorchRebuild(model)
-        if onnxruntime is not None and eventcv_fits(model):
+        if onnxruntime is not None and is_installed("eventcv"):
             made["eventcv_onnxruntime"] = EventcvRebuild(model, ENGINES[onnxruntime].make(model))
         return made
 
     return compare(backends, Moments(windows, model.config.window_us, n_new).blocks, blocks, size)
-
-
-def eventcv_fits(model: Model) -> bool:
-    """eventcv makes volumes of the sensor's size, signed."""
-    config = model.config
-    return is_installed("eventcv") and config.sensor == config.grid and config.polarity == "signed"
-
-
-def left_out() -> dict[str, str]:
-    """The rows of `WORK` that are not available, and why."""
-    needs = {
-        "ours_onnxruntime": ("onnx", "onnxruntime"),
-        "torch": ("torch", "tnt_reference"),
-        "eventcv_onnxruntime": ("eventcv", "onnx", "onnxruntime"),
-    }
-    return {name: why for name, packages in needs.items() if (why := missing(*packages))}

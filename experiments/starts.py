@@ -21,7 +21,7 @@ import numpy as np
 
 from async_tnt import Model, load_model, warmup
 from async_tnt.progress import progress
-from experiments.bench_backends import missing
+from experiments import bench_backends as backends
 from experiments.bench_timing import machine, spread
 from experiments.script_options import exit_with, run_script, script_parser
 
@@ -127,7 +127,7 @@ def bench_starts(
 def left_out(cold: bool = True) -> dict[str, str]:
     """The rows of `WORK` that are not available, and why."""
     quick = {} if cold else {"ours_cold": "compiling takes too long for a quick look"}
-    return quick | {name: why for name, packages in NEEDS.items() if (why := missing(*packages))}
+    return quick | backends.left_out(NEEDS)
 
 
 def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str, float]:
