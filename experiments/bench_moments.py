@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE, structured
+from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 NEW_EVENTS = (1, 10, 100, 1300)
@@ -93,19 +93,10 @@ def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
     return windows
 
 
-def bench_recordings(config: TNTConfig, seed: int = 0) -> list[np.ndarray]:
-    """Recordings to decide on: three windows of each bundled sample, or random events for another sensor."""
-    opened = [open_recording(path) for path in sample_recordings().values()]
-    if any(recording.sensor != config.sensor for recording in opened):
-        rng = np.random.default_rng(seed)
-        return [made_recording(rng, config, 6000) for _ in opened]
-    read = [recording.read() for recording in opened]
+def bench_recordings(config: TNTConfig) -> list[np.ndarray]:
+    """Recordings to decide on: three windows of each bundled sample."""
+    read = [open_recording(path).read() for path in sample_recordings().values()]
     return [events[events["t"] < 3 * config.window_us] for events in read]
-
-
-def made_recording(rng: np.random.Generator, config: TNTConfig, n: int) -> np.ndarray:
-    """Random events over three windows."""
-    return structured(made_columns(rng, config.sensor, n, 3 * config.window_us))
 
 
 def made_columns(

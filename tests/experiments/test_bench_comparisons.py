@@ -7,10 +7,11 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
+from async_tnt.events import structured
 from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
 from experiments.bench_interleaved import Timed, WorkDiffers, timed
-from experiments.bench_moments import Moments, made_recording
+from experiments.bench_moments import Moments, made_columns
 from experiments.bench_timing import spread
 
 WINDOW_US = 1000
@@ -109,7 +110,7 @@ def test_batch_processing_equals_the_reference(settings):
     from experiments.bench_torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
-    events = made_recording(np.random.default_rng(5), config, 3000)
+    events = structured(made_columns(np.random.default_rng(5), config.sensor, 3000, 3 * config.window_us))
     events = events[events["t"] < 20_000]
     expected = reference_volume(events, config, 0)
     with torch.inference_mode():
