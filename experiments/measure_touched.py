@@ -24,10 +24,7 @@ def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> d
     network(np.zeros(model.config.shape))
     result: dict[str, Any] = {"whole": {"cells": int(np.prod(model.config.shape)), **_counted(network)}}
     for n_new in NEW_EVENTS:
-        try:
-            of_these = Moments(windows, model.config.window_us, n_new)
-        except ValueError:
-            continue
+        of_these = Moments(windows, model.config.window_us, n_new)
         counts = [found for block in of_these.blocks(max(1, moments // 20), 20) for found in _count(model, block)]
         result[str(n_new)] = {name: float(np.mean([found[name] for found in counts])) for name in counts[0]}
     return result
