@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -46,18 +46,15 @@ class Timed:
     """Backend -> float64, shape (blocks, decisions of a block)."""
     call_by_call: bool
     largest_difference: float = 0.0
-    first: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.first = next(iter(self.us))
 
     def report(self) -> dict[str, Any]:
         """`us`, backend -> `latency`; `ratio`, backend -> `spread` of its time over that of the first one: of
         each decision, or of each block's median if backends ran in blocks."""
+        first = next(iter(self.us))
         parts = {name: us.ravel() if self.call_by_call else np.median(us, axis=1) for name, us in self.us.items()}
         return {
             "us": {name: latency(us.ravel()) for name, us in self.us.items()},
-            "ratio": {name: spread(part / parts[self.first]) for name, part in parts.items() if name != self.first},
+            "ratio": {name: spread(part / parts[first]) for name, part in parts.items() if name != first},
             "largest_difference": self.largest_difference,
         }
 
