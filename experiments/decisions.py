@@ -18,7 +18,7 @@ if __name__ == "__main__":  # before any library reads them
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
 from async_tnt import load_model, warmup
-from async_tnt.progress import Bar, progress
+from async_tnt.progress import progress
 from experiments import bench_backends as backends
 from experiments import measure_end_to_end as end_to_end
 from experiments.bench_every_event import bench_every_event
@@ -41,17 +41,12 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     ------
     WorkDiffers : backends do not agree. Then nothing is reported.
     """
-    with progress(2 + 2 * len(NEW_EVENTS), "compiling") as bar:
-        return _measure(settings, quick, bar)
-
-
-def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
     model = load_model(MODEL)
-    warmup(model)
     recordings = bench_recordings(model.config)
     windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
     counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
-    with one_thread(is_installed("torch")):
+    with progress(2 + 2 * len(NEW_EVENTS), "compiling") as bar, one_thread(is_installed("torch")):
+        warmup(model)
         networks = backends.dense_networks(model)
         network = {}
         for n_new in NEW_EVENTS:
