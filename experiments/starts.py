@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -88,13 +87,11 @@ print(json.dumps(seconds))
 """
 
 
-def bench_starts(
-    model: Model, *, rounds: int, cold: bool = True, each: Callable[[], None] = lambda: None
-) -> dict[str, Any]:
+def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
     """Time starts, interleaved: each round has one process of each row, the cold one with a cache folder of its own.
 
-    A first round, which fills the system's file cache, is discarded. `each` is called before each round, that one too.
-    Without `cold` nothing is compiled: `ours_warm` takes the cache as this process has it.
+    A first round, which fills the system's file cache, is discarded. Without `cold` nothing is compiled: `ours_warm`
+    takes the cache as this process has it.
 
     Returns
     -------
@@ -103,7 +100,7 @@ def bench_starts(
     """
     rows = [name for name in WORK if name not in left_out(cold)]
     seconds: dict[str, dict[str, list[float]]] = {name: {} for name in rows}
-    with tempfile.TemporaryDirectory() as temporary:
+    with tempfile.TemporaryDirectory() as temporary, progress(rounds + 1, "fresh processes") as bar:
         folder = Path(temporary)
         model.save(folder / "model.safetensors")
         arguments = {"model": str(folder / "model.safetensors"), "shape": [1, *model.config.shape]}
@@ -113,7 +110,7 @@ def bench_starts(
             arguments["onnx"] = str(folder / "model.onnx")
             (folder / "model.onnx").write_bytes(to_onnx(model).SerializeToString())
         for k in range(rounds + 1):
-            each()
+            bar.update()
             for name in rows if k % 2 else reversed(rows):
                 if k == 0 and name == "ours_cold":
                     continue
@@ -124,7 +121,7 @@ def bench_starts(
     return {name: {step: spread(np.array(taken)) for step, taken in steps.items()} for name, steps in seconds.items()}
 
 
-def left_out(cold: bool = True) -> dict[str, str]:
+def left_out(cold: bool) -> dict[str, str]:
     """The rows of `WORK` that are not available, and why."""
     quick = {} if cold else {"ours_cold": "compiling takes too long for a quick look"}
     return quick | backends.left_out(NEEDS)
@@ -156,8 +153,7 @@ def measure(quick: bool) -> dict[str, Any]:
     """All starts, as one JSON object."""
     model, rounds = load_model(MODEL), 1 if quick else ROUNDS
     warmup(model)
-    with progress(rounds + 1, "fresh processes") as bar:
-        found = bench_starts(model, rounds=rounds, cold=not quick, each=bar.update)
+    found = bench_starts(model, rounds, cold=not quick)
     about: dict[str, Any] = {"machine": machine(*PACKAGES), "quick": quick, "rounds": rounds, "work": WORK}
     return about | {"starts": found, "left_out": left_out(cold=not quick)}
 
