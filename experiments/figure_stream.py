@@ -56,7 +56,7 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
         x, y = 12 + SIDE * int(event["x"]), 12 + SIDE * int(event["y"])
         draw.rectangle((x + 1, y + 1, x + SIDE - 1, y + SIDE - 1), fill=ON if event["p"] else OFF)
     classes, left, top = load_model("digits").classes, 290, 52
-    probabilities = np.full(len(classes), 1 / len(classes)) if decision is None else softmax(decision.logits)
+    probabilities = np.full(len(classes), 1 / len(classes)) if decision is None else decision.probabilities
     best = int(probabilities.argmax())
     for k, (name, probability) in enumerate(zip(classes, probabilities, strict=True)):
         y = top + 20 * k
@@ -67,11 +67,6 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
     if probabilities[best] >= 0.5:
         draw.text((left + 210, top + 60), classes[best], fill=INK, font=large)
     return image
-
-
-def softmax(logits: np.ndarray) -> np.ndarray:
-    powers = np.exp(logits - logits.max())
-    return np.asarray(powers / powers.sum())
 
 
 def main(argv: list[str] | None = None) -> int:
