@@ -64,24 +64,20 @@ class MovingMnist:
         return self.shards[motion * -(-len(images) // step) + place // step], place % step
 
 
-def other_parameters(path: Path, name: str, there: object, asked: object) -> ValueError:
-    while isinstance(there, dict) and isinstance(asked, dict):  # down to what differs
-        name = next(key for key in {**there, **asked} if there.get(key) != asked.get(key))
-        there, asked = there.get(name), asked.get(name)
-    return ValueError(
-        f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give the same, or another "
-        "folder"
-    )
-
-
 def write_manifest(made: MovingMnist) -> None:
     path = made.folder / MANIFEST
     if path.exists():
-        there = read_manifest(made.folder).parameters
-        for name in sorted(there | made.parameters):
-            if there.get(name) != made.parameters.get(name):
-                raise other_parameters(path, name, there.get(name), made.parameters.get(name))
-        return
+        there: Any = read_manifest(made.folder).parameters
+        asked: Any = made.parameters
+        if there == asked:
+            return
+        while isinstance(there, dict) and isinstance(asked, dict):  # down to what differs
+            name = next(key for key in sorted(there | asked) if there.get(key) != asked.get(key))
+            there, asked = there.get(name), asked.get(name)
+        raise ValueError(
+            f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give the same, or another "
+            "folder"
+        )
     if any(shard.exists() for shard in made.shards):
         raise ValueError(
             f"{made.folder}: shards without {MANIFEST}, which says how they were made. Give another folder"
