@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
@@ -22,24 +21,21 @@ from async_tnt.progress import progress
 from async_tnt.resynthesis.calibration import describe
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.mnist import load_mnist
+from experiments.motions import NMNIST_SENSOR
 from experiments.set_manifest import MovingMnist
 from experiments.shards import Shard, open_shard
 from experiments.simulated_digits import simulate_digit
 from experiments.trajectories import nmnist_saccades
 
 N_RECORDINGS = 200
+"""To compare, spread evenly over those that show images of the set's split (over all if none do)."""
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
 """Where N-MNIST's saccades begin, and where the third ends (Orchard et al. 2015)."""
 OFFICIAL_TRAIN = 60_000
 """Recordings in N-MNIST's training set; larger numbers are test recordings."""
 
 
-def compare(
-    made: MovingMnist,
-    mnist_folder: str | os.PathLike[str],
-    nmnist_folder: str | os.PathLike[str] | None = None,
-    n_recordings: int = N_RECORDINGS,
-) -> dict[str, dict[str, float]]:
+def compare(made: MovingMnist, mnist_folder: Path, nmnist_folder: Path | None) -> dict[str, dict[str, float]]:
     """Descriptions by `describe_motions`: column title -> name -> value. Shows a progress bar.
 
     Parameters
@@ -48,8 +44,6 @@ def compare(
     mnist_folder : MNIST, to simulate the images of the second column.
     nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin; None omits the real column, and the
         second shows the set's first images.
-    n_recordings : how many recordings to compare, spread evenly over those that show images of the set's
-        split (over all if none do).
 
     Raises
     ------
@@ -60,10 +54,10 @@ def compare(
     columns: dict[str, dict[str, float]] = {}
     directions = _nmnist_directions()
     if nmnist_folder is None:
-        shown_split, shown = split, _spread(of_set, n_recordings)
+        shown_split, shown = split, _spread(of_set)
     else:
-        shown_split, found = recordings_by_image(Path(nmnist_folder), split)
-        shown = _spread(sorted(found), n_recordings)
+        shown_split, found = recordings_by_image(nmnist_folder, split)
+        shown = _spread(sorted(found))
     images, labels = load_mnist(mnist_folder, shown_split)
     with progress((4 if nmnist_folder is None else 5) * len(shown), "comparing") as bar:
         if nmnist_folder is not None:
@@ -78,7 +72,7 @@ def compare(
         simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown)
         columns["simulated"] = describe_motions(_counted(simulated, bar), SACCADE_CUTS_US, directions)
         same = [i for i in shown if i in set(of_set)] if shown_split == split else []
-        described = same if len(same) >= len(shown) / 2 else _spread(of_set, n_recordings)
+        described = same if len(same) >= len(shown) / 2 else _spread(of_set)
         columns["this set"] = _describe_set(made, described, bar, directions)
     return columns
 
@@ -91,17 +85,14 @@ def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directi
     )
     recordings = _counted(_recordings(made, pairs), bar)
     if made.motions[0].direction_deg is None:
-        return describe_motions(recordings, SACCADE_CUTS_US, nmnist_directions, made.sensor)
+        return describe_motions(recordings, SACCADE_CUTS_US, nmnist_directions)
     moving = [made.motions[motion] for motion, _ in pairs]
     directions = [float(motion.direction_deg or 0) for motion in moving]
-    return describe_motions(recordings, (0, moving[0].duration_us), directions, made.sensor)
+    return describe_motions(recordings, (0, moving[0].duration_us), directions)
 
 
 def describe_motions(
-    recordings: Iterable[np.ndarray],
-    cuts_us: Sequence[int],
-    directions_deg: Sequence[float],
-    sensor: tuple[int, int] = (34, 34),
+    recordings: Iterable[np.ndarray], cuts_us: Sequence[int], directions_deg: Sequence[float]
 ) -> dict[str, float]:
     """`describe` over all saccades, and where their ON events are, on average, relative to their OFF events.
 
@@ -123,7 +114,7 @@ def describe_motions(
             offsets.append(apart * np.exp(-1j * np.radians(direction)))
     mean = np.mean(offsets) if offsets else complex(np.nan, np.nan)
     return {
-        **describe(saccades, sensor),
+        **describe(saccades, NMNIST_SENSOR),
         "ON - OFF centroid, along the motion": float(mean.real),
         "ON - OFF centroid, across the motion": float(mean.imag),
     }
@@ -170,10 +161,9 @@ def _nmnist_directions() -> list[float]:
     return [math.degrees(math.atan2(y, x)) for x, y in zip(np.diff(dx), np.diff(dy), strict=True)]
 
 
-def _spread(items: list[int], n: int) -> list[int]:
-    """At most `n` of the items, evenly spread."""
-    if len(items) <= n:
-        return items
+def _spread(items: list[int]) -> list[int]:
+    """At most `N_RECORDINGS` of the items, evenly spread."""
+    n = min(N_RECORDINGS, len(items))
     return [items[i * len(items) // n] for i in range(n)]
 
 

@@ -43,12 +43,6 @@ class MovingMnist:
     motions: tuple[Motion, ...]
     parameters: dict[str, Any]
 
-    @property
-    def sensor(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        width, height = self.parameters["sensor"]
-        return width, height
-
     def __len__(self) -> int:
         """Recordings in the complete set."""
         return len(self.motions) * len(self.parameters["images"])
