@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 NEW_EVENTS = (1, 10, 100, 1300)
@@ -109,3 +109,10 @@ def made_columns(
         rng.integers(0, sensor[1], n).astype(np.uint16),
         rng.integers(0, 2, n).astype(np.uint8),
     )
+
+
+def on_sensor(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
+    """Events of those that lie on the sensor; places are rounded down to its pixels."""
+    x, y = np.floor(x).astype(int), np.floor(y).astype(int)
+    inside = (x >= 0) & (y >= 0) & (x < sensor[0]) & (y < sensor[1])
+    return structured([column[inside] for column in (t, x, y, p)])

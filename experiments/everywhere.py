@@ -28,12 +28,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt import EVENT_DTYPE, Model, Processor, load_model
+from async_tnt import Model, Processor, load_model
 from async_tnt.events import structured
 from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.files.nmnist import read_nmnist
-from experiments.bench_moments import made_columns
+from experiments.bench_moments import made_columns, on_sensor
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
 from experiments.script_options import add_count, add_folder, data_folder, exit_with, script_parser, write_outputs
@@ -95,12 +95,8 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
         start_us = int(rng.integers(STARTS_US)) if parts else 0
         centre = np.array([np.quantile(events[a], (0.02, 0.98)).mean() for a in "xy"])
         shift = np.rint(middle - centre).astype(int)
-        x, y = events["x"] + shift[0], events["y"] + shift[1]
-        inside = (x >= 0) & (y >= 0) & (x < sensor[0]) & (y < sensor[1])
-        moved = np.zeros(inside.sum(), EVENT_DTYPE)
-        moved["t"], moved["p"] = events["t"][inside] + start_us, events["p"][inside]
-        moved["x"], moved["y"] = x[inside], y[inside]
-        parts.append(moved)
+        moved = events["t"] + start_us, events["x"] + shift[0], events["y"] + shift[1], events["p"]
+        parts.append(on_sensor(*moved, kind.sensor))
         if path.parent.name != NO_OBJECT:
             truth.append((path.parent.name, *(centre + shift)))
         last_us = max(last_us, start_us)

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.loading import load_model
 from async_tnt.processor import Processor
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.sources.labelled_recordings import recordings_under
+from experiments.bench_moments import on_sensor
 from experiments.bench_timing import machine
 from experiments.script_options import add_folder, exit_with, run_script, script_parser
 
@@ -123,7 +123,7 @@ def _of_kind(kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.r
     t = events["t"] - events["t"][0]
     t = t[t < window_us]
     x, y, p = kind(t / window_us, side, rng)
-    return on_sensor(t, x, y, p, side)
+    return on_sensor(t, x, y, p, (side, side))
 
 
 def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterator[np.ndarray]:
@@ -134,17 +134,7 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
         scale = max(1.0, (max(int(events["x"].max()), int(events["y"].max())) + 1) / side)
         in_window = t < window_us
         one = events[in_window]
-        yield on_sensor(t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, side)
-
-
-def on_sensor(t: np.ndarray, x: Any, y: Any, p: Any, side: int) -> np.ndarray:
-    """Events of those that lie on a sensor of this side."""
-    x, y = np.floor(x).astype(int), np.floor(y).astype(int)
-    inside = (x >= 0) & (x < side) & (y >= 0) & (y < side)
-    events = np.zeros(int(inside.sum()), EVENT_DTYPE)
-    for name, column in (("t", t), ("x", x), ("y", y), ("p", p)):
-        events[name] = np.asarray(column)[inside]
-    return events
+        yield on_sensor(t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, (side, side))
 
 
 def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any]:
