@@ -5,7 +5,6 @@ python -m experiments.samples --mnist MNIST --out FOLDER
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,8 @@ FIRST_SAMPLE = 2_000
 """Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings show."""
 
 
-def sample_indices(labels: np.ndarray, first_index: int = FIRST_SAMPLE) -> dict[int, int]:
-    """Digit -> index of its first image at `first_index` or later.
+def sample_indices(labels: np.ndarray) -> dict[int, int]:
+    """Digit -> index of its first image at `FIRST_SAMPLE` or later.
 
     Raises
     ------
@@ -28,17 +27,17 @@ def sample_indices(labels: np.ndarray, first_index: int = FIRST_SAMPLE) -> dict[
     """
     indices = {}
     for digit in range(10):
-        found = np.flatnonzero(labels[first_index:] == digit)
+        found = np.flatnonzero(labels[FIRST_SAMPLE:] == digit)
         if len(found) == 0:
-            raise ValueError(f"no image of a {digit} from index {first_index} on, in {len(labels)} images")
-        indices[digit] = first_index + int(found[0])
+            raise ValueError(f"no image of a {digit} from index {FIRST_SAMPLE} on, in {len(labels)} images")
+        indices[digit] = FIRST_SAMPLE + int(found[0])
     return indices
 
 
-def write_samples(mnist_folder: str | os.PathLike[str], out_folder: str | os.PathLike[str], seed: int) -> list[Path]:
+def write_samples(mnist_folder: Path, out_folder: Path) -> list[Path]:
     """Simulate and write `<out_folder>/<digit>.bin` for the ten digits; returns their paths.
 
-    Each digit has its own random generator, seeded by (seed, digit).
+    Each digit has its own random generator, seeded by (0, digit).
 
     Raises
     ------
@@ -47,11 +46,10 @@ def write_samples(mnist_folder: str | os.PathLike[str], out_folder: str | os.Pat
     """
     images, labels = load_mnist(mnist_folder, "train")
     indices = sample_indices(labels)
-    out_folder = Path(out_folder)
     out_folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for digit, index in indices.items():
-        events = simulate_digit(images[index], np.random.default_rng((seed, digit)))
+        events = simulate_digit(images[index], np.random.default_rng((0, digit)))
         paths.append(out_folder / f"{digit}.bin")
         write_nmnist(paths[-1], events)
     return paths
@@ -62,9 +60,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = plain_parser("samples", __doc__)
     add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="for <digit>.bin")
-    parser.add_argument("--seed", type=int, default=0, help="of all randomness (default: 0, that of the bundled ones)")
     args = parser.parse_args(argv)
-    paths = write_samples(data_folder(args.mnist, "mnist", "--mnist"), args.out, args.seed)
+    paths = write_samples(data_folder(args.mnist, "mnist", "--mnist"), args.out)
     print(f"{args.out}: {len(paths)} recordings")
     return 0
 
