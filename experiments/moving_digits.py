@@ -71,12 +71,8 @@ def _windows(images: np.ndarray, labels: np.ndarray) -> Iterator[tuple[str, str,
     for k, speed in enumerate(SPEEDS):
         rngs = [np.random.default_rng((1_000 + k, i)) for i in range(len(images))]
         faster = [Faster(nmnist_saccades(rng), speed) for rng in rngs]
-        yield (
-            "speeds",
-            f"{speed:g}",
-            _simulated(images, labels, rngs, faster, Scene(), speed),
-            round(SACCADE_US / speed),
-        )
+        windows = _simulated(images, labels, rngs, faster, Scene(), speed)
+        yield "speeds", f"{speed:g}", windows, round(SACCADE_US / speed)
 
 
 def _simulated(
