@@ -37,12 +37,8 @@ def speed() -> str:
         events = f"{int(n):,} new event{'s' * (n != '1')}"
         rows.append([f"network, {events}: us", *(short(us[name]["median"]) for name in names)])
     us = found["end_to_end"]["1"]["in_blocks"]["us"]
-    rows.append(
-        [
-            "packet of 1 event to decision: us",
-            *(short(us[same[name]]["median"]) if name in same else "" for name in names),
-        ]
-    )
+    cells = (short(us[same[name]]["median"]) if name in same else "" for name in names)
+    rows.append(["packet of 1 event to decision: us", *cells])
     packets = found["every_event"]
     every = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
     rows.append(["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)])
@@ -82,16 +78,14 @@ def end_to_end_in_blocks(found: dict[str, Any]) -> str:
 def every_event(found: dict[str, Any]) -> str:
     """Decisions a second."""
     names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
-    rows = found["every_event"]
-    words = {name: names[name] for name in rows}
     body = [
         [
-            words[name],
+            names[name],
             f"{row['a_second']:,.0f}",
             short(row["us"]["median"]),
             f"{row['ratio']['median']:.1f}" if "ratio" in row else "",
         ]
-        for name, row in rows.items()
+        for name, row in found["every_event"].items()
     ]
     return table(["", "decisions a second", "us each", "ratio"], body)
 
