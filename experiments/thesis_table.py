@@ -6,17 +6,16 @@ import argparse
 import json
 import time
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import needs_extra
-from async_tnt.cli.bench import machine
 from async_tnt.cli.options import command_words, positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
+from experiments.bench_timing import machine
 from experiments.page_parts import read_json
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser, writable_file
 from experiments.table_rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
@@ -130,12 +129,8 @@ def main(argv: list[str] | None = None) -> int:
     add_arguments(parser)
     args = parser.parse_args(argv)
     if args.smoke:
-        args.rows, args.seeds, args.iterations = (
-            args.rows or list(INPUTS),
-            args.seeds[:1],
-            min(args.iterations or 30, 30),
-        )
-        args.images = min(args.images, 20)
+        args.rows, args.seeds = args.rows or list(INPUTS), args.seeds[:1]
+        args.iterations, args.images = min(args.iterations or 30, 30), min(args.images, 20)
     if not (runs := runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))):
         raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
     if args.list:
@@ -172,6 +167,7 @@ def main(argv: list[str] | None = None) -> int:
     started = time.monotonic()
     results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
     table, right = aggregate(results), right_of(results, args.out / "networks")
+    by_name = {Run(r["row"], r["trained_on"], r["seed"]).name: r for r in results}
     record = {
         "command": command_words(
             "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
@@ -192,16 +188,14 @@ def main(argv: list[str] | None = None) -> int:
         },
         "settings": {name: value for name, value in results[0]["settings"].items() if name != "iterations"},
         "seeds": list(dict.fromkeys(run.seed for run in runs)),
-        "machine": machine() | {"torch": version("torch")},
+        "machine": machine("torch"),
         "table": table,
         "differences": differences(right),
         "effects": effects(right),
-        "validation": {Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results},
+        "validation": {name: r["validation"] for name, r in by_name.items()},
         "curves": {
-            Run(r["row"], r["trained_on"], r["seed"]).name: [
-                {k: round(n, 6) for k, n in row.items()} for row in r["history"]
-            ]
-            for r in results
+            name: [{k: round(n, 6) for k, n in row.items()} for row in r["history"]]
+            for name, r in by_name.items()
             if ROWS[r["row"]].group == "long"
         },
     }
