@@ -134,11 +134,8 @@ def main(argv: list[str] | None = None) -> int:
     if args.bin is not None:
         say(f"{args.bin}: the same in N-MNIST's format")
     say(*side_by_side(columns).splitlines())
-    say(
-        "simulated: "
-        + ("the images of the first column" if nmnist is not None else "the set's first images")
-        + " under N-MNIST's own motion"
-    )
+    shown = "the set's first images" if nmnist is None else "the images of the first column"
+    say(f"simulated: {shown} under N-MNIST's own motion")
     if nmnist is None:
         note("no N-MNIST to compare with; give --nmnist FOLDER")
     return 0
