@@ -22,7 +22,6 @@ their middles, and background is not.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -173,7 +172,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--cars", type=Path, metavar="FOLDER", help="N-CARS: test on scenes of its test part")
     parser.add_argument("--part", choices=("Test", "Train"), help="of N-MNIST (default: Test)")
     add_count(parser, "--scenes", 330, "of three objects each; of other kinds as many objects")
-    args: argparse.Namespace = parser.parse_args(argv)
+    args = parser.parse_args(argv)
     if bool(args.models) == bool(args.write):
         parser.error("give models to test, or --write FOLDER")
     if args.cars:
