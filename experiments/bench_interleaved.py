@@ -112,7 +112,9 @@ def timed(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]], call_
                     if logits is not None:
                         found[k][name] = logits
             for k, moment in enumerate(block):
-                worst = max(worst, _check(found[k], backends, moment))
+                in_order = {name: found[k][name] for name in backends if name in found[k]}
+                where = f"event {len(moment.events)} of the window at {moment.start_us} us"
+                worst = max(worst, check_logits(in_order, where))
     return Timed({name: np.array(taken) for name, taken in us.items()}, call_by_call, worst)
 
 
@@ -129,11 +131,6 @@ def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
     logits = backend.decide()
     taken_us = 1e6 * (time.perf_counter() - started)
     return taken_us, None if logits is None else logits.copy()
-
-
-def _check(found: Mapping[str, np.ndarray], backends: Iterable[str], moment: Moment) -> float:
-    in_order = {name: found[name] for name in backends if name in found}
-    return check_logits(in_order, f"event {len(moment.events)} of the window at {moment.start_us} us")
 
 
 def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
