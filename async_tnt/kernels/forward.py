@@ -23,7 +23,7 @@ from .changes import (
     words_of,
 )
 from .jit import compiled, compiled_without_gil, inlined
-from .simd import LANES
+from .simd import LANES, trailing_zeros
 from .tiles import PLACES, channel_tile, mix_tile
 
 
@@ -47,6 +47,8 @@ def forward(program, weights, maps, places):
         note_rows(program, at + P.CHANGED, np.int64(places[first]) >> 16, np.int64(places[last]) >> 16)
         if program[at + P.KIND] == P.MIX:
             _mix(program, at, n, weights, maps, places, bits)
+        elif program[at + P.KIND] == P.SPREAD:
+            _spread(program, at, n, maps.view(np.uint32), places, bits)
         else:
             _by_channel(program, at, n, weights, maps, places, bits)
         add_changes(program, at + P.TOUCHED, at + P.CHANGED, bits)
@@ -106,6 +108,26 @@ def _by_channel(program, at, n, weights, maps, places, bits):
         note_changes(bits, noted + (place >> 16) * words, place & 0xFFFF, np.uint64(changed))
 
 
+@compiled
+def _spread(program, at, n, words_of_maps, places, bits):
+    """Numbers of one place side by side in a block of places, at the n places of the list."""
+    block, channels = program[at + P.BLOCK], program[at + P.OUT_CHANNELS]
+    for listed in range(program[P.LIST], program[P.LIST] + n):
+        place = np.int64(places[np.uint64(listed)])
+        row, column = place >> 16, place & 0xFFFF
+        y, x = _quotient(row, block), _quotient(column, block)
+        source = program[program[at + P.RUNS]] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+        source += (row - y * block) * block + column - x * block
+        target = program[at + P.OUT] + row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
+        changed = np.uint32(0)
+        for c in range(channels):
+            number = words_of_maps[np.uint64(source + c * block * block)]
+            changed |= number ^ words_of_maps[np.uint64(target + c)]
+            words_of_maps[np.uint64(target + c)] = number
+        row_of_bits = program[at + P.CHANGED] + row * program[at + P.CHANGED + WORDS]
+        note_changes(bits, row_of_bits, column, np.uint64(changed != 0))
+
+
 @inlined
 def _note_tile(program, at, places, bits, listed, n_places, changed):
     """Note which places of a tile have changed, a bit of `changed` each."""
@@ -129,6 +151,8 @@ def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for 
     """
     if program[P.STALE] != 0:
         return _list_all(program, at, places)
+    if program[at + P.KIND] == P.SPREAD:
+        return _list_blocks(program, at, places, bits)
     first_source, n_sources = program[at + P.SOURCES], program[at + P.N_SOURCES]
     top, bottom, n_words = np.int64(MAX_ROW), np.int64(-1), np.int64(0)
     for s in range(first_source, first_source + n_sources):
@@ -163,6 +187,24 @@ def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for 
             for word in range(words_of(columns)):
                 seen = seen_from(bits, scratch, word, kernel_x, stride_x, padding_x, dilation_x)
                 end = list_places(seen, columns - 64 * word, row, word, places, end)
+    return end - program[P.LIST]
+
+
+@inlined
+def _list_blocks(program, at, places, bits):
+    """`_list_dirty` of a SPREAD: the blocks of the places of its one source that have changed."""
+    record, block, end = program[program[at + P.SOURCES]], program[at + P.BLOCK], program[P.LIST]
+    last_row = min((program[record + LAST_ROW] + 1) * block, program[at + P.ROWS])
+    for row in range(program[record + FIRST_ROW] * block, last_row):
+        first = program[record] + _quotient(row, block) * program[record + WORDS]
+        for word in range(program[record + WORDS]):
+            left = bits[np.uint64(first + word)]
+            while left != 0:
+                column = (64 * word + trailing_zeros(left)) * block
+                for x in range(column, min(column + block, program[at + P.COLUMNS])):
+                    places[np.uint64(end)] = row << 16 | x
+                    end += 1
+                left &= left - np.uint64(1)
     return end - program[P.LIST]
 
 

@@ -12,6 +12,7 @@ A place is one number, row << 16 | column. A step computes one map, of one of th
     SUM      out[c] = bias[c] + sum over taps r of w[r, c] in[taps[r] + c]                       each channel by itself
     MAXIMUM  out[c] = max over taps r of in[taps[r] + c]                                         likewise
     FUNCTION out[c] = f(in[taps[0] + c]), f of `functions`                                       likewise
+    SPREAD   a block of places, out[c] = in[taps[0] + c block^2 + (row, column in the block)]     each as it is
 
 and then of its activation, clip(out < 0 ? slope out : out, low, high). A convolution's runs are the rows of its kernel,
 or its taps; its groups are computed one after another. SUM is average pooling, addition, normalization, a depthwise
@@ -48,7 +49,7 @@ INPUT_TOUCHED = 21  # likewise, of those since the window was empty
 
 FIRST_STEP = 25
 # a step's record
-KIND = 0  # MIX, SUM or MAXIMUM
+KIND = 0  # MIX, SUM, MAXIMUM, FUNCTION or SPREAD
 N_SOURCES = 1  # whose changes it depends on
 SOURCES = 2  # where in the program they lie: of each, where the record of its changes begins
 KERNEL_Y = 3  # what a place sees of them
@@ -79,6 +80,7 @@ GROUP_CHANNELS = 33  # input channels from one group to the next
 WEIGHTS = 34
 PLACE_WEIGHTS = 35  # numbers from one place's weights to the next one's; 0: they share them
 APPLIED = 36  # of a FUNCTION: which one
-STEP_SIZE = 37
+BLOCK = 37  # of a SPREAD: the side of what one place becomes
+STEP_SIZE = 38
 
-MIX, SUM, MAXIMUM, FUNCTION = range(4)
+MIX, SUM, MAXIMUM, FUNCTION, SPREAD = range(5)

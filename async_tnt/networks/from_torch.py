@@ -33,8 +33,8 @@ def layers_from_torch(
     ----------
     module : volumes (1, C, H, W) -> (1, n). Convolutions, linear layers, batch norm; ReLU, LeakyReLU, PReLU, ReLU6,
         Hardtanh, clamp, Sigmoid, Hardsigmoid, Tanh, SiLU, GELU, Hardswish, log1p; max, average and adaptive average
-        pooling, mean over all places; sums and concatenations; sums and products with constants; flatten, dropout and
-        identity: as modules, functions or methods, in place or not.
+        pooling, mean over all places, pixel shuffle; sums and concatenations; sums and products with constants;
+        flatten, dropout and identity: as modules, functions or methods, in place or not.
     shape : of a volume, (C, H, W).
     prefix : of the weights' names, which are otherwise those in `state_dict`.
 

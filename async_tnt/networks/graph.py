@@ -22,6 +22,7 @@ a tensor in the file, a role in brackets may be missing. Sides are [y, x], paddi
     inside_average_pool  kernel, stride, padding: padded places do not count
     adaptive_average_pool  size: from input floor(k n / size) to ceil((k + 1) n / size), along each axis
     global_average_pool  to (C, 1, 1)
+    depth_to_space       block: channel c block^2 + i block + j of a place goes to row i, column j of a block
     add, concat          of two inputs or more; channels one after the other
     flatten              to (C * H * W,), in C order
     heatmap_centroid     to (x, y) in grid pixels: the mean place under a softmax over all places of (1, H, W)

@@ -141,6 +141,14 @@ def _global_pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -
     return inputs[0][0], 1, 1
 
 
+def _depth_to_space(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    block = layer["block"]
+    channels, rows, columns = _global_pool(layer, inputs, weights)[0], *inputs[0][1:]
+    if channels % block**2:
+        raise ValueError(f"blocks of {block} x {block} must divide its {channels} channels")
+    return channels // block**2, block * rows, block * columns
+
+
 def _add(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
     if len(set(inputs)) > 1:
         raise ValueError(f"its inputs must have one shape, got {', '.join(map(str, inputs))}")
@@ -183,6 +191,7 @@ OPERATIONS: dict[str, Operation] = {
     "inside_average_pool": Operation(_pool, _WINDOW, {}),
     "adaptive_average_pool": Operation(_adaptive_pool, {"size": SIDES}, {}),
     "global_average_pool": Operation(_global_pool, {}, {}),
+    "depth_to_space": Operation(_depth_to_space, {"block": POSITIVE}, {}),
     "add": Operation(_add, {}, {}, n_inputs=2),
     "concat": Operation(_concat, {}, {}, n_inputs=2),
     "flatten": Operation(_flatten, {}, {}),

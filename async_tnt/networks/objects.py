@@ -68,6 +68,9 @@ def _through(layer: Layer, k: int, axis: _Axis) -> _Axis:
     if layer["op"] in ("adaptive_average_pool", "global_average_pool"):
         n = layer.get("size", (1, 1))[k]
         return _Axis(axis.first + axis.distance * (axis.n / n - 1) / 2, axis.distance * axis.n / n, n)
+    if layer["op"] == "depth_to_space":
+        block = layer["block"]
+        return _Axis(axis.first + axis.distance * (1 / block - 1) / 2, axis.distance / block, axis.n * block)
     return axis
 
 

@@ -192,6 +192,9 @@ class _Nodes:
         size = self._constant(f"{name}.size", layer["kernel"][0] * layer["kernel"][1])
         self.add("Mul", [f"{name}.mean", size], name)
 
+    def _depth_to_space(self, layer: Layer, inputs: list[str], name: str) -> None:
+        self.add("DepthToSpace", inputs, name, blocksize=layer["block"], mode="CRD")
+
     def _adaptive_average_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
         """A X B', where A and B hold what each place takes of the mean along its axis."""
         rows, columns = map(adaptive_matrix, layer["size"], self._shapes[layer["inputs"][0]][1:])

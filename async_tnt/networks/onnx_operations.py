@@ -184,6 +184,11 @@ def _reduce_mean(made: OnnxLayers, node: Node) -> None:
         made.add(node, "flatten", node.outputs)
 
 
+def _depth_to_space(made: OnnxLayers, node: Node) -> None:
+    expect_form(node.get("mode", "DCR") == "CRD", "mode DCR")
+    made.add(node, "depth_to_space", node.inputs[:1], block=node.get("blocksize"))
+
+
 def _concat(made: OnnxLayers, node: Node) -> None:
     expect_form(node.get("axis") in (1, -3), f"axis {node.get('axis')}, not channels (1),")
     made.add(node, "concat", node.inputs)
@@ -254,6 +259,7 @@ RULES: dict[str, Callable[[OnnxLayers, Node], None]] = {
     "AveragePool": _average_pool,
     "GlobalAveragePool": _function("global_average_pool"),
     "ReduceMean": _reduce_mean,
+    "DepthToSpace": _depth_to_space,
     "Concat": _concat,
     "Flatten": _flatten,
     "Reshape": _reshape,

@@ -118,7 +118,7 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
         record[[P.RUNS, P.N_RUNS, P.RUN_LENGTH]] = len(program) + len(tables), len(runs), run_length
         tables += runs
         record[[P.GROUPS, P.GROUP_CHANNELS]] = groups, source.channels // groups
-        record[P.APPLIED] = step.applied
+        record[[P.APPLIED, P.BLOCK]] = step.applied, step.block
         record[[P.WEIGHTS, P.PLACE_WEIGHTS]] = n_weights, place_weights
         weights.append(packed)
         n_weights += packed.size

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.kernels.functions import FUNCTIONS
-from async_tnt.kernels.program import FUNCTION, MAXIMUM, MIX, SUM
+from async_tnt.kernels.program import FUNCTION, MAXIMUM, MIX, SPREAD, SUM
 from async_tnt.networks.graph import VOLUME, layer_shapes
 from async_tnt.networks.layer_operations import Layer
 from async_tnt.networks.uneven_windows import adaptive_shares, inside_shares, place_weights
@@ -39,7 +39,7 @@ class Step:
     """A map, or some channels of it, from other maps.
 
     name : of the layer that it computes, or a part of.
-    kind : MIX (one input), SUM (several of one shape are taps of one sum), MAXIMUM or FUNCTION (one).
+    kind : MIX (one input), SUM (several of one shape are taps of one sum), MAXIMUM, FUNCTION or SPREAD (one).
     weights : of a MIX (F, C / groups, kernel_y, kernel_x), with `own_weights` (rows, columns, F, C); of a SUM (taps,
         C), tap by tap of an input, input by input, with `own_weights` (rows, columns, taps, C).
     bias, slopes : (F,) or (C,).
@@ -61,6 +61,8 @@ class Step:
     own_weights: bool = False
     applied: int = 0
     """Of a FUNCTION, its place in `FUNCTIONS`."""
+    block: int = 1
+    """Of a SPREAD, the side of what one place of its input becomes."""
     channel: int = 0
     rows: int = field(init=False)
     columns: int = field(init=False)
@@ -82,7 +84,7 @@ class Step:
     def reads(self) -> tuple[int, int]:
         """How many rows and columns of its inputs it reads, from their first ones on: frame after them included."""
         rows, columns = (
-            (out - 1) * self.stride[k] + (self.kernel[k] - 1) * self.dilation[k] - self.padding[k] + 1
+            (-(-out // self.block) - 1) * self.stride[k] + (self.kernel[k] - 1) * self.dilation[k] - self.padding[k] + 1
             for k, out in enumerate((self.rows, self.columns))
         )
         return rows, columns
@@ -151,7 +153,7 @@ class _Lowering:
         (source,) = inputs
         if len(source.writers) == 1 and self._readers[layer["inputs"][0]] == 1:
             step = source.writers[0]
-            if not step.is_activated and (step.kind in (MIX, SUM) or not linear):
+            if not step.is_activated and step.kind != SPREAD and (step.kind in (MIX, SUM) or not linear):
                 return step
         return self._copy(source, replace(source, fill=0.0, writers=[])).writers[0]
 
@@ -278,6 +280,13 @@ class _Lowering:
     def _global_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
         (source,) = inputs
         return self._sum_of_places(source, 1.0 / (source.rows * source.columns), np.zeros(source.channels))
+
+    def _depth_to_space(self, layer: Layer, inputs: list[Map]) -> Map:
+        (source,) = inputs
+        if len(source.writers) > 1:
+            source = self._copy(source, replace(source, fill=0.0, frame=(0, 0, 0, 0), writers=[]))
+        output = Map(*self._shapes[layer["name"]])
+        return self._add_step(SPREAD, [source], output, [], np.zeros(output.channels), block=layer["block"])
 
     def _add(self, layer: Layer, inputs: list[Map]) -> Map:
         first = inputs[0]

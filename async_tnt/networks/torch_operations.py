@@ -196,6 +196,10 @@ def _affine(made: LayerList, call: Call, x: Any, factor: Any = None, shift: Any 
     return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
 
 
+def _pixel_shuffle(made: LayerList, call: Call) -> str:
+    return made.add("depth_to_space", call, block=call["upscale_factor"])
+
+
 def _cat(made: LayerList, call: Call) -> str:
     expect_form(call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),")
     expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
@@ -274,6 +278,7 @@ MUL, DIV = Operation(_mul, inputs=TWO), Operation(_div, {"rounding_mode": None},
 GELU = Operation(_gelu, {"approximate": "none"})
 RELU, SIGMOID, TANH, LOG1P = map(_function, ("relu", "sigmoid", "tanh", "log1p"))
 SILU, HARDSWISH, HARDSIGMOID = map(_function, ("silu", "hardswish", "hardsigmoid"))
+PIXEL_SHUFFLE = Operation(_pixel_shuffle, {"upscale_factor": None})
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
 FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1})
 VIEW = Operation(_view)
@@ -296,6 +301,7 @@ MODULES: dict[type, Operation] = {
     nn.MaxPool2d: MAX_POOL,
     nn.AvgPool2d: AVERAGE_POOL,
     nn.AdaptiveAvgPool2d: ADAPTIVE_POOL,
+    nn.PixelShuffle: PIXEL_SHUFFLE,
     nn.Flatten: FLATTEN,
     **dict.fromkeys((nn.Dropout, nn.Dropout1d, nn.Dropout2d), DROPOUT),
     nn.Identity: Operation(_same),
@@ -324,6 +330,7 @@ FUNCTIONS: dict[Any, Operation] = {
     F.hardswish: HARDSWISH,
     F.hardsigmoid: HARDSIGMOID,
     **dict.fromkeys((torch.cat, torch.concat, torch.concatenate), CAT),
+    **dict.fromkeys((F.pixel_shuffle, torch.pixel_shuffle), PIXEL_SHUFFLE),
     torch.flatten: FLATTEN,
     **dict.fromkeys((F.dropout, F.dropout1d, F.dropout2d, torch.dropout), DROPOUT),
 }

@@ -22,7 +22,8 @@ class LayerNetwork(nn.Module):
     layers : mappings with `op`, `name`, `inputs` (names of earlier layers, or "volume"), the parameters of the op, and
         `weights`: role -> name of a tensor. Ops: conv, dense, batch_norm, relu, leaky_relu, prelu, clip, log1p,
         sigmoid, tanh, silu, gelu, gelu_tanh, hardswish, hardsigmoid, max_pool, average_pool, sum_pool,
-        inside_average_pool, adaptive_average_pool, global_average_pool, add, concat, flatten, heatmap_centroid.
+        inside_average_pool, adaptive_average_pool, global_average_pool, depth_to_space, add, concat, flatten,
+        heatmap_centroid.
     tensors : name -> weights, parameters of this module. Means and variances of batch_norm are not trained.
 
     Raises
@@ -122,6 +123,7 @@ _OPERATIONS: dict[str, Any] = {
     "inside_average_pool": _inside_average_pool,
     "adaptive_average_pool": lambda layer, w, x: F.adaptive_avg_pool2d(x, tuple(layer["size"])),
     "global_average_pool": lambda layer, w, x: x.mean(dim=(-2, -1), keepdim=True),
+    "depth_to_space": lambda layer, w, x: F.pixel_shuffle(x, layer["block"]),
     "add": lambda layer, w, *inputs: sum(inputs),
     "concat": lambda layer, w, *inputs: torch.cat(inputs, dim=1),
     "flatten": lambda layer, w, x: x.flatten(1),

@@ -185,6 +185,8 @@ class _Builder:
             lambda: self.part(nn.MaxPool2d(**pool, ceil_mode=ceil)),
             lambda: self.part(nn.AvgPool2d(**pool, ceil_mode=ceil, count_include_pad=self.pick(True, False))),
             lambda: self.part(nn.AdaptiveAvgPool2d(self.pick(2, (3, None), (5, 4), 7))),
+            lambda: self.part(nn.Sequential(nn.Conv2d(channels, 4 * filters, 1), nn.PixelShuffle(2))),
+            lambda: lambda m, x: F.pixel_shuffle(torch.cat([x, x, 2 * x, x], 1), 2),
             lambda: lambda m, x: F.max_pool2d(x, **pool),
             lambda: lambda m, x: F.avg_pool2d(x, pool["kernel_size"], pool["stride"]),
             lambda: lambda m, x: F.dropout(x, 0.4, m.training),

@@ -99,7 +99,9 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
         source = draw(st.sampled_from(sorted(maps)[-2:])) if draw(st.booleans()) else list(maps)[-1]
         shape = maps[source]
         op = draw(
-            st.sampled_from(["conv", "conv", "conv", "batch_norm", *ACTIVATIONS, *POOLS, "adaptive", "add", "concat"])
+            st.sampled_from(
+                ["conv", "conv", "conv", "batch_norm", *ACTIVATIONS, *POOLS, "adaptive", "spread", "add", "concat"]
+            )
         )
         same = [name for name, other in maps.items() if other == shape]
         joined = [name for name, other in maps.items() if other[1:] == shape[1:]]
@@ -112,6 +114,11 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
         elif op == "adaptive":
             size = [draw(st.integers(1, side + 1)) for side in shape[1:]]
             name = make.add("adaptive_average_pool", [source], size=size)
+        elif op == "spread":
+            blocks = [block for block in (1, 2, 3) if shape[0] % block**2 == 0 and block * max(shape[1:]) < 80]
+            if not blocks:
+                continue
+            name = make.add("depth_to_space", [source], block=draw(st.sampled_from(blocks)))
         elif op == "add":
             name = make.add(op, [source, draw(st.sampled_from(same))])
         elif op == "concat":

@@ -120,6 +120,11 @@ class _Builder:
             attributes["ceil_mode"] = 1
         self.node(op, kernel_shape=list(kernel), **attributes)
 
+    def spread(self) -> None:
+        filters, crd = 4 * self.pick(1, 2), self.opset >= 11 and not self.chance(0.2)
+        self.node("Conv", self.weights(filters, self.shape[0], 1, 1))
+        self.node("DepthToSpace", blocksize=2, **({"mode": "CRD"} if crd else {}))
+
     def affine(self) -> None:
         n, rest = self.shape[0], [1] * (len(self.shape) - 1)
         shape = self.pick((), (1,), (n, *rest), (1, n, *rest), (1,) * 4)
@@ -221,7 +226,7 @@ def _shape(proto: onnx.ModelProto) -> tuple[int, ...] | None:
 def random_onnx(seed: int) -> onnx.ModelProto:
     """A network of one input (1 or N, *SHAPE), whose output is (1, N_CLASSES) in most cases."""
     builder = _Builder(seed)
-    steps = builder.batch_norm, builder.pool, builder.affine, builder.activation, builder.join
+    steps = builder.batch_norm, builder.pool, builder.affine, builder.activation, builder.join, builder.spread
     for _ in range(builder.rng.integers(0, 6)):
         before = list(builder.nodes), builder.value
         builder.pick(*2 * [builder.conv], *steps)()

@@ -239,6 +239,9 @@ def test_places_lie_in_the_middle_of_what_they_depend_on():
     assert (places.y0, places.dy) == pytest.approx((9, 4))
     assert (places.x0, places.dx) == pytest.approx((9 * 119 / 59, 4 * 119 / 59))
     assert model.logits_shape == (2, 11, 11)
+    blocks = nn.Sequential(nn.Conv2d(1, 8, 3, 4, 1), nn.PixelShuffle(2))  # four places about each pixel 4 k
+    model = Model.from_torch(blocks, config, ["a"])
+    assert (model.places.y0, model.places.dy) == (-1, 2) and model.logits_shape == (2, 30, 30)
     assert load_model("digits").places is None
 
 
