@@ -1,6 +1,7 @@
 """What the tests of Processor share: a stream at given times, and decisions as comparable values."""
 
 import numpy as np
+from oracles import as_values
 
 from async_tnt import TNTConfig
 
@@ -19,16 +20,7 @@ def uneven(volume):
 
 
 def key(decision):
-    return (
-        decision.trigger,
-        decision.window_start_us,
-        decision.time_us,
-        decision.events,
-        decision.complete,
-        decision.label,
-        decision.logits.tobytes(),
-        decision.probabilities.tobytes(),
-    )
+    return (*as_values(decision), decision.label, decision.probabilities.tobytes())
 
 
 def at(times):

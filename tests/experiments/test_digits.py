@@ -11,13 +11,7 @@ pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.progress import no_progress
 from experiments.digits import CONFIG, STEPS, train_digits
-from experiments.digits_data import (
-    FIRST_INDEX,
-    digits_data,
-    read_nmnist_folder,
-    recording_numbers,
-    simulate_recordings,
-)
+from experiments.digits_data import FIRST_INDEX, digits_data, read_nmnist_folder, recording_numbers, simulate_recordings
 
 
 def test_a_folder_is_read_in_order_with_its_labels(nmnist):

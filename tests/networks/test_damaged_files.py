@@ -134,11 +134,7 @@ def onnx_file(path, **changes):
         (onnx_file, {"format": "async_tnt 3"}, "is damaged: metadata `format` must be 'async_tnt 2', got 'async_tnt 3"),
         (onnx_file, {"sha256": None}, "is damaged: no sha256 in its metadata"),
         (onnx_file, {"config": '{"a\\nb": 1}'}, "is damaged: unknown configuration a b"),
-        (
-            onnx_file,
-            {"config": "{}"},
-            "is damaged: its configuration gives volumes of shape (9, 34, 34), its netw",
-        ),
+        (onnx_file, {"config": "{}"}, "is damaged: its configuration gives volumes of shape (9, 34, 34), its netw"),
         (onnx_file, {"classes": "[1, 2, 3]"}, "is damaged: metadata `classes` must be a list of names, got '[1, 2"),
         (onnx_file, {"record": "3"}, "is damaged: metadata `record` must be a mapping, got '3'"),
         (onnx_file, {"network": "{}"}, "is damaged: metadata `network` must be a list of layers, got '{}'"),
