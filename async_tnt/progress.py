@@ -19,7 +19,7 @@ class Bar:
     ----------
     total : units of work; 0 if unknown.
     title : what is being done.
-    file : a terminal; None shows nothing.
+    file : a terminal; None shows nothing: so `Bar` itself may stand in place of `progress`.
     done : units done before, which do not count towards the rate.
     """
 
@@ -65,11 +65,6 @@ def progress(total: int, title: str, *, done: int = 0) -> Bar:
     """`with progress(n, "checking") as bar: ... bar.update()`, on stderr if that is a terminal."""
     is_terminal = sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()
     return Bar(total, title, sys.stderr if is_terminal else None, done=done)
-
-
-def no_progress(total: int, title: str, *, done: int = 0) -> Bar:
-    """A bar that shows nothing, in place of `progress`."""
-    return Bar(total, title, done=done)
 
 
 def describe(title: str, done: int, total: int, n: int, seconds: float) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.training.data import TrainingData
@@ -32,7 +32,7 @@ def read_nmnist_folder(
     folder: str | os.PathLike[str],
     *,
     per_digit: int | None = None,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
 ) -> Recordings:
     """Read a folder in N-MNIST's layout: `<digit>/<number>.bin`.
 
@@ -62,7 +62,7 @@ def simulate_recordings(
     seed: int,
     *,
     leave_out: Collection[int] = (),
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
 ) -> Recordings:
     """Simulate `n` recordings of different MNIST training images, drawn from index `FIRST_INDEX` on.
 

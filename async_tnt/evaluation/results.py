@@ -16,7 +16,7 @@ from pathlib import Path
 from async_tnt.evaluation.job import Job, Task
 from async_tnt.evaluation.records import FIELDS, Record, lost
 from async_tnt.files import check_writable, naming, open_locked, replacing
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 
 SUFFIXES = (".jsonl",)
 START = b'{"recording": '
@@ -31,7 +31,7 @@ def collect(
     out: Path,
     *,
     restart: bool = False,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
     report: Callable[[str], object] = lambda line: None,
 ) -> list[Record]:
     """Do what is not done yet, write the result file, and return its records in order of the recordings' names.

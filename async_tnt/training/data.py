@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -71,7 +71,7 @@ def dataset_data(
     store: Path | None = None,
     scenes: Mapping[str, Any] | None = None,
     workers: int = 1,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
 ) -> TrainingData:
     """A folder of class folders, split by groups of recordings. Windows start at each recording's first event.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 from async_tnt.sources.files.recording import READERS, open_recording
 from async_tnt.sources.files.source import events_on_sensor
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
@@ -62,7 +62,7 @@ def read_dataset(
     with_pictures: Collection[str] = (),
     known: Known | None = None,
     store: Path | None = None,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
 ) -> Dataset:
     """Read the recordings that `find_recordings` finds.
 

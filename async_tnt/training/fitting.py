@@ -11,7 +11,7 @@ from typing import Any
 
 from async_tnt.evaluation.scores import scores_of
 from async_tnt.networks.model import Model
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 from async_tnt.training.data import TrainingData
 from async_tnt.training.evaluation import evaluate
 from async_tnt.training.loop import train
@@ -61,7 +61,7 @@ def fit(
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
     record: dict[str, Any] | None = None,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
     """Train on `data.training`; choose the temperature and measure the accuracy on `data.validation`.

@@ -17,7 +17,7 @@ from torch.optim.swa_utils import AveragedModel
 from async_tnt.config import TNTConfig
 from async_tnt.files import locked_folder
 from async_tnt.networks.model import Model
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 from async_tnt.training.augment import Draws
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
 from async_tnt.training.objectives import ClassOfWindows, ObjectsInScenes
@@ -46,7 +46,7 @@ def train(
     start: Model | None = None,
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> TrainResult:
     """Train a classifier, or a map model.

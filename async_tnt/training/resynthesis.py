@@ -25,7 +25,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.evaluation.processes import run_all
 from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.files import write_text
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
 from async_tnt.resynthesis.reconstruction import N_PICTURES, SimulatedPixels, shares
@@ -61,7 +61,7 @@ def resynthesize(
     *,
     masked: np.ndarray | None = None,
     workers: int = 1,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
 ) -> Motions:
     """Make other motions of all windows, or what is missing of them in the folder.
 

@@ -27,7 +27,7 @@ import numpy as np
 from async_tnt.evaluation.processes import run_all
 from async_tnt.events import structured
 from async_tnt.files import replacing, write_text
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
 from async_tnt.simulation.picture_scene import SceneSettings, record_picture
 from async_tnt.simulation.pictures import SUFFIXES, read_picture
@@ -77,7 +77,7 @@ def check_pictures(
     found: Mapping[str, Sequence[Path]],
     classes: Sequence[str],
     others: np.ndarray,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
 ) -> tuple[list[LabelledPicture], list[str]]:
     """The pictures that can be read, and why the others are left out, one line each.
 
@@ -170,7 +170,7 @@ def simulate_pictures(
     *,
     seed: int = 0,
     workers: int = 1,
-    progress: Callable[..., Bar] = no_progress,
+    progress: Callable[..., Bar] = Bar,
 ) -> int:
     """Append the recordings of pictures to a writer, those of a picture one after the other.
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.results import ResultFile, collect
-from async_tnt.progress import Bar, no_progress
+from async_tnt.progress import Bar
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]
@@ -40,7 +40,7 @@ def stopping_after(n):
     return StoppingBar
 
 
-def collected_to(out, tasks, function=record_of, run=HERE, progress=no_progress, **words):
+def collected_to(out, tasks, function=record_of, run=HERE, progress=Bar, **words):
     """The records, how many of them were kept, and what was reported."""
     kept, said = [], []
 

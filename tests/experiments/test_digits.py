@@ -9,7 +9,7 @@ from small_sets import idx_bytes
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.progress import no_progress
+from async_tnt.progress import Bar
 from experiments.digits import CONFIG, STEPS, train_digits
 from experiments.digits_data import FIRST_INDEX, digits_data, read_nmnist_folder, recording_numbers, simulate_recordings
 
@@ -47,7 +47,7 @@ def test_each_step_continues_the_one_before_and_the_last_is_tested(nmnist, mnist
     monkeypatch.setattr("experiments.digits_data.FIRST_INDEX", 10)
     monkeypatch.setattr("experiments.digits.available_cores", lambda: 1)
     monkeypatch.setattr("async_tnt.training.resynthesis.N_CALIBRATION", 12)
-    data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=no_progress)
+    data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=Bar)
     assert (data.record["real_recordings"], data.record["simulated_recordings"]) == (40, 5)
     assert len(data.training) == 135 and len(data.tests["test"][0]) == 30
     steps = {name: replace(step, epochs=1, variations=1) for name, step in list(STEPS.items())[3:]}
