@@ -12,7 +12,7 @@ FIRST_S, EVERY_S = 1.0, 0.1
 """Seconds until the bar appears, and between its updates."""
 
 
-class Bar:
+class Bar(contextlib.AbstractContextManager["Bar"]):
     """How much of `total` is done. A context manager: it clears its line at the end, even after an error.
 
     Parameters
@@ -53,9 +53,6 @@ class Bar:
         with contextlib.suppress(OSError, ValueError):  # the work goes on if the terminal is gone
             self._file.write(text)
             self._file.flush()
-
-    def __enter__(self) -> Bar:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.clear()

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +21,7 @@ MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
 log = logging.getLogger("async_tnt.sources")
 
 
-class Camera:
+class Camera(AbstractContextManager["Camera"]):
     """Events of a camera. Made by `open_camera`.
 
     Iterating yields packets: structured arrays with the library's own fields, never empty, each in new memory, in a
@@ -135,9 +136,6 @@ class Camera:
                     self._device.close()
                 except BaseException as error:  # it is gone already
                     log.warning("%s: closing it failed: %s", self.name, failure(error))
-
-    def __enter__(self) -> Camera:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

@@ -51,7 +51,7 @@ class NetworkCounts:
     """How often the sender's clock moved back; times continue, see `Clock`."""
 
 
-class UdpSource:
+class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
     """Listens for datagrams of events.
 
     Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of the datagrams that were waiting,
@@ -231,9 +231,6 @@ class UdpSource:
             self._selector.close()
             self._socket.close()
             self._wake_out.close()
-
-    def __enter__(self) -> UdpSource:
-        return self
 
     def __exit__(self, *error: Any) -> None:
         self.close()

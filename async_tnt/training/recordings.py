@@ -85,7 +85,7 @@ class Recordings:
             return writer.finish()
 
 
-class RecordingsWriter:
+class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
     """Appends recordings, one at a time, to the columns of `Recordings`. A context manager.
 
     Parameters
@@ -103,9 +103,6 @@ class RecordingsWriter:
         self._offsets = [0]
         self._labels: list[int] = []
         self._names: list[str] = []
-
-    def __enter__(self) -> RecordingsWriter:
-        return self
 
     def __exit__(self, *_: object) -> None:
         for file in self._files.values():

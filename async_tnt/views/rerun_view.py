@@ -41,7 +41,7 @@ def import_rerun() -> Any:
     return rerun
 
 
-class RerunView:
+class RerunView(contextlib.AbstractContextManager["RerunView"]):
     """Classifies a stream and shows it.
 
     Parameters
@@ -217,9 +217,6 @@ class RerunView:
         """Wait until all is written that was logged. Raises OSError if it cannot be."""
         with _as_os_error(self._trouble):
             self._stream.flush(timeout_sec=PATIENCE_S)
-
-    def __enter__(self) -> RerunView:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         if kind is not None:  # the file keeps what came before the error; the state after it may be inconsistent
