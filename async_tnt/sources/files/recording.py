@@ -69,22 +69,6 @@ READERS: dict[str, Callable[[Path], Source]] = {
 """Suffix, in lower case -> function that opens such a file."""
 
 
-@dataclass
-class _Totals:
-    """What one pass over the file has counted."""
-
-    n_events: int = 0
-    earliest_us: int = 0
-    newest_us: int = 0
-
-    def add(self, t_us: np.ndarray) -> None:
-        """Count a block of events, by their times."""
-        first, last = int(t_us.min()), int(t_us.max())
-        self.earliest_us = min(self.earliest_us, first) if self.n_events else first
-        self.newest_us = max(self.newest_us, last)
-        self.n_events += len(t_us)
-
-
 @dataclass(eq=False, repr=False)
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
@@ -114,24 +98,24 @@ class Recording:
     def __post_init__(self) -> None:
         self.stated_sensor = self.source.sensor
         self.format = self.source.format
-        self._totals: _Totals | None = None
+        self._totals: tuple[int, int, int] | None = None  # events, earliest and newest time, of a whole pass
         self._has_warned = False
 
     @property
     def n_events(self) -> int:
         """Events in the recording, up to the damage if there is any."""
-        return self._counted().n_events
+        return self._counted()[0]
 
     @property
     def earliest_us(self) -> int:
         """Time of the earliest event, in microseconds; 0 without events."""
-        return self._counted().earliest_us
+        return self._counted()[1]
 
     @property
     def duration_us(self) -> int:
         """Time from the earliest to the latest event, in microseconds; 0 for fewer than two events."""
-        totals = self._counted()
-        return totals.newest_us - totals.earliest_us
+        _, earliest_us, newest_us = self._counted()
+        return newest_us - earliest_us
 
     def read(self) -> np.ndarray:
         """All events at once: a new structured array of `EVENT_DTYPE`."""
@@ -161,7 +145,7 @@ class Recording:
         # without counts, which may take a pass over gigabytes
         return f"Recording({str(self.path)!r}, sensor {self.sensor}, packets of {self.packet_events})"
 
-    def _counted(self) -> _Totals:
+    def _counted(self) -> tuple[int, int, int]:
         if self._totals is None:
             for _ in self._blocks():
                 pass
@@ -170,8 +154,7 @@ class Recording:
 
     def _blocks(self) -> Iterator[np.ndarray]:
         """One pass: the source's blocks, checked and counted."""
-        totals = _Totals()
-        n_read = 0
+        n_read = n_events = earliest_us = newest_us = 0
         try:
             for block in self.source.blocks():
                 events, problem = events_on_sensor(block, self.sensor, n_read)
@@ -181,15 +164,18 @@ class Recording:
                         break
                     events = events[(events["t"] >= self.between_us[0]) & (events["t"] < self.between_us[1])]
                 if len(events):
-                    totals.add(events["t"])
+                    first_us = int(events["t"].min())
+                    earliest_us = min(earliest_us, first_us) if n_events else first_us
+                    newest_us = max(newest_us, int(events["t"].max()))
+                    n_events += len(events)
                     yield events
                 if problem and self.stated_sensor is None:
                     raise ValueError(f"{self.path}: {problem}; the file states none, `sensor` or the model does")
                 if problem:
                     raise CorruptData(problem)
         except CorruptData as error:
-            self._report(str(error), totals.n_events, totals.newest_us)
-        self._totals = totals
+            self._report(str(error), n_events, newest_us)
+        self._totals = n_events, earliest_us, newest_us
 
     def _report(self, problem: str, n_read: int, newest_us: int) -> None:
         text = f"{self.path}: damaged recording: {problem}"
