@@ -245,24 +245,18 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
     OSError : the address is not this machine's, or taken.
     """
     try:
-        host, port, options = _parse_url(url)
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+        if parts.scheme != "udp" or not host or port is None or parts.path not in ("", "/") or "@" in parts.netloc:
+            raise ValueError("expected udp://HOST:PORT, such as udp://127.0.0.1:3333")
+        options: dict[str, Any] = dict(parse_qsl(parts.query, keep_blank_values=True))
+        if unknown := options.keys() - {"format", "timeout_s"}:
+            raise ValueError(f"unknown option {min(unknown)!r}, expected format or timeout_s")
+        if "timeout_s" in options:
+            options["timeout_s"] = float(options["timeout_s"])
         return UdpSource(host, port, sensor=sensor, **options)
     except ValueError as error:
         raise ValueError(f"{url}: {error}") from None
-
-
-def _parse_url(url: str) -> tuple[str, int, dict[str, Any]]:
-    """Host, port, and the keyword arguments of `UdpSource` that the URL states."""
-    parts = urlsplit(url)
-    host, port = parts.hostname, parts.port
-    if parts.scheme != "udp" or not host or port is None or parts.path not in ("", "/") or "@" in parts.netloc:
-        raise ValueError("expected udp://HOST:PORT, such as udp://127.0.0.1:3333")
-    options: dict[str, Any] = dict(parse_qsl(parts.query, keep_blank_values=True))
-    if unknown := options.keys() - {"format", "timeout_s"}:
-        raise ValueError(f"unknown option {min(unknown)!r}, expected format or timeout_s")
-    if "timeout_s" in options:
-        options["timeout_s"] = float(options["timeout_s"])
-    return host, port, options
 
 
 def _bound_socket(address: str, port: int) -> socket.socket:
