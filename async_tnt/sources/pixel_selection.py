@@ -119,7 +119,17 @@ class PixelSelector:
         self.expected = selection.camera if selection.crop else model
         self._model = model
         self._filters: dict[Sensor, PixelFilter] = {}
-        _check_fit(selection, model)
+        region, camera = selection.region, selection.camera
+        if region not in (None, model):
+            raise ValueError(
+                f"`crop`: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
+                f"give `roi` X,Y,{model[0]},{model[1]}"
+            )
+        if not selection.crop and camera is not None and camera != model:
+            raise ValueError(
+                f"{selection.origin} {format_size(camera)} pixels, but the model is for {format_size(model)}"
+                f"{_advice(model, camera)}"
+            )
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
@@ -186,21 +196,6 @@ class PixelSelector:
     def nothing(self) -> str:
         """What a model has seen of a source without any event left, for messages."""
         return "no events at the selected pixels" if self.selection.leaves_out else "no events"
-
-
-def _check_fit(selection: PixelSelection, model: Sensor) -> None:
-    """Refuse a cropped region, or without one a camera, of another size than the model is for."""
-    region, camera = selection.region, selection.camera
-    if region not in (None, model):
-        raise ValueError(
-            f"`crop`: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
-            f"give `roi` X,Y,{model[0]},{model[1]}"
-        )
-    if not selection.crop and camera is not None and camera != model:
-        raise ValueError(
-            f"{selection.origin} {format_size(camera)} pixels, but the model is for {format_size(model)}"
-            f"{_advice(model, camera)}"
-        )
 
 
 def _advice(model: Sensor, camera: Sensor | None) -> str:
