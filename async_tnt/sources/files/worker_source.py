@@ -38,12 +38,12 @@ class WorkerSource(Source):
     """
 
     def __init__(self, path: Path, read: library_readers.Reader, format: str) -> None:
-        self.path = path
+        self._path = str(path.absolute())  # the worker's own folder may be another
         self._read = read
         self.format = format
         path.open("rb").close()  # raises the OSError of a missing file
         with _worker() as worker:
-            worker.submit(library_readers.sensor_of, read, self._absolute, limit_s=READ_S)
+            worker.submit(library_readers.sensor_of, read, self._path, limit_s=READ_S)
             try:
                 sensor = worker.result(SILENCE_S)
             except Exception as error:
@@ -52,14 +52,10 @@ class WorkerSource(Source):
 
     def blocks(self) -> Iterator[np.ndarray]:
         with _worker() as worker:
-            worker.submit(library_readers.start, self._read, self._absolute, limit_s=READ_S)
+            worker.submit(library_readers.start, self._read, self._path, limit_s=READ_S)
             for _ in range(AHEAD):
                 worker.submit(library_readers.next_block, limit_s=READ_S)
             yield from valid_blocks(_columns(worker))
-
-    @property
-    def _absolute(self) -> str:
-        return str(self.path.absolute())  # the worker's own folder may be another
 
 
 def _columns(worker: Worker) -> Iterator[Four]:
