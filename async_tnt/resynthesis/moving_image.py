@@ -227,11 +227,6 @@ def fft_size(least: int) -> int:
     (49, 63, 63)
     """
     size = least + 1 - least % 2
-    while True:
-        rest = size
-        for prime in (3, 5, 7):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return size
+    while pow(3 * 5 * 7, size.bit_length(), size):  # 0, unless it has another prime factor
         size += 2
+    return size
