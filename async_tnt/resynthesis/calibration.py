@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from async_tnt.events import structured
-from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import Columns, measure_pixels, part_of
 
@@ -68,7 +67,15 @@ def calibrate(
     model = reconstruction.model
     parts = [part_of(one, model.window_us) for one in windows]
     measured = measure_pixels(parts, model.sensor, model.window_us)
-    paths, images, recorded = _moving(list(reconstruction(windows, measured)), parts)
+    reconstructed = list(reconstruction(windows, measured))
+    moving = [(path, image, structured(one)) for (path, image), one in zip(reconstructed, parts, strict=True) if image]
+    if not moving:
+        reasons = ", ".join(f"{why} {n}" for why, n in Counter(path.refused for path, _ in reconstructed).most_common())
+        raise ValueError(
+            f"no motion was found in any of {len(parts)} windows ({reasons}): re-synthesis needs windows in "
+            "which one image moves as a whole, with a few hundred events each"
+        )
+    paths, images, recorded = zip(*moving, strict=True)
     target = describe(recorded, model.sensor)
     candidates = []
     for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
@@ -94,21 +101,6 @@ def _scaled(
         if abs(ratio - 1) < NEAR_ENOUGH:
             break
     return pixels, simulated
-
-
-def _moving(
-    found: Sequence[tuple[MotionPath, MovedImage | None]], parts: Sequence[Columns]
-) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
-    """Path, image and recorded events of those windows whose path is found."""
-    moving = [(path, image, structured(one)) for (path, image), one in zip(found, parts, strict=True) if image]
-    if not moving:
-        reasons = ", ".join(f"{why} {n}" for why, n in Counter(path.refused for path, _ in found).most_common())
-        raise ValueError(
-            f"no motion was found in any of {len(parts)} windows ({reasons}): re-synthesis needs windows in "
-            "which one image moves as a whole, with a few hundred events each"
-        )
-    paths, images, recorded = zip(*moving, strict=True)
-    return list(paths), list(images), list(recorded)
 
 
 def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str, float]:
