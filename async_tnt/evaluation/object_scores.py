@@ -108,11 +108,9 @@ def score_recording(model: Model, recording: Recording, table: ObjectTable) -> d
     for rows, events in zip(rows_of, _windows(recording, times_us, window_us), strict=True):
         processor.reset()
         n_events += len(events)
-        begin = 0
-        for share in SHARES:
-            end = int(np.searchsorted(events["t"], share * window_us))
-            processor.push(events[begin:end])
-            begin = end
+        parts = np.split(events, np.searchsorted(events["t"], np.multiply(SHARES, window_us)))
+        for share, part in zip(SHARES, parts[:-1], strict=True):
+            processor.push(part)
             objects = processor.fire().objects or ()
             found = np.array([(o.x, o.y, o.probability, o.index, o.id) for o in objects], float).reshape(-1, 5)
             scores[share] += score_objects(found, table.label[rows], table.middle[rows], table.reach[rows], n_classes)

@@ -24,13 +24,12 @@ EDGE, GAP, TOP = 0.15, 0.28, 0.7  # inches
 def draw_window_objects(window: Window, model: Model) -> Figure:
     """A panel for each third of a window."""
     processor = Processor(model, start_us=window.start_us)
-    decisions, done = [], 0
+    decisions = []
     in_order = window.events[np.argsort(window.events["t"], kind="stable")]
     ends_us = [window.start_us + round(share * model.config.window_us) for share in SHARES]
-    for end in np.searchsorted(in_order["t"], ends_us):
-        processor.push(in_order[done:end])
+    for part in np.split(in_order, np.searchsorted(in_order["t"], ends_us))[:-1]:
+        processor.push(part)
         decisions.append(processor.fire())
-        done = int(end)
     titles = [f"{(end_us - window.start_us) / 1e3:g} ms" for end_us in ends_us]
     words = f"{window.subject.name}, window {window.number}: objects that {window.subject.model_name} finds"
     return draw_objects(decisions, titles, in_order, model.config.sensor, words)
