@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,13 +42,11 @@ _STYLE: dict[str, Any] = {
 }
 
 
-@contextmanager
-def styled() -> Iterator[None]:
+def styled() -> AbstractContextManager[None]:
     """Within the block figures have our style whatever the user's settings, which stay as they are."""
     import matplotlib.style
 
-    with matplotlib.style.context(["default", _STYLE]):
-        yield
+    return matplotlib.style.context(["default", _STYLE])
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
