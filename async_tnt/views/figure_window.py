@@ -132,7 +132,9 @@ def draw_rows(
     """
     (left, top), (width, height), images = corner, picture, []
     for row, layer in enumerate(layers):
-        limit = colour_limit(layer.cells[shown])
+        used = np.abs(layer.cells[shown])
+        # the value of full colour is exceeded by the largest cells, which would leave the others pale
+        limit = float(np.quantile(used[used > 0], 0.98)) if used.any() else 1.0
         for column, (k, title) in enumerate(zip(shown, titles, strict=True)):
             place = left + column * (width + GAP), top + row * (height + ROW_GAP)
             axes = axes_at(figure, *place, width, height)
@@ -150,12 +152,6 @@ def _picture(config: TNTConfig, n_shown: int) -> tuple[float, float]:
     ratio = config.grid[1] / config.grid[0]
     height = min(TALLEST, (WIDTH - LEFT - RIGHT - GAP * (n_shown - 1)) / n_shown * ratio)
     return height / ratio, height
-
-
-def colour_limit(cells: np.ndarray) -> float:
-    """The value of full colour: exceeded by the largest cells only, which would leave the others pale."""
-    used = np.abs(cells[cells != 0])
-    return float(np.quantile(used, 0.98)) if used.size else 1.0
 
 
 def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float) -> AxesImage:
