@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -84,6 +85,14 @@ class Decision:
             "complete": self.complete,
             "trigger": self.trigger,
         }
+
+
+def class_of_recording(classes: Sequence[str], windows: Sequence[np.ndarray]) -> tuple[str, str]:
+    """The class of the highest mean probability over the last decisions of its windows; and that mean, in words."""
+    mean = np.mean(windows, axis=0)
+    best = int(mean.argmax())
+    n_windows = "1 window" if len(windows) == 1 else f"{len(windows)} windows"
+    return classes[best], f"mean probability {mean[best]:.3f} of {n_windows}"
 
 
 @dataclass(frozen=True)

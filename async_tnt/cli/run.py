@@ -23,7 +23,7 @@ from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_lin
 from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
 from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
-from async_tnt.decision import Decision
+from async_tnt.decision import Decision, class_of_recording
 from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
@@ -136,10 +136,8 @@ def print_decisions(
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
     if closed and summary and decision.objects is None:
-        mean = np.mean(closed, axis=0)
-        best = int(mean.argmax())
-        windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
-        say(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+        label, words = class_of_recording(engine.classes, closed)
+        say(f"{recording.path.name}: {label} ({words})")
     counts = processor.counts
     complain_late(str(recording.path), counts.dropped_late, counts.received, "--late, --start-us")
     if not closed:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.checks import printable
-from async_tnt.decision import Decision
+from async_tnt.decision import Decision, class_of_recording
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
 from async_tnt.views.figure_style import (
@@ -55,24 +55,17 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     every_us = max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
-    headline(figure, f"{subject.name}: {verdict(subject.model, decisions)}")
+    last = [d for d in decisions if d.trigger in ("window", "end")]  # of each window
+    label, words = class_of_recording(subject.model.classes, [d.probabilities for d in last])
+    headline(figure, f"{subject.name}: “{label}”, {words}")
     axes = axes_at(figure, 0.75, classes_top, 8.6, CLASSES_HEIGHT)
-    draw_classes(axes, subject, subject.model, decisions)
+    draw_classes(axes, subject, subject.model, decisions, last)
     words = f"decisions of {printable(subject.model_name)} every {every_us / 1e3:g} ms and at the ends of windows"
     axes.set_xlabel(f"time in the recording (ms); {words}", fontsize=SMALL)
     return figure
 
 
-def verdict(model: Model, decisions: list[Decision]) -> str:
-    """The class of the whole recording, as in `async-tnt run`: by the mean over its windows' last decisions."""
-    last = [d.probabilities for d in decisions if d.trigger in ("window", "end")]
-    mean = np.mean(last, axis=0)
-    best = int(mean.argmax())
-    windows = "1 window" if len(last) == 1 else f"{len(last)} windows"
-    return f"“{model.classes[best]}”, mean probability {mean[best]:.3f} of {windows}"
-
-
-def draw_classes(axes: Any, subject: Subject, model: Model, decisions: list[Decision]) -> None:
+def draw_classes(axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]) -> None:
     """A line for each class, the likeliest ones in colour and named; above each window, its last decision."""
     probabilities = np.array([d.probabilities for d in decisions])  # (decisions, classes)
     times = subject.since_start_ms(np.array([d.time_us for d in decisions]))
@@ -87,7 +80,6 @@ def draw_classes(axes: Any, subject: Subject, model: Model, decisions: list[Deci
             look = {"color": colour, "ls": dashes, "lw": 2.0, "label": f"“{shortened(model.classes[k], 10)}”"}
         (line,) = axes.plot(x, y[:, k], marker=".", ms=2, **look)
         line.set_gid(f"class {k}")
-    last = [d for d in decisions if d.trigger in ("window", "end")]
     for decision in last if len(last) <= MOST_NAMED else ():
         start_ms = subject.since_start_ms(decision.window_start_us)
         axes.axvline(start_ms, color=PALE, lw=0.8, zorder=0)
