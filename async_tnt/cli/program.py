@@ -98,7 +98,8 @@ def _run(argv: Sequence[str]) -> int:
         OPTIONS.clear()
         OPTIONS.update(vars(args))
         with warnings.catch_warnings(), handled_by(interrupt) as before:
-            warnings.showwarning = _show_warning  # type: ignore[assignment]
+            # such as of a damaged recording: in one line, without its place in the code
+            warnings.showwarning = lambda message, *where: complain(f"warning: {message}")
             gc.enable()
             code = args.main(args)
     except BrokenPipeError:  # `| head`: the reader has seen enough
@@ -174,8 +175,3 @@ def _in_import_or_compilation(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
-
-
-def _show_warning(message: Warning | str, *where: object) -> None:
-    """Print a warning, such as that of a damaged recording, in one line without its place in the code."""
-    complain(f"warning: {message}")
