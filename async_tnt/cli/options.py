@@ -40,7 +40,7 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         "files",
         nargs="?" if one else "*",
         metavar="FILE",
-        type=_file_or_stream if live else Path,
+        type=(lambda text: text if is_live(text) else Path(text)) if live else Path,
         help=f"{sources}recordings ({READABLE}); {bundled}",
     )
     parser.add_argument(
@@ -49,10 +49,6 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         metavar="NAME|FILE",
         help=f"{MODELS}{onnx} (default: %(default)s)",
     )
-
-
-def _file_or_stream(text: str) -> Path | str:
-    return text if is_live(text) else Path(text)
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
