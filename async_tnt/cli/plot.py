@@ -66,7 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    path = _path(args.file)
+    samples = sample_recordings()
+    is_digit = args.file.isdigit() and int(args.file) in samples and not Path(args.file).exists()
+    path = samples[int(args.file)] if is_digit else Path(args.file)
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
     subject = subject_of(path, args)
@@ -113,12 +115,6 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
             check_sensor(path, sensor, config.sensor, advice="")
         decides, config = None, config.replace(sensor=sensor, grid=sensor)
     return Subject(path.name, recording.read(), _configured(config, args), decides, name, args.start_us)
-
-
-def _path(name: str) -> Path:
-    samples = sample_recordings()
-    is_digit = name.isdigit() and int(name) in samples and not Path(name).exists()
-    return samples[int(name)] if is_digit else Path(name)
 
 
 def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
