@@ -22,7 +22,6 @@ from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.labelled_recordings import find_recordings, has_part
-from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import format_size
 
 if TYPE_CHECKING:
@@ -148,7 +147,12 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
-    pixels = _pixels_of(args)
+    pixels = selection_of(args)
+    if pixels.region is not None and min(pixels.region) < 2:
+        raise ValueError(
+            "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
+            f"got {format_size(pixels.region)}"
+        )
     given: dict[str, Any] = {"grid": args.grid} if args.grid else {}
     given |= {"window_us": args.window_us} if args.window_us else {}
     named = volume_of(args.volume)
@@ -209,17 +213,6 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     )
     check_network(settings.network, seen(data.config), everywhere=args.everywhere)
     return data, settings_for(data.config, len(data.training), **wanted)
-
-
-def _pixels_of(args: argparse.Namespace) -> PixelSelection:
-    """Which pixels of DATASET to train on."""
-    pixels = selection_of(args)
-    if pixels.region is not None and min(pixels.region) < 2:
-        raise ValueError(
-            "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
-            f"got {format_size(pixels.region)}"
-        )
-    return pixels
 
 
 def _other_motions(
