@@ -99,13 +99,15 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         note(line)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
     draw_pictures(args, data, run_folder / "pictures" / "pictures.png")
+    # as given, without paths; but --mask is kept, as it decides what is learned
+    command = command_words("async-tnt train", args, add_arguments, leave_out=("json", "restart"))
     fitted = fit(
         data,
         settings,
         run_folder,
         motions=_other_motions(args, data, settings, teachers, run_folder),
         teachers=teachers,
-        record={"command": _command(args)},
+        record={"command": command if args.mask is None else f"{command} --mask MASK"},
         progress=progress,
         report=_reporter(settings.n_epochs(len(data.training))),
     )
@@ -282,12 +284,6 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
         note(text)
 
     return report
-
-
-def _command(args: argparse.Namespace) -> str:
-    """The command as given, without paths; but --mask is kept, as it decides what is learned."""
-    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "restart"))
-    return words if args.mask is None else f"{words} --mask MASK"
 
 
 def _print_summary(
