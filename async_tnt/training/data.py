@@ -178,7 +178,16 @@ def dataset_data(
         record["held_out_in_time"] = [classes[k] for k in ended]
     left_out, tests, mask = [*dataset.left_out, *bad_pictures], {}, _masked(pixels, dataset)
     if test:
-        testing = _testing(folder, dataset, pixels, store, progress)
+        testing = read_dataset(
+            folder / "Test" if (folder / "Test").is_dir() else folder,
+            part="Test",
+            pixels=replace(pixels, sensor=dataset.camera),
+            sensor_source="the recordings to train on",
+            classes=classes,
+            known=dataset.known,
+            store=store,
+            progress=progress,
+        )
         tests["test"] = (windows_of(testing.recordings), {"left_out": list(testing.left_out)})
         left_out += [f"Test/{line}" for line in testing.left_out]
         notes += _notes(testing, "Test")
@@ -191,22 +200,6 @@ def _check_time_unit(training: Windows, config: TNTConfig) -> None:
     check = TimeUnitCheck(config)
     for i in range(len(training[:N_JUDGED])):
         check.add(len(training.events(i, config.window_us)[0]))
-
-
-def _testing(
-    folder: Path, dataset: Dataset, pixels: PixelSelection, store: Path | None, progress: Callable[..., Bar]
-) -> Dataset:
-    """The recordings for `Test`, seen as those to train on."""
-    return read_dataset(
-        folder / "Test" if (folder / "Test").is_dir() else folder,
-        part="Test",
-        pixels=replace(pixels, sensor=dataset.camera),
-        sensor_source="the recordings to train on",
-        classes=dataset.classes,
-        known=dataset.known,
-        store=store,
-        progress=progress,
-    )
 
 
 def _with_ends(
