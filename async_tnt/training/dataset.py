@@ -207,13 +207,18 @@ class _Reader:
             raise _LeftOut(f"{file.name}: {problem}")
 
     def _selected(self, file: LabelledRecording, events: np.ndarray) -> np.ndarray:
+        """What is seen of `events`, whose times are changed: in order, from the first on, without older ones."""
         keep, kept = self._filter, events
         if keep is not None:
             keep.reset()
             kept = keep(events)
-        seen = from_first_event(kept)
-        if len(seen) == 0:
+        if len(kept) == 0:
             raise _LeftOut(f"{file.name}: no events at the selected pixels")
+        kept["t"] -= kept["t"][0]
+        seen = kept
+        if (np.diff(kept["t"]) < 0).any():
+            seen = kept[kept["t"] >= 0]
+            seen = seen[np.argsort(seen["t"], kind="stable")]
         if seen["t"][-1] >= MAX_US:
             raise ValueError(
                 f"{file.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that training supports; "
@@ -231,17 +236,6 @@ def _times_of(file: LabelledRecording) -> str:
     if file.between_us is None or not (whole := open_recording(file.path)).n_events:
         return ""
     return f"; the file has {whole.earliest_us} to {whole.earliest_us + whole.duration_us} us"
-
-
-def from_first_event(events: np.ndarray) -> np.ndarray:
-    """Times from the first event on, in order, without older events. The times of `events` are changed in place."""
-    if len(events) == 0:
-        return events
-    events["t"] -= events["t"][0]
-    if (np.diff(events["t"]) < 0).any():
-        events = events[events["t"] >= 0]
-        events = events[np.argsort(events["t"], kind="stable")]
-    return events
 
 
 def fingerprint(events: np.ndarray) -> bytes:
