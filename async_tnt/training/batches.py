@@ -33,9 +33,7 @@ class BatchVolumes:
         if config.window_events is not None:
             raise ValueError(f"windows of a duration can be trained on, but not of {config.window_events} events")
         self.config = config
-        self._about = {"window": MEAN, "regressor": GIVEN}.get(config.landmark, OWN)
-        if config.transform == "none":
-            self._about = OWN
+        self._about = {"window": MEAN, "regressor": GIVEN}[config.landmark] if config.defers_landmark else OWN
         self._states: dict[tuple[int, int], np.ndarray] = {}
         self._scratch = empty_columns(1 << 12)[:4]
         self._out = np.empty((0, *config.shape), np.float32)
