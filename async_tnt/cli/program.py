@@ -55,7 +55,7 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         subparser = subparsers.add_parser(
             name,
             help=help_line,
-            description=getattr(module, "DESCRIPTION", None),
+            description=module.DESCRIPTION,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(subparser)

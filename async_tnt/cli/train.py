@@ -14,7 +14,7 @@ from async_tnt.cli.options import command_words, model_of, of_windows, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
-from async_tnt.cli.train_options import add_arguments
+from async_tnt.cli.train_options import DESCRIPTION, add_arguments
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.model import Model
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from async_tnt.training.moved_windows import Motions
     from async_tnt.training.settings import TrainSettings
 
-__all__ = ["add_arguments", "main"]
+__all__ = ["DESCRIPTION", "add_arguments", "main"]
 
 NUMBERS, CURVES = ".json", ".curves.png"
 """What is written beside the model."""

@@ -29,8 +29,7 @@ resumes from runs/gestures, and on the same machine ends with the same weights.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `async-tnt train` to its parser."""
-    parser.usage, parser.description = USAGE, DESCRIPTION
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.usage = USAGE
     parser.add_argument(
         "dataset",
         type=Path,
