@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--prefixes",
         default="8",
         metavar="N|all",
-        type=_prefixes,
+        type=lambda text: None if text == "all" else positive_int(text),
         help="prefixes of each window to compare with the reference (default: 8, evenly spread; all: minutes)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object with every comparison")
@@ -67,10 +67,6 @@ def main(args: argparse.Namespace) -> int:
     else:
         _print_table(results, equal=not failed)
     return 1 if failed else 0
-
-
-def _prefixes(text: str) -> int | None:
-    return None if text == "all" else positive_int(text)
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
