@@ -77,13 +77,11 @@ class PixelModel:
 
     def __post_init__(self) -> None:
         for name in ("threshold_on", "threshold_off"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= MIN_THRESHOLD):
-                raise ValueError(f"`{name}` must be finite and at least {MIN_THRESHOLD}, got {value}")
+            if not MIN_THRESHOLD <= getattr(self, name) < math.inf:
+                raise ValueError(f"`{name}` must be finite and at least {MIN_THRESHOLD}, got {getattr(self, name)}")
         for name in ("mismatch", "refractory_us", "noise_hz", "leak_hz", "hot_hz"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"`{name}` must be finite and at least 0, got {value}")
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"`{name}` must be finite and at least 0, got {getattr(self, name)}")
         for name in ("noise_on_share", "after_share", "hot_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"`{name}` must be in [0, 1], got {getattr(self, name)}")
