@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     samples = sample_recordings()
-    is_digit = args.file.isdigit() and int(args.file) in samples and not Path(args.file).exists()
+    is_digit = args.file.isdecimal() and int(args.file) in samples and not Path(args.file).exists()
     path = samples[int(args.file)] if is_digit else Path(args.file)
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)

@@ -196,10 +196,6 @@ def _affine(made: LayerList, call: Call, x: Any, factor: Any = None, shift: Any 
     return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
 
 
-def _pixel_shuffle(made: LayerList, call: Call) -> str:
-    return made.add("depth_to_space", call, block=call["upscale_factor"])
-
-
 def _cat(made: LayerList, call: Call) -> str:
     expect_form(call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),")
     expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
@@ -278,7 +274,9 @@ MUL, DIV = Operation(_mul, inputs=TWO), Operation(_div, {"rounding_mode": None},
 GELU = Operation(_gelu, {"approximate": "none"})
 RELU, SIGMOID, TANH, LOG1P = map(_function, ("relu", "sigmoid", "tanh", "log1p"))
 SILU, HARDSWISH, HARDSIGMOID = map(_function, ("silu", "hardswish", "hardsigmoid"))
-PIXEL_SHUFFLE = Operation(_pixel_shuffle, {"upscale_factor": None})
+PIXEL_SHUFFLE = Operation(
+    lambda made, call: made.add("depth_to_space", call, block=call["upscale_factor"]), {"upscale_factor": None}
+)
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
 FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1})
 VIEW = Operation(_view)
