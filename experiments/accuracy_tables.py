@@ -123,7 +123,7 @@ def _unseen(found: dict[str, Any]) -> str:
     """Means over seeds by what was trained on and tested in, with the range of several."""
     accuracy = found["accuracy"]
     tests = list(next(iter(accuracy.values())))
-    rows = [[mode, *(_with_range(found[test]["seeds"]) for test in tests)] for mode, found in accuracy.items()]
+    rows = [[mode, *(_with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()]
     if closed := share_closed(accuracy):
         rows.append(["*of the gap closed*", *(percent(closed[test]) if test in closed else "" for test in tests)])
     return table(["trained on", *(f"tested in {test}" for test in tests)], rows)
@@ -132,6 +132,7 @@ def _unseen(found: dict[str, Any]) -> str:
 unseen_hands = of_report("unseen_hands")(_unseen)
 unseen_saccades = of_report("unseen_saccades")(_unseen)
 unseen_volumes = of_report("unseen_volumes")(_unseen)
+unseen_whole = of_report("unseen_whole")(_unseen)
 
 
 def _with_range(values: list[float]) -> str:

@@ -3,15 +3,16 @@
     python -m experiments.found_paths [--nmnist N-MNIST] [--windows N] [--json FILE] [--quick]
 
 N-MNIST's three saccades, with all and with a fifth of their events, and thirds of saccades with a fifth, alone and with
-the windows beside them: right is within 45 degrees of the median of those at full rate. Made hand motion: within 45
-degrees of the direction of the swing. Noise is made here: uniform, all pixels flickering at once, of one polarity, in
-pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
+the windows beside them: right is within 45 degrees of the median of those at full rate. Made hand motion, also of
+objects that turn or come near meanwhile: within 45 degrees of the direction of the swing. Noise is made here: uniform,
+all pixels flickering at once, of one polarity, in pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,16 @@ from experiments.script_options import add_count, add_folder, exit_with, run_scr
 SIDE = 34
 RATES = 1.0, 0.2
 FEWEST, MOST = 50, 3_000
+FIRST, SECOND = made_hands.SESSIONS
+HANDS = {
+    "session 1": FIRST,
+    "session 2": SECOND,
+    "turning by 8°": replace(FIRST, turn_deg=8.0),
+    "turning by 16°": replace(FIRST, turn_deg=16.0),
+    "growing by 12 %": replace(FIRST, nearer=0.12),
+    "growing by 25 %": replace(FIRST, nearer=0.25),
+}
+"""Turning and growing in a swing: standard deviations."""
 PARTS = np.arange(1, 17) / 16
 """Of a window, at whose ends a path's places are looked at."""
 
@@ -95,9 +106,9 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
 
 
 def swings(n: int) -> dict[str, Any]:
-    """Made hand motion of both sessions, in all directions."""
+    """Made hand motion, in all directions."""
     rows = {}
-    for k, session in enumerate(made_hands.SESSIONS):
+    for k, (title, session) in enumerate(HANDS.items()):
         windows, angles = [], 2 * np.pi * np.arange(n) / n
         for i, angle in enumerate(angles):
             name = list(made_hands.SHAPES)[i % len(made_hands.SHAPES)]
@@ -105,7 +116,7 @@ def swings(n: int) -> dict[str, Any]:
             windows.append(_columns(made[c] for c in "txyp"))
         pixels = measure_pixels(windows, made_hands.SENSOR, made_hands.WINDOW_US)
         paths = paths_of(windows, made_hands.SENSOR, made_hands.WINDOW_US, pixels)
-        rows[f"hand motion, session {k + 1}"] = judged(paths, angles)
+        rows[f"hand motion, {title}"] = judged(paths, angles)
     return rows
 
 

@@ -28,8 +28,6 @@ STEPS = 50
 SWING_PX, SWING_MS = (2.0, 3.0), (75.0, 100.0)
 BACK = 0.3
 """Share of the recordings in which the hand turns round within the window."""
-TURN_DEG, NEARER = 1.0, 0.02
-"""Standard deviations of how far the object turns and grows in a swing."""
 SPREAD = np.radians(4.0)
 """Standard deviation of a swing's direction about the one that is asked for."""
 AFTER, AFTER_US, AFTER_OTHER = 0.2, 1_000, 0.8
@@ -49,6 +47,7 @@ class HandSession:
     noise_hz : events of noise a second, of each pixel.
     size : radius of the objects, in pixels.
     place : where they are from the middle of the sensor, in pixels.
+    turn_deg, nearer : standard deviations of how far they turn, and of the share by which they grow, in a swing.
     """
 
     threshold: float = 0.2
@@ -56,6 +55,8 @@ class HandSession:
     noise_hz: float = 0.03
     size: float = 17.0
     place: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 1.0
+    nearer: float = 0.02
 
 
 SESSIONS = HandSession(), HandSession(0.25, 0.18, 0.08, 15.0, (9.0, -6.0))
@@ -121,7 +122,7 @@ def record(name: str, direction: float, rng: np.random.Generator, session: HandS
     origin = np.array([width, height]) / 2 + session.place + rng.uniform(-4, 4, 2)
     size, posture = session.size * rng.uniform(0.85, 1.15), np.radians(rng.uniform(-4, 4))
     grey = -rng.uniform(0.4, 1.1)
-    turn, nearer = np.radians(TURN_DEG) * rng.standard_normal(), NEARER * rng.standard_normal()
+    turn, nearer = np.radians(session.turn_deg) * rng.standard_normal(), session.nearer * rng.standard_normal()
     slope = rng.uniform(-0.001, 0.001, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
     row, column = np.mgrid[:height, :width].astype(float)

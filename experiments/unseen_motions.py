@@ -1,11 +1,14 @@
 """Recognizing objects in motions that were not recorded: with and without motion re-synthesis.
 
-    python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST] [--json FILE]
+    python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST] [--mnist MNIST]
+                                         [--json FILE]
 
 hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128, made by a renderer
            and pixels of their own (`made_hands.py`); also tested in a second session
 saccades   N-MNIST's digits with a fifth of their events (`thinned_saccades.py`)
 volumes    the same, re-synthesized, with different volumes
+whole      all recordings of N-MNIST with all of their events, the first saccade re-synthesized; also tested in the 30
+           constant motions of N-MOVING-MNIST (*sim*, 3,000 images that no training recording shows)
 
 All training recordings move in one direction, to the right or as in the first saccade; they are tested in that and in
 others, and compared with training in all. The commands differ by one option:
@@ -30,8 +33,12 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt import load_model
+from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.sources.sensor import format_size
+from async_tnt.training.evaluation import class_probabilities
+from async_tnt.training.pipeline import pipeline_of
 from experiments import made_hands, thinned_saccades
 from experiments.bench_timing import machine
 from experiments.digits_data import CLASSES, SACCADE_US
@@ -44,10 +51,12 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
+from experiments.table_data import RealFolder, make_set, simulated_windows
 
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
 RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
-OF_NMNIST = "saccades", "volumes"
+OF_NMNIST = "saccades", "volumes", "whole"
+N_IMAGES = 3_000
 SETS = "hands", *OF_NMNIST
 MOVED = "--motions", "resynthesized"
 HARDLY = 0.03
@@ -67,23 +76,25 @@ class MadeSet:
     Parameters
     ----------
     write : of folder, number of recordings of each class, directions, and seed.
-    n_train, n_test : recordings of each class.
+    n_train, n_test : recordings of each class; None: all.
     modes : name -> directions to train on, and options of `train`.
     tests : name -> directions and how they are written.
+    simulated : of models, a folder and a number of images: accuracy of each in simulated motions; None: not asked.
     """
 
     classes: tuple[str, ...]
     sensor: tuple[int, int]
     window_us: int
     write: Callable[..., Path]
-    n_train: int
-    n_test: int
+    n_train: int | None
+    n_test: int | None
     modes: Mapping[str, tuple[tuple[float, ...], tuple[str, ...]]]
     tests: Mapping[str, tuple[tuple[float, ...], Callable[..., Path]]]
+    simulated: Callable[[list[Path], Path, int], list[float]] | None = None
 
 
-def sets(nmnist: Path | None) -> dict[str, MadeSet]:
-    """The sets; that of saccades needs the folder of N-MNIST."""
+def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
+    """The sets; those of saccades need the folder of N-MNIST, `whole` also that of MNIST."""
     hand, other_hand = (partial(made_hands.write, session=session) for session in made_hands.SESSIONS)
     made = {
         "hands": MadeSet(
@@ -118,6 +129,20 @@ def sets(nmnist: Path | None) -> dict[str, MadeSet]:
         )
         made["volumes"] = replace(
             made["saccades"], modes={name: ((0,), (*MOVED, *options)) for name, options in VOLUMES.items()}
+        )
+        made["whole"] = MadeSet(
+            CLASSES,
+            thinned_saccades.SENSOR,
+            SACCADE_US,
+            partial(learned, share=1.0),
+            None,
+            None,
+            {"resynthesized": ((0,), MOVED)},
+            {
+                "first saccade": ((0,), partial(tested, share=1.0)),
+                "all saccades": ((0, 1, 2), partial(tested, share=1.0)),
+            },
+            None if mnist is None else partial(_in_simulated_motions, nmnist=nmnist, mnist=mnist),
         )
     return made
 
@@ -155,11 +180,16 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
                     {test: command("evaluate", model, where, "--json")["accuracy"] for test, where in tests.items()}
                 )
                 bar.update()
+    if made.simulated is not None:
+        for mode, rows in results.items():
+            models = [out / f"{mode}{seed}.safetensors" for seed in range(seeds)]
+            for row, right in zip(rows, made.simulated(models, out / "sim", made.n_train or N_IMAGES), strict=True):
+                row["simulated motions"] = right
     return {
         "classes": made.classes,
         "recordings": {
-            "training": made.n_train * len(made.classes),
-            "test, each": made.n_test * len(made.classes),
+            "training": made.n_train and made.n_train * len(made.classes),
+            "test, each": made.n_test and made.n_test * len(made.classes),
         },
         "seeds": list(range(seeds)),
         "accuracy": {
@@ -169,6 +199,17 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
         "motions": [record for record in records if record],
         "machine": machine("torch"),
     }
+
+
+def _in_simulated_motions(models: list[Path], folder: Path, n_images: int, *, nmnist: Path, mnist: Path) -> list[float]:
+    """Accuracy of each model over the windows of *sim*."""
+    made = make_set("sim", mnist, folder, RealFolder(nmnist).read(), n_images, available_cores())
+    pipelines = [pipeline_of(load_model(path)) for path in models]
+    right: list[list[np.ndarray]] = [[] for _ in models]
+    for _, windows in simulated_windows(made):
+        for pipeline, found in zip(pipelines, right, strict=True):
+            found.append(class_probabilities(pipeline, windows).argmax(1) == windows.labels)
+    return [float(np.concatenate(found).mean()) for found in right]
 
 
 def command(*words: object) -> dict[str, Any]:
@@ -200,8 +241,10 @@ def main(argv: list[str] | None = None) -> int:
     add_count(parser, "--seeds", 5, "data and networks")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: unseen_SET)")
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test, for saccades (default: $TNT_DATA/nmnist)")
+    add_folder(parser, "--mnist", "of its four files, for whole (default: $TNT_DATA/mnist)")
     args = parser.parse_args(argv)
-    made = sets(data_folder(args.nmnist, "nmnist", "--nmnist") if args.set in OF_NMNIST else None)[args.set]
+    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist") if args.set in OF_NMNIST else None
+    made = sets(nmnist, data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None)[args.set]
     with TemporaryDirectory() as name:
         out = args.out or Path(name if args.quick else f"unseen_{args.set}")
         few = replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3")

@@ -125,6 +125,8 @@ def test_statements_of_the_results_page_hold():
     few = {name: tables.results(f"unseen_{name}")["accuracy"] for name in ("saccades", "hands")}
     closed = [f"{tables.share_closed(of)['other motions']:.2f}" for of in few.values()]
     assert closed == ["0.98", "0.84"]
+    whole = tables.results("unseen_whole")["accuracy"]["resynthesized"]
+    assert [round(whole[test]["mean"], 3) for test in ("all saccades", "simulated motions")] == [0.984, 0.985]
     (scenes,) = tables.results("everywhere")["models"]
     f1 = [
         scenes["three"]["end"],
