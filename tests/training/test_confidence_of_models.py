@@ -62,7 +62,7 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
                 processor = Processor(model, start_us=0)
                 t = np.sort(rng.integers(0, CONFIG.window_us - 1, rng.integers(150, 450)))
                 x, y, p = KINDS[kind](t / CONFIG.window_us, CONFIG.sensor[0], rng)
-                processor.push(on_sensor(t, x, y, p, CONFIG.sensor[0]))
+                processor.push(on_sensor(t, x, y, p, CONFIG.sensor))
                 decisions.append(processor.fire().probability >= 0.9)
             sure[kind, nothing] = np.mean(decisions)
     assert all(share <= 0.05 for (_, nothing), share in sure.items() if nothing), sure
