@@ -21,7 +21,7 @@ WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
 MAX_WINDOW_EVENTS = 1 << 30
 MAX_CELLS = 1 << 28
-"""Of a volume, float64: 2 GB. 1280 x 720 pixels with 128 bins have 2**27.8. A program may set
+"""Of a volume, float64: 2 GB. 1280 x 720 pixels with 256 bins have 2**27.8. A program may set
 `async_tnt.config.MAX_CELLS = 1 << 30`, before it makes or loads a configuration."""
 
 
@@ -95,7 +95,7 @@ class TNTConfig:
         for holds, rule, names in _RELATIONS:
             if not holds(self):
                 raise ValueError(f"{rule}, got {', '.join(f'{name}={getattr(self, name)!r}' for name in names)}")
-        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
+        cells = self.planes * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells > MAX_CELLS:
             raise ValueError(
                 f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a program may raise "
@@ -109,6 +109,11 @@ class TNTConfig:
     def channels(self) -> int:
         """C: B, or 2 B with `split` polarity."""
         return self.bins * (2 if self.polarity == "split" else 1)
+
+    @property
+    def planes(self) -> int:
+        """Bins that are kept, see `kernels.state`: C and those of an event's second numbers behind them."""
+        return self.channels + (self.channels if self.bins == 1 else 1)
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -214,7 +214,7 @@ class TNTVolume:
         try:
             buffer = self.state()
             if self._ints[S.N_LOG] > self._ints[S.N_READ]:
-                cells_to_float32(buffer, self._array, self.config.bins)
+                cells_to_float32(buffer, self._array)
             return self._view
         finally:
             self._running.now = False

@@ -39,9 +39,9 @@ def next_epoch() -> int:
 def new_state(config: TNTConfig) -> np.ndarray:
     """The buffer of a volume, its parameters set, no window open (see `kernels.state`)."""
     (sensor_w, sensor_h), (width, height) = config.sensor, config.grid
-    plane = 2 * (width + 1) * (height + 1)
-    n_cells = config.channels * plane
-    log_size = 1 << (max(S.BLOCK, n_cells // S.NUMBERS_PER_LOGGED) - 1).bit_length()
+    plane = (width + 1) * (height + 1)
+    n_cells = config.planes * plane
+    log_size = 1 << (max(S.BLOCK, n_cells // S.CELLS_PER_LOGGED) - 1).bit_length()
     buffer = np.zeros(S.CELLS + n_cells + log_size)
     ints = buffer.view(np.int64)
     raw = config.transform == "none"
@@ -60,7 +60,8 @@ def new_state(config: TNTConfig) -> np.ndarray:
     combine = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN, "time_surface": S.COMBINE_SURFACE}
     ints[S.COMBINE] = combine.get(config.representation, S.COMBINE_SUM)
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
-    ints[S.ROW] = 2 * (width + 1)
+    ints[S.ROW] = width + 1
+    ints[S.SECOND] = plane * (config.planes - config.channels)
     ints[S.PLANE] = plane
     ints[S.OFF_SHIFT] = plane * config.bins if config.polarity == "split" else 0
     ints[S.LOG] = S.CELLS + n_cells
@@ -148,7 +149,7 @@ class ReplayBuffer:
             set_duration(raw, config, _duration_us(buffer))
         empty_volume(raw, array, int(ints[S.START_US]), int(ints[S.LIMIT_US]), next_epoch())
         absorb(raw, *self._columns[:4], 0, _n_events(buffer))
-        cells_to_float32(raw, array, config.bins)
+        cells_to_float32(raw, array)
         array.flags.writeable = False
         return array
 

@@ -139,11 +139,12 @@ def _absorb_event(buffer, ints, t, x, y, p):
     _note_changed_bins(ints, grid, dt, dt)
     ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
     ints[S.N_LOG] += 1
+    row, second = np.uint64(ints[S.ROW]), np.uint64(ints[S.SECOND])
     if ints[S.COMBINE] == S.COMBINE_SUM:
-        add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, lower, upper)
+        add_event(buffer, np.uint64(corner), row, second, y_frac, x_frac, lower, upper)
     else:
         f = np.float64(dt) / buffer[S.WINDOW_US]
-        combine_time(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, f, ints[S.COMBINE])
+        combine_time(buffer, np.uint64(corner), row, second, y_frac, x_frac, f, ints[S.COMBINE])
 
 
 @inlined
@@ -217,9 +218,9 @@ def _splat(buffer, ints, m):
     corners = block_of(ints, S.CORNER)
     y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
     lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
-    row = np.uint64(ints[S.ROW])
+    row, second = np.uint64(ints[S.ROW]), np.uint64(ints[S.SECOND])
     for i in range(m):
-        add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], lowers[i], uppers[i])
+        add_event(buffer, np.uint64(corners[i]), row, second, y_fracs[i], x_fracs[i], lowers[i], uppers[i])
 
 
 @compiled
@@ -227,11 +228,11 @@ def _combine_times(buffer, ints, t, m):
     """`_splat` for images of times."""
     corners = block_of(ints, S.CORNER)
     y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
-    row, combine = np.uint64(ints[S.ROW]), ints[S.COMBINE]
+    row, second, combine = np.uint64(ints[S.ROW]), np.uint64(ints[S.SECOND]), ints[S.COMBINE]
     start_us, window_us = ints[S.START_US], buffer[S.WINDOW_US]
     for i in range(m):
         f = np.float64(t[i] - start_us) / window_us
-        combine_time(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], f, combine)
+        combine_time(buffer, np.uint64(corners[i]), row, second, y_fracs[i], x_fracs[i], f, combine)
 
 
 @inlined

@@ -33,7 +33,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (absorb_without_gil, (_STATE, *COLUMN_TYPES, int64, int64)),
         (absorb_one, (_STATE, int64, int64, int64, int64)),
         (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64)),
-        (cells_to_float32, (_STATE, _ARRAY, int64)),
+        (cells_to_float32, (_STATE, _ARRAY)),
         (schedule, (_TRIGGER, int64, int64)),
         (until_due, (_TRIGGER, int64, int64, int64)),
         (why_due, (_TRIGGER, int64, int64)),

@@ -173,27 +173,27 @@ def count_bits(typingctx: Any, word: types.Type) -> Any:
 
 
 @inlined
-def add_f64x2_plain(cells, index, lower, upper, weight):
-    """cells[index] += lower * weight; cells[index + 1] += upper * weight
+def add_f64x2_plain(cells, index, first, second, factor):
+    """cells[index] += first * factor; cells[index + 1] += second * factor
 
     Parameters
     ----------
     cells : float64. Updated in place.
     index : uint64.
-    lower, upper, weight : float64.
+    first, second, factor : float64.
     """
-    cells[index] += lower * weight
-    cells[index + np.uint64(1)] += upper * weight
+    cells[index] += first * factor
+    cells[index + np.uint64(1)] += second * factor
 
 
 @vectorized(add_f64x2_plain)
-def add_f64x2(simd, cells, index, lower, upper, weight):
+def add_f64x2(simd, cells, index, first, second, factor):
     builder, pair = simd.builder, ir.VectorType(ir.DoubleType(), 2)
     place = [ir.Constant(ir.IntType(32), k) for k in range(2)]
 
-    def pack(first: ir.Value, second: ir.Value) -> ir.Value:
-        half = builder.insert_element(ir.Constant(pair, ir.Undefined), first, place[0])
-        return builder.insert_element(half, second, place[1])
+    def pack(one: ir.Value, other: ir.Value) -> ir.Value:
+        half = builder.insert_element(ir.Constant(pair, ir.Undefined), one, place[0])
+        return builder.insert_element(half, other, place[1])
 
-    added = builder.fmul(pack(lower, upper), pack(weight, weight))
+    added = builder.fmul(pack(first, second), pack(factor, factor))
     simd.store(builder.fadd(simd.load(cells, index, pair), added), cells, index)

@@ -87,35 +87,34 @@ def place_event(grid, dt, on, num_x, num_y, den):
     shift = 0.0 if on else grid.off_shift
     upper = sign * (b - b_floor)
     # one conversion: all are whole numbers below 2**31, exact in float64
-    corner = S.CELLS + np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor * 2.0 + shift)
+    corner = S.CELLS + np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor + shift)
     return corner, v - v_floor, u - u_floor, sign - upper, upper, keep
 
 
 @inlined
-def add_event(buffer, corner, row, y_frac, x_frac, lower, upper):
-    """Add one placed event to four cells, 2 x 2 neighbours, each of which is a pair (lower, upper); see `state`.
+def add_event(buffer, corner, row, second, y_frac, x_frac, lower, upper):
+    """Add one placed event to eight cells, 2 x 2 neighbours in each of two bins; see `state`.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
     corner : uint64, which spares Numba's test for a negative index; not checked here.
-    row : uint64. Distance to the next row.
+    row, second : uint64. Distances to the next row and to the event's second bin.
     y_frac, x_frac, lower, upper : as `place_event` returns them.
     """
-    two = np.uint64(2)
     w11 = y_frac * x_frac
     w10 = y_frac - w11  # y_frac (1 - x_frac)
     w01 = x_frac - w11  # (1 - y_frac) x_frac
     w00 = 1.0 - x_frac - w10  # (1 - y_frac) (1 - x_frac)
-    add_f64x2(buffer, corner, lower, upper, w00)
-    add_f64x2(buffer, corner + two, lower, upper, w01)
-    corner += row
-    add_f64x2(buffer, corner, lower, upper, w10)
-    add_f64x2(buffer, corner + two, lower, upper, w11)
+    add_f64x2(buffer, corner, w00, w01, lower)
+    add_f64x2(buffer, corner + row, w10, w11, lower)
+    corner += second
+    add_f64x2(buffer, corner, w00, w01, upper)
+    add_f64x2(buffer, corner + row, w10, w11, upper)
 
 
 @inlined
-def combine_time(buffer, corner, row, y_frac, x_frac, f, combine):
+def combine_time(buffer, corner, row, second, y_frac, x_frac, f, combine):
     """`add_event` for images of times, f in [0, 1] of the window. With the weight w of each of the four cells:
 
         newest   count += w,  time = max(time, f)
@@ -132,16 +131,16 @@ def combine_time(buffer, corner, row, y_frac, x_frac, f, combine):
     w10 = y_frac - w11
     w01 = x_frac - w11
     w00 = 1.0 - x_frac - w10
-    two = np.uint64(2)
-    for cell, w in ((corner, w00), (corner + two, w01), (corner + row, w10), (corner + row + two, w11)):
+    one = np.uint64(1)
+    for cell, w in ((corner, w00), (corner + one, w01), (corner + row, w10), (corner + row + one, w11)):
         if w < WEIGHT_TOLERANCE:
             continue
         if combine == S.COMBINE_NEWEST:
             buffer[cell] += w
-            buffer[cell + np.uint64(1)] = max(buffer[cell + np.uint64(1)], f)
+            buffer[cell + second] = max(buffer[cell + second], f)
             continue
-        buffer[cell + np.uint64(1)] += w
+        buffer[cell + second] += w
         if combine == S.COMBINE_SURFACE:
             buffer[cell] = max(buffer[cell], np.exp(SURFACE_DECAY * (f - 1.0)))
         else:
-            buffer[cell] += (f - buffer[cell]) * w / buffer[cell + np.uint64(1)]
+            buffer[cell] += (f - buffer[cell]) * w / buffer[cell + second]

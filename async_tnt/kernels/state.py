@@ -6,19 +6,17 @@ ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot 
 
     buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 
-Cells, shape (B, H + 1, W + 1, 2), with `split` polarity twice, for ON and for OFF: an event between bins b and b + 1,
-in interval b, adds to both, and the two sums lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1).
-So a cell is a pair of numbers, and an event adds to 2 x 2 cells, which are eight numbers of the volume. The last
-interval, B - 1, holds only events at the last bin itself. (Of an image of times, see COMBINE.) Time passes one interval
-after the other, so an interval's cells stay in the first-level cache while its events arrive. One row and one column
-more than the grid spare every event a test at the border: its weight there is zero. They are float64, because a volume
-is promised to 1e-6 of its largest number even after thousands of opposite events cancelled in it, which float32 sums
-would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
+Cells lie as the volume does, [bin, y, x], with `split` polarity the OFF bins behind the ON bins. An event between the
+bins b and b + 1, in interval b, adds to 2 x 2 cells of each. Time passes one interval after the other, so an interval's
+cells stay in the first-level cache while its events arrive. One row, one column and one bin more than the volume has
+spare every event a test at the border: its weight there is zero. Cells are float64, because a volume is promised to
+1e-6 of its largest number even after thousands of opposite events cancelled in it, which float32 sums would lose;
+`readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
-The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and
-emptying a large volume cost what changed in it and not its size. Beyond that length, following
-the log would cost more than reading all cells. A reader of the cells keeps the number of corners it has
-seen, and the EPOCH of the window it counted in: a number that is unique within the process.
+The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and emptying a
+large volume cost what changed in it and not its size. Beyond that length, following the log would cost more than
+reading all cells. A reader of the cells keeps the number of corners it has seen, and the EPOCH of the window it counted
+in: a number that is unique within the process.
 """
 
 # buffer: parameters of the volume
@@ -42,9 +40,9 @@ C_FF = 14
 MODE = 16  # one of the MODE_ numbers
 SENSOR_W = 17
 SENSOR_H = 18
-ROW = 19  # numbers in a row of cells: 2 (W + 1)
-PLANE = 20  # numbers in an interval: 2 (H + 1) (W + 1)
-OFF_SHIFT = 21  # numbers between an ON cell and its OFF cell ("split"), else 0
+ROW = 19  # cells in a row: W + 1
+PLANE = 20  # cells of a bin: (H + 1) (W + 1)
+OFF_SHIFT = 21  # from an ON cell to its OFF cell ("split"), else 0
 LOG = 22  # where the log begins
 LOG_SIZE = 23  # a power of two, at least BLOCK
 # ints: the open window
@@ -69,8 +67,9 @@ INTERVAL_HI = 39
 # ints: windows that were closed before their end
 DECIDED_FROM_US = 40  # where the windows before the open one that were closed early begin; NEVER_US: there are none
 DECIDED = 41  # dropped since the volume was made: late events at or after that time
-# ints: one more parameter
+# ints: more parameters
 COMBINE = 42  # one of the COMBINE_ numbers
+SECOND = 43  # from the first of an event's bins to its second one
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (27 kB) and an interval's cells fit in the first-level cache
@@ -92,9 +91,9 @@ MODE_RUNNING = 2
 MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4
 
-# what an event does to a cell, a pair of numbers (COMBINE). An image is read like a volume of B bins: its bin 0 is the
-# first number of the cells of interval 0; bin 1, which only `count_time` has, is the second one.
-COMBINE_SUM = 0  # the volume, or an image of counts: add its weights to (lower, upper)
+# what an event does to the cells of its two bins (COMBINE). An image has two numbers of each pixel: the first is its
+# bin 0; the second is bin 1 of `count_time`, and of other images lies behind all bins that are read.
+COMBINE_SUM = 0  # the volume, or an image of counts: add its two weights
 COMBINE_NEWEST = 1  # (count, time of the newest event)
 COMBINE_MEAN = 2  # (mean time, count)
 COMBINE_SURFACE = 3  # (surface of the newest event, count)
@@ -102,6 +101,4 @@ COMBINE_SURFACE = 3  # (surface of the newest event, count)
 NO_INTERVAL = 1 << 30
 NEVER_US = 1 << 62
 UNREAD = -(1 << 40)  # N_READ of an array that must be read whole
-# Going to one logged event's cells, which lie scattered in memory, costs as much as reading this many numbers in order:
-NUMBERS_PER_LOGGED = 32  # at a read
-NUMBERS_PER_EMPTIED = 100  # when a window is emptied
+CELLS_PER_LOGGED = 100  # one logged event's cells, scattered in memory, cost as much as this many cells in order

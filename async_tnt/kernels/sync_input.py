@@ -11,20 +11,17 @@ from . import program as P
 from . import state as S
 from .changes import WORDS, add_changes, forget_changes, note_changes, note_rows
 from .jit import compiled, inlined
-from .readout import cell_at, cell_value, parts_of, strides_of
+from .readout import cell_at
 from .simd import count_bits, trailing_zeros, vectorized
-
-NUMBERS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much as this many numbers in order
 
 
 @compiled
 def sync_input(buffer, program, maps, places):
     """Copy a volume to the input, from its cells, and note which places differ.
 
-        input[y, x, c] = cells[c, y, x, 0] + cells[c - 1, y, x, 1], rounded to float32 as in `readout`, and never -0
+        input[y, x, c] = cells[c, y, x], rounded to float32 as in `readout`, and never -0
 
-    without the second part for the first bin of each polarity. The planes (C, H, W) hold the same numbers: cells can be
-    compared with these in vector registers.
+    The planes (C, H, W) hold the same numbers: cells can be compared with these in vector registers.
 
     Parameters
     ----------
@@ -35,7 +32,7 @@ def sync_input(buffer, program, maps, places):
     forget_changes(program, P.INPUT_CHANGED, bits)
     n_new = ints[S.N_LOG] - program[P.N_SEEN]
     n_numbers = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
-    if n_new <= ints[S.LOG_SIZE] and n_new * NUMBERS_PER_LOGGED <= n_numbers:
+    if n_new * S.CELLS_PER_LOGGED <= n_numbers:
         _sync_corners(buffer, ints, program, maps, bits)
     else:
         _sync_all(buffer, ints, program, maps, bits)
@@ -86,16 +83,15 @@ def _copy_row(program, maps, y):
 def _sync_corners(buffer, ints, program, maps, bits):
     """The numbers that the events since the last call changed, eight each."""
     n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
-    strides = strides_of(ints)
     changed, words = program[P.INPUT_CHANGED], program[P.INPUT_CHANGED + WORDS]
     for k in range(program[P.N_SEEN], ints[S.N_LOG]):
-        c0, y0, x0 = cell_at(strides, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))])
+        c0, y0, x0 = cell_at(ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))])
         for c in range(c0, min(c0 + 2, n_channels)):
             for y in range(y0, min(y0 + 2, height)):
-                lower, upper, is_first = parts_of(strides, c, y, x0)
+                source = np.uint64(S.CELLS + c * ints[S.PLANE] + y * ints[S.ROW])
                 plane = program[P.PLANES] + (c * height + y) * width
                 for x in range(x0, min(x0 + 2, width)):
-                    value = np.float32(cell_value(buffer, lower, upper, is_first, x - x0)) + np.float32(0)
+                    value = np.float32(buffer[source + np.uint64(x)]) + np.float32(0)
                     if maps[np.uint64(plane + x)] != value:
                         maps[np.uint64(plane + x)] = value
                         maps[np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels + c)] = value
@@ -107,21 +103,19 @@ def _sync_corners(buffer, ints, program, maps, bits):
 def _sync_all(buffer, ints, program, maps, bits):
     """All cells, row by row of the image."""
     n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
-    strides = strides_of(ints)
     changed, words = program[P.INPUT_CHANGED], program[P.INPUT_CHANGED + WORDS]
     note_rows(program, P.INPUT_CHANGED, 0, height - 1)
     for y in range(height):
         row = changed + y * words
         for c in range(n_channels):
             at = program[P.PLANES] + (c * height + y) * width
-            lower, upper, is_first = parts_of(strides, c, y, 0)
-            upper = lower if is_first else upper
+            cells = S.CELLS + c * ints[S.PLANE] + y * ints[S.ROW]
             if width < 8:
-                note_changes(bits, row, 0, round_cells(buffer, lower, upper, width, maps, at))
+                note_changes(bits, row, 0, round_cells(buffer, cells, width, maps, at))
             else:
                 for k in range(0, width, 8):
                     x = min(k, width - 8)  # the last eight overlap those before: they do not differ twice
-                    note_changes(bits, row, x, round_eight(buffer, lower + 2 * x, upper + 2 * x, maps, at + x))
+                    note_changes(bits, row, x, round_eight(buffer, cells + x, maps, at + x))
         n_changed = 0
         for word in range(words):
             n_changed += count_bits(bits[np.uint64(row + word)])
@@ -136,13 +130,13 @@ def _sync_all(buffer, ints, program, maps, bits):
 
 
 @inlined
-def round_cells(buffer, lower, upper, n, maps, at):
+def round_cells(buffer, cells, n, maps, at):
     """Neighbouring cells of a row, rounded to float32 and compared with the input.
 
     Parameters
     ----------
     buffer : float64, a volume's `state`.
-    lower, upper : int. The `parts_of` the first cell; of a first bin, the lower one twice.
+    cells : int. Where in it the first of them lies.
     maps : float32. Values from `at` on are updated in place.
 
     Returns
@@ -151,32 +145,23 @@ def round_cells(buffer, lower, upper, n, maps, at):
     """
     changed = np.uint64(0)
     for x in range(n):
-        value = np.float32(cell_value(buffer, lower, upper, lower == upper, x)) + np.float32(0)  # 0 where it is -0
+        value = np.float32(buffer[np.uint64(cells + x)]) + np.float32(0)  # 0 where it is -0
         changed |= np.uint64(maps[at + x] != value) << np.uint64(x)
         maps[at + x] = value
     return changed
 
 
 @inlined
-def round_eight_plain(buffer, lower, upper, maps, at):
-    """`round_cells` of eight. LLVM's own vector code for it is three times slower: it needs every other number."""
-    return round_cells(buffer, lower, upper, 8, maps, at)
+def round_eight_plain(buffer, cells, maps, at):
+    """`round_cells` of eight."""
+    return round_cells(buffer, cells, 8, maps, at)
 
 
 @vectorized(round_eight_plain, returns=types.uint64)
-def round_eight(simd, buffer, lower, upper, maps, at):
+def round_eight(simd, buffer, cells, maps, at):
     builder = simd.builder
     singles, doubles = ir.VectorType(ir.FloatType(), 8), ir.VectorType(ir.DoubleType(), 8)
-    pairs = ir.VectorType(ir.DoubleType(), 16)
-
-    def every_other(index):
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), 8), list(range(0, 16, 2)))
-        return builder.shuffle_vector(simd.load(buffer, index, pairs), ir.Constant(pairs, ir.Undefined), mask)
-
-    # a select, not a branch: an unused read at `lower` is in the cache already
-    is_first = builder.icmp_signed("==", upper, lower)
-    uppers = builder.select(is_first, ir.Constant(doubles, [0.0] * 8), every_other(upper))
-    value = builder.fptrunc(builder.fadd(every_other(lower), uppers), singles)
+    value = builder.fptrunc(simd.load(buffer, cells, doubles), singles)
     value = builder.fadd(value, ir.Constant(singles, [0.0] * 8))
     differs = builder.fcmp_unordered("!=", simd.load(maps, at, singles), value)
     simd.store(value, maps, at)

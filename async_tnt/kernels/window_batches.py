@@ -16,7 +16,7 @@ from . import state as S
 from .absorb import absorb
 from .jit import compiled, inlined
 from .landmark import displace_fixed
-from .readout import cell_at, cells_to_float32, empty_volume, strides_of
+from .readout import cell_at, cells_to_float32, empty_volume, mark_unread
 from .splat import grid_of, place_event
 
 SHOWN, SCATTERED, ONE_POLARITY, HOT_PIXELS, PATCH, EDGE = range(6)
@@ -26,7 +26,7 @@ OWN, MEAN, GIVEN = 0, 1, 2
 
 
 @compiled
-def window_volumes(buffer, scratch, columns, windows, about, landmarks, n_bins, out):
+def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
     """The volume of each window into `out`.
 
     Parameters
@@ -34,7 +34,6 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, n_bins, 
     buffer, scratch, columns, windows : see above.
     about : OWN, MEAN or GIVEN.
     landmarks : float64, (N, 2). Each window's landmark in sensor pixels, where they are given.
-    n_bins : B.
     out : float32, (N, C, H, W). Updated in place.
     """
     ints = buffer.view(np.int64)
@@ -43,9 +42,7 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, n_bins, 
     for i in range(out.shape[0]):
         n = _select_events(ints, scratch, columns, windows, i)
         empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # the epoch is not read
-        ints[S.N_READ] = S.UNREAD  # every volume goes to another array, whole
-        ints[S.INTERVAL_LO] = 0
-        ints[S.INTERVAL_HI] = n_bins - 1
+        mark_unread(ints)  # every volume goes to another array
         if about == GIVEN:
             buffer[S.FIXED_X] = landmarks[i, 0]
             buffer[S.FIXED_Y] = landmarks[i, 1]
@@ -58,7 +55,7 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, n_bins, 
             buffer[S.FIXED_X] = sum_x / n
             buffer[S.FIXED_Y] = sum_y / n
         absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n)
-        cells_to_float32(buffer, out[i], n_bins)
+        cells_to_float32(buffer, out[i])
 
 
 @compiled
@@ -82,7 +79,7 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
     """
     ints = buffer.view(np.int64)
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
-    start_us, strides = windows[2], strides_of(ints)
+    start_us = windows[2]
     per_time = buffer[S.SCALE_X] * (ints[S.SENSOR_W] - 1) / buffer[S.MAX_U]  # window_us / t_max
     for i in range(out.shape[0]):
         n = _select_events(ints, scratch, columns, windows, i)
@@ -97,7 +94,7 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
             corner, y_frac, x_frac, lower, upper, kept = place_event(grid, dt, scratch_p[k] > 0, num_x, num_y, den)
             if not kept:
                 continue
-            b, y, x = cell_at(strides, np.int64(corner))
+            b, y, x = cell_at(ints, np.int64(corner))
             d_u = 0.0
             d_v = 0.0
             for is_upper in range(2):

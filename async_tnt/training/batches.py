@@ -58,9 +58,7 @@ class BatchVolumes:
         if n > len(self._out):
             self._out = np.empty((n, *self.config.shape), np.float32)
         out = self._out[:n]
-        window_volumes(
-            *self._arguments(windows, draws), self._about, self._to_sensor(landmarks, n, draws), self.config.bins, out
-        )
+        window_volumes(*self._arguments(windows, draws), self._about, self._to_sensor(landmarks, n, draws), out)
         return out
 
     def landmark_gradient(

@@ -21,7 +21,6 @@ from tnt_reference import LayerNetwork
 from async_tnt import CompiledClassifier, CompiledRegressor, Processor, TNTConfig, TNTVolume, volume_state
 from async_tnt.kernels import program as P
 from async_tnt.kernels import state as S
-from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
 
 DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
 
@@ -122,7 +121,7 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
 # -- the log, a ring of the newest events' places ----------------------------------------------------------------
 
 
-LONG_LOG = Network((34, 34), 9, (3, 5, 7), 3, polarity="split")
+LONG_LOG = Network((34, 34), 24, (3, 5, 7), 3, polarity="split")
 
 
 @pytest.mark.parametrize("network", [NETWORKS[0], NETWORKS[2], LONG_LOG], ids=str)
@@ -130,8 +129,8 @@ LONG_LOG = Network((34, 34), 9, (3, 5, 7), 3, polarity="split")
 def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, more):
     """So many that they cross the ring's end several times, each time elsewhere, in one window."""
     log = int(network.volume().buffer.view(np.int64)[S.LOG_SIZE])
-    n = max(int(np.prod(network.config.shape)) // NUMBERS_PER_LOGGED, 1)
-    assert n < log == (2048 if network is LONG_LOG else 512)
+    n = max(int(np.prod(network.config.shape)) // S.CELLS_PER_LOGGED, 1)
+    assert n < log == (1024 if network is LONG_LOG else 512)
     long = [log + more] * 4 + [1] * 5 + [2 * log + more] * 2 + [20 * log, 1, n, 1, 2]
     for sizes in (long, [max(n + more, 1)] * (3 * log // n)):
         sensor = network.config.sensor

@@ -63,7 +63,7 @@ WRONG = [
         )
         for landmark, transform in (("center", "tnt"), ("line", "none"))
     ],
-    ({"grid": (1023, 1023), "bins": 65, "polarity": "split"}, ValueError, CELLS.format(260 << 20)),
+    ({"grid": (1023, 1023), "bins": 128, "polarity": "split"}, ValueError, CELLS.format(257 << 20)),
 ]
 
 
@@ -79,9 +79,9 @@ def test_the_limits_themselves_are_allowed_and_a_program_may_raise_that_of_cells
     assert TNTConfig(sensor=(2, 32768), grid=(2, 32768)).shape == (9, 32768, 2)
     assert TNTConfig(bins=1).shape == (1, 34, 34)
     assert TNTConfig(window_us=1, t_max=1e-6) != TNTConfig(window_us=3600 * 10**6, t_max=1e6)
-    assert TNTConfig(grid=(1023, 1023), bins=128).channels == 128  # 2**28 cells
+    assert TNTConfig(grid=(1023, 1023), bins=255).channels == 255  # 2**28 cells
     monkeypatch.setattr("async_tnt.config.MAX_CELLS", 1 << 30)
-    assert TNTConfig(grid=(1023, 1023), bins=512).channels == 512
+    assert TNTConfig(grid=(1023, 1023), bins=1023).channels == 1023
 
 
 def test_defaults_that_depend_on_the_representation_and_the_windows():
