@@ -53,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     if not is_live(args.source):
         raise ValueError(f"SOURCE must be a camera or udp://HOST:PORT, got {args.source}")
+    if args.sensor and args.source.startswith("camera"):
+        raise ValueError("--sensor belongs to a network stream; a camera states its own")
     if args.label in ("", ".", "..") or Path(args.label).name != args.label or args.label.startswith("."):
         raise ValueError(f"--class must be the name of a folder, got {args.label!r}")
     if args.seconds is not None and not 0 < args.seconds < threading.TIMEOUT_MAX:

@@ -133,6 +133,7 @@ def test_on_a_full_disk_all_whole_events_are_kept(n, room, program, tmp_path, mo
         (["a.bin", "--class", "x"], "SOURCE must be a camera or udp://HOST:PORT, got a.bin"),
         (["udp://127.0.0.1:PORT", "--class", "../x"], "--class must be the name of a folder, got '../x'"),
         (["udp://127.0.0.1:PORT", "--class", "x"], "does not state its sensor; give --sensor WxH"),
+        (["camera", "--class", "x", "--sensor", "4x4"], "--sensor belongs to a network stream"),
         (["udp://127.0.0.1:PORT", "--class", "x", "--seconds", "0"], "--seconds must be a positive number, got 0.0"),
         (["udp://127.0.0.1:PORT", "--class", "x", "--sensor", "20000x9"], "DAT files hold 16384 pixels a side"),
         (
