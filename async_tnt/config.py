@@ -95,7 +95,7 @@ class TNTConfig:
         for holds, rule, names in _RELATIONS:
             if not holds(self):
                 raise ValueError(f"{rule}, got {', '.join(f'{name}={getattr(self, name)!r}' for name in names)}")
-        cells = self.planes * (self.grid[0] + 1) * (self.grid[1] + 1)
+        cells = (self.channels + second_bin(self)) * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells > MAX_CELLS:
             raise ValueError(
                 f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a program may raise "
@@ -109,11 +109,6 @@ class TNTConfig:
     def channels(self) -> int:
         """C: B, or 2 B with `split` polarity."""
         return self.bins * (2 if self.polarity == "split" else 1)
-
-    @property
-    def planes(self) -> int:
-        """Bins that are kept, see `kernels.state`: C and those of an event's second numbers behind them."""
-        return self.channels + (self.channels if self.bins == 1 else 1)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -177,6 +172,12 @@ class TNTConfig:
         return replace(self, **changes)
 
 
+def second_bin(config: TNTConfig) -> int:
+    """Planes of cells from an event's first bin to its second, see `kernels.state`; so many lie behind those that are
+    read."""
+    return config.channels if config.bins == 1 else 1
+
+
 # -- the constraints: of each field, and between fields ----------------------------------------------------
 
 
@@ -233,6 +234,7 @@ _FIELDS: dict[str, Callable[[str, Any], object]] = {
     "representation": _one_of(REPRESENTATIONS),
 }
 """Name -> check(name, value), which returns the value as it is kept."""
+
 
 _RELATIONS: tuple[tuple[Callable[[TNTConfig], bool], str, tuple[str, ...]], ...] = (
     (

@@ -207,8 +207,8 @@ class TNTVolume:
     def array(self) -> np.ndarray:
         """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
 
-        A read-only view of the same memory each time, updated by each access to this property and by nothing else.
-        Copy it to keep it.
+        A read-only view of the same memory each time, brought up to date by each access to this property; a new window
+        may empty it. Copy it to keep it.
         """
         self._running.begin()
         try:

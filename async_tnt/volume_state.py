@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.checks import Running, one_at_a_time, short
-from async_tnt.config import TNTConfig
+from async_tnt.config import TNTConfig, second_bin
 from async_tnt.events import Columns, empty_columns
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb, store_events
@@ -40,7 +40,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     """The buffer of a volume, its parameters set, no window open (see `kernels.state`)."""
     (sensor_w, sensor_h), (width, height) = config.sensor, config.grid
     plane = (width + 1) * (height + 1)
-    n_cells = config.planes * plane
+    n_cells = (config.channels + second_bin(config)) * plane
     log_size = 1 << (max(S.BLOCK, n_cells // S.CELLS_PER_LOGGED) - 1).bit_length()
     buffer = np.zeros(S.CELLS + n_cells + log_size)
     ints = buffer.view(np.int64)
@@ -61,7 +61,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.COMBINE] = combine.get(config.representation, S.COMBINE_SUM)
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
     ints[S.ROW] = width + 1
-    ints[S.SECOND] = plane * (config.planes - config.channels)
+    ints[S.SECOND] = plane * second_bin(config)
     ints[S.PLANE] = plane
     ints[S.OFF_SHIFT] = plane * config.bins if config.polarity == "split" else 0
     ints[S.LOG] = S.CELLS + n_cells
@@ -75,7 +75,10 @@ def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
     gain_x, gain_y = config.to_grid(1.0, 1.0)
     per_tau_us = 1.0 if config.transform == "none" else window_us / config.t_max
     buffer[S.WINDOW_US] = window_us
-    buffer[S.BIN_SCALE] = (config.bins - 1) / window_us if config.representation == "volume" else 0.0
+    scale = (config.bins - 1) / window_us if config.representation == "volume" else 0.0
+    if window_us * scale > config.bins - 1:  # rounded up: an event at the end would be beyond the last bin
+        scale = math.nextafter(scale, 0.0)
+    buffer[S.BIN_SCALE] = scale
     buffer[S.SCALE_X] = gain_x * per_tau_us
     buffer[S.SCALE_Y] = gain_y * per_tau_us
 

@@ -80,6 +80,12 @@ def cell_at(ints, corner):
 
 
 @inlined
+def row_at(ints, b, y):
+    """Index of the first cell of a row."""
+    return S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW]
+
+
+@inlined
 def mark_unread(ints):
     """Let the next read copy all cells, whatever the array shows."""
     ints[S.N_READ] = S.UNREAD
@@ -100,21 +106,21 @@ def _copy_planes(buffer, ints, array):
     n_channels, height, width = array.shape
     n_bins = ints[S.OFF_SHIFT] // ints[S.PLANE] or n_channels
     for b in range(n_channels):
-        if b % n_bins < ints[S.INTERVAL_LO] or b % n_bins > ints[S.INTERVAL_HI] + 1:
+        if not ints[S.INTERVAL_LO] <= b % n_bins <= ints[S.INTERVAL_HI] + 1:
             continue
         for y in range(height):
-            at = np.uint64(S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW])
+            at = np.uint64(row_at(ints, b, y))
             for x in range(width):
                 array[b, y, x] = buffer[at + np.uint64(x)]
 
 
 @inlined
 def _copy_around(buffer, ints, corner, array):
-    """`cells_to_float32` for the eight numbers that an event at this corner changed."""
+    """`cells_to_float32` for the cells that an event at this corner changed."""
     n_channels, height, width = array.shape
     b0, y0, x0 = cell_at(ints, corner)
     for b in range(b0, min(b0 + 2, n_channels)):
         for y in range(y0, min(y0 + 2, height)):
-            at = np.uint64(S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW] + x0)
-            for k in range(min(2, width - x0)):
-                array[np.uint64(b), np.uint64(y), np.uint64(x0 + k)] = buffer[at + np.uint64(k)]
+            at = np.uint64(row_at(ints, b, y))
+            for x in range(x0, min(x0 + 2, width)):
+                array[np.uint64(b), np.uint64(y), np.uint64(x)] = buffer[at + np.uint64(x)]

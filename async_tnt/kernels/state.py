@@ -9,9 +9,10 @@ ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot 
 Cells lie as the volume does, [bin, y, x], with `split` polarity the OFF bins behind the ON bins. An event between the
 bins b and b + 1, in interval b, adds to 2 x 2 cells of each. Time passes one interval after the other, so an interval's
 cells stay in the first-level cache while its events arrive. One row, one column and one bin more than the volume has
-spare every event a test at the border: its weight there is zero. Cells are float64, because a volume is promised to
-1e-6 of its largest number even after thousands of opposite events cancelled in it, which float32 sums would lose;
-`readout.cells_to_float32` rounds to float32 once, when the volume is read.
+spare every event a test at the border: its weight there is zero, as is that of an ON event at the end of the last bin
+in the first OFF bin. (Where there is one bin, as many as are read lie behind them: see COMBINE.) Cells are float64,
+because a volume is promised to 1e-6 of its largest number even after thousands of opposite events cancelled in it,
+which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and emptying a
 large volume cost what changed in it and not its size. Beyond that length, following the log would cost more than
@@ -72,7 +73,7 @@ COMBINE = 42  # one of the COMBINE_ numbers
 SECOND = 43  # from the first of an event's bins to its second one
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
-BLOCK = 336  # so that all rows together (27 kB) and an interval's cells fit in the first-level cache
+BLOCK = 336  # so that all rows together (24 kB) and an interval's cells fit in the first-level cache
 NUM_X = 48  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK

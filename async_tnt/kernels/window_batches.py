@@ -41,8 +41,8 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
     start_us, limit_us = windows[2], windows[3]
     for i in range(out.shape[0]):
         n = _select_events(ints, scratch, columns, windows, i)
-        empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # the epoch is not read
         mark_unread(ints)  # every volume goes to another array
+        empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # the epoch is not read
         if about == GIVEN:
             buffer[S.FIXED_X] = landmarks[i, 0]
             buffer[S.FIXED_Y] = landmarks[i, 1]

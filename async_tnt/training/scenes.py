@@ -153,6 +153,6 @@ def _middles(windows: Windows) -> np.ndarray:
     middles = np.zeros((len(windows), 2))
     for i, (first, last) in enumerate(itertools.pairwise(windows.recordings.offsets)):
         if first < last:
-            both = [np.percentile(column[first:last], OUTER) for column in (windows.recordings.x, windows.recordings.y)]
-            middles[i] = np.mean(both, axis=1)
+            both = windows.recordings.x[first:last], windows.recordings.y[first:last]
+            middles[i] = np.percentile(both, OUTER, axis=1).mean(axis=0)
     return middles

@@ -171,8 +171,7 @@ def test_round_eight(same):
     maps, at = MAPS[:50].copy(), 5
     for k in same:
         maps[at + k] = values[k]
-    expected = maps.copy()
-    expected[at : at + 8] = values
+    expected = np.concatenate([maps[:at], values, maps[at + 8 :]])
     for run in both("round_eight"):
         found = maps.copy()
         assert run(buffer, 3, found, at) == sum(1 << k for k in range(8) if k not in same)
@@ -183,6 +182,5 @@ def test_round_eight_writes_no_negative_zero():
     """A cell that has cancelled is 0 or -0: it has not changed, whichever it was."""
     for run in both("round_eight"):
         for value in (0.0, -0.0, -1e-60):
-            buffer, maps = np.full(40, value), np.zeros(40, np.float32)
-            assert run(buffer, 2, maps, 0) == 0
-            assert maps.tobytes() == bytes(160)
+            maps = np.zeros(40, np.float32)
+            assert run(np.full(40, value), 2, maps, 0) == 0 and maps.tobytes() == bytes(160)

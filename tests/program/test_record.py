@@ -136,10 +136,7 @@ def test_on_a_full_disk_all_whole_events_are_kept(n, room, program, tmp_path, mo
         (["camera", "--class", "x", "--sensor", "4x4"], "--sensor belongs to a network stream"),
         (["udp://127.0.0.1:PORT", "--class", "x", "--seconds", "0"], "--seconds must be a positive number, got 0.0"),
         (["udp://127.0.0.1:PORT", "--class", "x", "--sensor", "20000x9"], "DAT files hold 16384 pixels a side"),
-        (
-            ["udp://127.0.0.1:PORT?timeout_s=0.1", "--class", "x", "--sensor", "9x9", "--seconds", "0.3"],
-            "no event came",
-        ),
+        (["udp://127.0.0.1:PORT?timeout_s=.1", "--class", "x", "--sensor", "9x9", "--seconds", ".3"], "no event came"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(words, message, program, tmp_path):

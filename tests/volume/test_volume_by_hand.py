@@ -129,6 +129,13 @@ def test_times_in_a_window_of_events_are_scaled_by_the_newest():
     assert not volume.array.any() and (volume.start_us, volume.n_events) == (201, 1)
 
 
+def test_no_duration_puts_the_newest_event_beyond_the_last_bin():  # the first OFF bin
+    for bins, newest_us in [(4, 187), (16, 29), (24, 21), (24, 22)]:
+        volume = TNTVolume(TNTConfig(bins=bins, polarity="split", window_events=3, transform="none"))
+        volume.update(([0, newest_us], [3, 4], [5, 6], [1, 1]))
+        assert volume.array[:bins].sum() == 2 and not volume.array[bins:].any()
+
+
 def test_a_regressors_landmark_is_the_centre():
     """bins 5, t_max 2, window 1000: t = 500 has tau 1 and bin 2; t = 750 has tau 1.5 and bin 3."""
     config = TNTConfig(sensor=(67, 34), grid=(34, 34), bins=5, window_us=1000, t_max=2.0, landmark="regressor")
