@@ -21,18 +21,18 @@ from async_tnt.package import __version__
 
 # Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes), which Windows does not have
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
-    "run": ("async_tnt.cli.run", "stream recordings through a model and print its decisions"),
-    "record": ("async_tnt.cli.record", "record a camera or a network stream into class folders"),
-    "info": ("async_tnt.cli.info", "describe recordings, folders of recordings, and models"),
-    "export": ("async_tnt.cli.export", "write a model's classifier to an ONNX file, checked (extra: onnx)"),
-    "check": ("async_tnt.cli.check", "prove that the stream equals the batch reference (extra: reference)"),
-    "bench": ("async_tnt.cli.bench", "measure what an event and a decision cost on this machine"),
-    "train": ("async_tnt.cli.train", "train a model on recordings (extra: train)"),
-    "evaluate": ("async_tnt.cli.evaluate", "report how well a model classifies a folder of held-out recordings"),
-    "mask": ("async_tnt.cli.mask", "find the hot pixels of recordings, which PixelFilter leaves out"),
-    "view": ("async_tnt.cli.view", "show a stream in the Rerun viewer while it is classified (extra: view)"),
-    "plot": ("async_tnt.cli.plot", "draw events, volumes and decisions of a recording (extra: plot)"),
+COMMANDS = {  # name of a module beside this one, with DESCRIPTION, add_arguments(parser) and main(args): a line of help
+    "run": "stream recordings through a model and print its decisions",
+    "record": "record a camera or a network stream into class folders",
+    "info": "describe recordings, folders of recordings, and models",
+    "export": "write a model's classifier to an ONNX file, checked (extra: onnx)",
+    "check": "prove that the stream equals the batch reference (extra: reference)",
+    "bench": "measure what an event and a decision cost on this machine",
+    "train": "train a model on recordings (extra: train)",
+    "evaluate": "report how well a model classifies a folder of held-out recordings",
+    "mask": "find the hot pixels of recordings, which PixelFilter leaves out",
+    "view": "show a stream in the Rerun viewer while it is classified (extra: view)",
+    "plot": "draw events, volumes and decisions of a recording (extra: plot)",
 }
 
 
@@ -47,19 +47,13 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"async-tnt {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     wanted = next((word for word in argv if word in COMMANDS), None)
-    for name, (module_name, help_line) in COMMANDS.items():
-        if name != wanted:
-            subparsers.add_parser(name, help=help_line)
-            continue
-        module = importlib.import_module(module_name)
-        subparser = subparsers.add_parser(
-            name,
-            help=help_line,
-            description=module.DESCRIPTION,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(subparser)
-        subparser.set_defaults(main=module.main)
+    for name, help_line in COMMANDS.items():
+        subparser = subparsers.add_parser(name, help=help_line, formatter_class=argparse.RawDescriptionHelpFormatter)
+        if name == wanted:
+            module = importlib.import_module(f"async_tnt.cli.{name}")
+            subparser.description = module.DESCRIPTION
+            module.add_arguments(subparser)
+            subparser.set_defaults(main=module.main)
     return parser
 
 
