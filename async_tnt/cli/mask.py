@@ -13,7 +13,7 @@ from async_tnt.cli.output import say
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, save_mask
+from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, listed_pixels, save_mask
 from async_tnt.sources.sensor import check_sensor, format_size
 
 DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
@@ -76,32 +76,28 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
             recording.sensor = recording.sensor or sensor  # or an earlier recording's
             if recording.sensor is None:
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
-            wanted = sensor or recording.sensor
-            check_sensor(path, recording.sensor, wanted, "--sensor or an earlier recording has", advice="")
-            sensor = wanted
+            sensor = sensor or recording.sensor
+            check_sensor(path, recording.sensor, sensor, "--sensor or an earlier recording has", advice="")
             counts = counts + count_pixels(recording, sensor)
             bar.update()
     return counts
 
 
 def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> None:
-    y, x = np.nonzero(hot)
-    events = counts[hot]
-    busiest = np.argsort(-events, kind="stable")
-    n_events, share = int(counts.sum()), float(events.sum() / counts.sum())
+    found = listed_pixels(counts, hot)
+    n_events, share = int(counts.sum()), float(counts[hot].sum() / counts.sum())
     height, width = counts.shape
     if args.json:
-        pixels = [{"x": int(x[k]), "y": int(y[k]), "events": int(events[k])} for k in busiest]
-        result = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
+        result = {"sensor": [width, height], "events": n_events, "hot_pixels": found, "share": share}
         say(json.dumps(result | {"out": str(args.out)}))
         return
     size = format_size((width, height))
-    if not hot.any():
+    if not found:
         say(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, which masks nothing")
         return
-    for k in busiest[:10]:
-        say(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
-    if len(busiest) > 10:
-        say(f"... and {len(busiest) - 10} more")
-    pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
+    for pixel in found[:10]:
+        say(f"x {pixel['x']:>5}  y {pixel['y']:>5}  {pixel['events']:>9} events  {pixel['events'] / n_events:6.2%}")
+    if len(found) > 10:
+        say(f"... and {len(found) - 10} more")
+    pixels_word = "1 hot pixel" if len(found) == 1 else f"{len(found)} hot pixels"
     say(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")

@@ -209,6 +209,12 @@ def hot_pixels(counts: np.ndarray) -> np.ndarray:
         rest[y, x] = _largest(rest, y, x, 0)
 
 
+def listed_pixels(counts: np.ndarray, hot: np.ndarray) -> list[dict[str, int]]:
+    """`x`, `y` and `events` of each hot pixel, busiest first."""
+    found = [{"x": x, "y": y, "events": int(counts[y, x])} for y, x in np.argwhere(hot).tolist()]
+    return sorted(found, key=lambda pixel: -pixel["events"])
+
+
 def _largest(counts: np.ndarray, y: np.ndarray, x: np.ndarray, rank: int) -> np.ndarray:
     """The largest count in the 5x5 block around each pixel, after the `rank` largest ones.
 

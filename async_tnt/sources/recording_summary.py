@@ -9,7 +9,7 @@ import numpy as np
 
 from async_tnt.kernels.pixels import count_events
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixel_masks import hot_pixels
+from async_tnt.sources.pixel_masks import hot_pixels, listed_pixels
 from async_tnt.sources.sensor import Sensor
 
 PACKET_EVENTS = 1 << 16
@@ -76,9 +76,6 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())
         newest_us = int(t[-1])
         counts += np.histogram(t - first_us, edges)[0]
-    found = []
-    if known is not None and recording.n_events:
-        found = [{"x": x, "y": y, "events": int(pixels[y, x])} for y, x in np.argwhere(hot_pixels(pixels)).tolist()]
     return RecordingSummary(
         recording=str(path),
         format=recording.format,
@@ -92,5 +89,5 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         first_us=first_us,
         last_us=first_us + duration_us,
         events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if recording.n_events else [],
-        hot_pixels=sorted(found, key=lambda pixel: -pixel["events"]),
+        hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if known is not None else [],
     )
