@@ -72,29 +72,25 @@ def draw_resynthesis(windows: Sequence[ResynthesizedWindow], refused: Sequence[R
     n_others = len(windows[0].others)
     height, width = windows[0].image.shape
     high = SIDE * height / width
-    figure = new_figure(
-        TOP + (len(windows) + len(refused)) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1
-    )
+    rows: list[ResynthesizedWindow | RefusedWindow] = [*windows, *refused]
+    figure = new_figure(TOP + len(rows) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1)
     headline(figure, "motion re-synthesis")
     titles = ["as recorded", "image, path found", "the same path", *(f"other path {i + 1}" for i in range(n_others))]
     for column, title in enumerate(titles):
         left = LEFT + column * (SIDE + GAP) + SIDE / 2
         write_at(figure, left, TOP - 0.2, title, ha="center")
-    for row, window in enumerate(windows):
+    for row, window in enumerate(rows):
         top = TOP + row * (high + GAP)
         write_at(figure, LEFT - 0.1, top + high / 2, shortened(window.name, 14), ha="right")
-        pictures = [_counts(events, window.image.shape) for events in (window.same_motion, *window.others)]
-        paths = [None, window.motions[0], *window.motions]
-        everything = [_counts(window.recorded, window.image.shape), window.image, *pictures]
-        for column, (picture, path) in enumerate(zip(everything, paths, strict=True)):
+        _draw_picture(figure, 0, top, _counts(window.recorded, (height, width)), is_image=False)
+        if isinstance(window, RefusedWindow):
+            write_at(figure, LEFT + SIDE + 2 * GAP, top + high / 2, f"no path: {window.reason}")
+            continue
+        simulated = [_counts(events, (height, width)) for events in (window.same_motion, *window.others)]
+        paths = [window.motions[0], *window.motions]
+        for column, (picture, path) in enumerate(zip([window.image, *simulated], paths, strict=True), 1):
             axes = _draw_picture(figure, column, top, picture, is_image=column == 1)
-            if path is not None:
-                _draw_path(axes, path, (width, height))
-    for row, one in enumerate(refused, len(windows)):
-        top = TOP + row * (high + GAP)
-        write_at(figure, LEFT - 0.1, top + high / 2, shortened(one.name, 14), ha="right")
-        _draw_picture(figure, 0, top, _counts(one.recorded, (height, width)), is_image=False)
-        write_at(figure, LEFT + SIDE + 2 * GAP, top + high / 2, f"no path: {one.reason}")
+            _draw_path(axes, path, (width, height))
     polarity_legend(figure)
     return figure
 
