@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 
 from async_tnt.sources import open_recording, sample_recordings
-from async_tnt.views.figure_style import PALE, SMALL, TEXT, axes_at, headline, new_figure, write_at
+from async_tnt.views.figure_style import SMALL, TEXT, headline, new_figure, picture_at, write_at
 from experiments.script_options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
@@ -114,11 +114,9 @@ def draw() -> Figure:
         for place, (head, part) in enumerate(
             zip(heads, (image, case.before(image), one, other, one - other), strict=True)
         ):
-            axes = axes_at(figure, 2.6 + 1.45 * place, top, 1.1, 1.1)
+            axes = picture_at(figure, 2.6 + 1.45 * place, top, 1.1, 1.1)
             most = float(image.abs().max()) if place < 2 else limit
             axes.imshow(_tiled(part), cmap="RdBu_r", vmin=-most, vmax=most)
-            axes.set(xticks=[], yticks=[])
-            axes.spines[:].set(visible=True, color=PALE)
             if k == 0:
                 axes.set_title(head, fontsize=SMALL, color=TEXT)
         write_at(figure, 2.6 + 1.45 * len(heads), top + 0.55, f"{error:.2f}", fontsize=SMALL, color=TEXT)

@@ -10,11 +10,11 @@ import numpy as np
 
 from async_tnt.views.figure_style import (
     OFF_TO_ON,
-    PALE,
     axes_at,
     colour_map,
     headline,
     new_figure,
+    picture_at,
     polarity_legend,
     shortened,
     write_at,
@@ -124,13 +124,11 @@ def draw_recorded_pictures(
 
 def _draw_picture(figure: Figure, column: int, top: float, picture: np.ndarray, *, is_image: bool) -> Any:
     high = SIDE * picture.shape[0] / picture.shape[1]
-    axes = axes_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
+    axes = picture_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
     if is_image:
         axes.imshow(picture, cmap="gray")
     else:
         axes.imshow(picture, cmap=colour_map(*OFF_TO_ON), vmin=-STRONGEST, vmax=STRONGEST)
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set(visible=True, color=PALE)
     return axes
 
 

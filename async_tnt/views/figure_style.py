@@ -62,6 +62,13 @@ def axes_at(figure: Figure, left: float, top: float, width: float, height: float
     return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h), **settings)
 
 
+def picture_at(figure: Figure, left: float, top: float, width: float, height: float) -> Any:
+    """`axes_at` for a picture: with a pale frame, without ticks."""
+    axes = axes_at(figure, left, top, width, height, xticks=[], yticks=[])
+    axes.spines[:].set(visible=True, color=PALE)
+    return axes
+
+
 def write_at(figure: Figure, left: float, top: float, words: str, **settings: Any) -> None:
     """One line of words at inches from the figure's upper left corner."""
     w, h = figure.get_size_inches()

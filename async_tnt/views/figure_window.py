@@ -12,13 +12,13 @@ from async_tnt.views.figure_style import (
     OFF,
     OFF_TO_ON,
     ON,
-    PALE,
     SMALL,
     TEXT,
     WIDTH,
     axes_at,
     colour_map,
     few_ticks,
+    picture_at,
     polarity_legend,
     write_at,
 )
@@ -135,10 +135,11 @@ def draw_rows(
         used = np.abs(layer.cells[shown])
         # the value of full colour is exceeded by the largest cells, which would leave the others pale
         limit = float(np.quantile(used[used > 0], 0.98)) if used.any() else 1.0
+        signed = layer.colours == "signed"
+        shades = colour_map(*(OFF_TO_ON if signed else ("#ffffff", INK[layer.colours])))
         for column, (k, title) in enumerate(zip(shown, titles, strict=True)):
-            place = left + column * (width + GAP), top + row * (height + ROW_GAP)
-            axes = axes_at(figure, *place, width, height)
-            image = draw_slice(axes, layer.cells[k], layer.colours, limit)
+            axes = picture_at(figure, left + column * (width + GAP), top + row * (height + ROW_GAP), width, height)
+            image = axes.imshow(layer.cells[k], cmap=shades, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto")
             if row == 0:
                 axes.set_title(title, fontsize=SMALL, pad=3)
             if column == 0:
@@ -152,15 +153,6 @@ def _picture(config: TNTConfig, n_shown: int) -> tuple[float, float]:
     ratio = config.grid[1] / config.grid[0]
     height = min(TALLEST, (WIDTH - LEFT - RIGHT - GAP * (n_shown - 1)) / n_shown * ratio)
     return height / ratio, height
-
-
-def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float) -> AxesImage:
-    """One bin, shape (H, W), in the colours of the polarity."""
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set(visible=True, color=PALE)
-    signed = colours == "signed"
-    shades = colour_map(*(OFF_TO_ON if signed else ("#ffffff", INK[colours])))
-    return axes.imshow(cells, cmap=shades, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto")
 
 
 def bin_ms(config: TNTConfig, k: int) -> str:
