@@ -37,8 +37,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
             try:
                 table = read_table(file, model.classes)
                 recording = open_recording(path, sensor=args.sensor, strict=True)
-                if args.sensor is not None:
-                    check_sensor(path, recording.sensor, args.sensor, "--sensor says", advice="")
+                check_sensor(path, recording.sensor, args.sensor, "--sensor says")
                 if recording.sensor is None:
                     raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
                 found = score_recording(model.for_sensor(recording.sensor), recording, table)

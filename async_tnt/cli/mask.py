@@ -77,7 +77,7 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
             if recording.sensor is None:
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
             sensor = sensor or recording.sensor
-            check_sensor(path, recording.sensor, sensor, "--sensor or an earlier recording has", advice="")
+            check_sensor(path, recording.sensor, sensor, "--sensor or an earlier recording has")
             counts = counts + count_pixels(recording, sensor)
             bar.update()
     return counts

@@ -93,8 +93,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     OSError : a file is missing or not readable.
     """
     recording = open_recording(path, sensor=args.sensor)
-    if args.sensor is not None:
-        check_sensor(path, recording.sensor, args.sensor, "--sensor says", advice="")
+    check_sensor(path, recording.sensor, args.sensor, "--sensor says")
     name = args.model or DEFAULT_MODEL
     trained = model_of(name)
     if (n := trained.config.window_events) is not None:
@@ -112,7 +111,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     config = trained.config
     if sensor != config.sensor:
         if args.model is not None:
-            check_sensor(path, sensor, config.sensor, advice="")
+            check_sensor(path, sensor, config.sensor)
         decides, config = None, config.replace(sensor=sensor, grid=sensor)
     return Subject(path.name, recording.read(), _configured(config, args), decides, name, args.start_us)
 

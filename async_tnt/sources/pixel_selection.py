@@ -10,7 +10,7 @@ from typing import Any
 from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.pixel_filter import PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixel_masks import PackedMask
-from async_tnt.sources.sensor import TRAIN_ONE, Sensor, check_sensor, checked_sensor, format_size
+from async_tnt.sources.sensor import Sensor, check_sensor, checked_sensor, format_size
 
 Region = tuple[int, int, int, int]
 
@@ -169,7 +169,7 @@ class PixelSelector:
         if sensor is None:
             raise ValueError(f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`")
         if chosen.crop:
-            check_sensor(name, found, sensor, chosen.origin, advice="")
+            check_sensor(name, found, sensor, chosen.origin)
         else:
             check_sensor(name, found, sensor, advice=_advice(self._model, found))
         if not chosen.leaves_out:
@@ -201,4 +201,4 @@ class PixelSelector:
 def _advice(model: Sensor, camera: Sensor | None) -> str:
     holds_model = camera is None or (model[0] <= camera[0] and model[1] <= camera[1])
     part = f", or cut out a part: `roi` X,Y,{model[0]},{model[1]} `crop`" if holds_model else ""
-    return f"; {TRAIN_ONE}{part}"
+    return f"; train one for this camera (async-tnt train){part}"

@@ -9,8 +9,6 @@ from async_tnt.config import MAX_SIDE
 
 Sensor = tuple[int, int]
 
-TRAIN_ONE = "train one for this camera (async-tnt train)"
-
 
 def format_size(size: Sensor) -> str:
     """(346, 260) as `346x260`."""
@@ -36,14 +34,15 @@ def checked_sensor(sensor: Any) -> Sensor:
 
 
 def check_sensor(
-    name: Any, found: Sensor | None, wanted: Sensor, origin: str = "the model is for", advice: str = "; " + TRAIN_ONE
+    name: Any, found: Sensor | None, wanted: Sensor | None, origin: str = "the model is for", advice: str = ""
 ) -> None:
-    """Refuse a source whose sensor, if it states one, is not the wanted one.
+    """Refuse a source that states another sensor than the wanted one.
 
     Parameters
     ----------
     name : of the source, for messages.
+    found, wanted : (width, height); None: it states none, and any is wanted.
     origin : where `wanted` comes from, and `advice`: what to do about another one, for messages.
     """
-    if found is not None and tuple(found) != wanted:
+    if found is not None and wanted is not None and tuple(found) != wanted:
         raise ValueError(f"{name}: a sensor of {format_size(found)} pixels, but {origin} {format_size(wanted)}{advice}")
