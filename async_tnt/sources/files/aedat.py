@@ -26,7 +26,6 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator
-from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
@@ -66,8 +65,7 @@ class Aedat2Source(Source):
         newest_us = np.int64(-1)
         with self.path.open("rb") as file:
             file.seek(self._start)
-            for n_before in count(0, BLOCK_EVENTS):
-                data = file.read(BLOCK_EVENTS * EVENT_BYTES)
+            while data := file.read(BLOCK_EVENTS * EVENT_BYTES):
                 words = np.frombuffer(data, ">u4", len(data) // EVENT_BYTES * 2).astype(np.int64).reshape(-1, 2)
                 address, t = words[:, 0], np.ascontiguousarray(words[:, 1])
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(PERIOD_US)))
@@ -76,12 +74,10 @@ class Aedat2Source(Source):
                 yield events
                 if problem:
                     i = int(np.flatnonzero(is_pixel)[len(events)])
-                    place = self._start + (n_before + i) * EVENT_BYTES
+                    place = file.tell() - len(data) + i * EVENT_BYTES
                     raise CorruptData(f"byte {place}: the address {address[i]:#x} is not one of a {self._camera}")
                 if n_left := len(data) % EVENT_BYTES:
                     raise CorruptData(f"the file ends {n_left} bytes into an event, which has {EVENT_BYTES}")
-                if len(data) < BLOCK_EVENTS * EVENT_BYTES:
-                    return
 
     def _pixels(self, address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """x, y, p, and whether the event is a pixel's; x is -1 in an address of another camera."""
