@@ -135,22 +135,21 @@ class PacketQueue:
     def wait_for_room(self) -> bool:
         """Wait until there is room; with `latest` there always is. Returns False if the queue is closed."""
         with self._room:
-            while not (self._closed or self._ended or self.latest) and len(self._waiting) >= self.max_packets:
+            while not (self._ended or self.latest) and len(self._waiting) >= self.max_packets:
                 self._room.wait()
             return not self._closed
 
     def end(self, error: BaseException | None = None) -> None:
         """Announce that no packets follow: the reader's loop ends after the last one, or raises `error` there."""
         with self._came:
-            if not self._ended:
-                self._ended = True
-                self._error = None if self._closed else error  # closing a source may make it fail
+            if not self._ended:  # closing ends it, too: a source that fails because of that is no error
+                self._ended, self._error = True, error
             self._wake_all()
 
     def close(self) -> None:
         """Stop now: discard waiting packets, accept no more, and end the reader's loop."""
         with self._came:
-            self._closed = True
+            self._ended = self._closed = True
             self._error = None
             self._skip_all()
             self._wake_all()
@@ -212,7 +211,7 @@ class PacketQueue:
     # -- with the lock held ------------------------------------------------------------------------------
 
     def _is_ready(self) -> bool:
-        return bool(self._waiting) or self._ended or self._closed
+        return bool(self._waiting) or self._ended
 
     def _hand_out(self) -> Any:
         oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
