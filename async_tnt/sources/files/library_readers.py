@@ -82,7 +82,7 @@ def read_aedat4(path: str) -> Iterator[Any]:
     if track is None:
         kinds = ", ".join(track.data_type for track in tracks) or "none"
         raise ValueError(f"it must have a stream of events; its streams are: {kinds}")
-    yield None if track.dimensions is None else [int(side) for side in track.dimensions]
+    yield None if track.dimensions is None else tuple(map(int, track.dimensions))
     for found, packet in decoder:
         if found.id == track.id and found.data_type == "events" and len(packet):
             yield [packet[name] for name in ("t", "x", "y", "on")]

@@ -45,10 +45,9 @@ class WorkerSource(Source):
         with _worker() as worker:
             worker.submit(library_readers.sensor_of, read, self._path, limit_s=READ_S)
             try:
-                sensor = worker.result(SILENCE_S)
+                self.sensor = worker.result(SILENCE_S)
             except Exception as error:
                 raise ValueError(f"{path}: not a readable {format} file: {one_line(error)}") from None
-        self.sensor = None if sensor is None else (sensor[0], sensor[1])
 
     def blocks(self) -> Iterator[np.ndarray]:
         with _worker() as worker:
@@ -65,9 +64,8 @@ def _columns(worker: Worker) -> Iterator[Four]:
         worker.result(SILENCE_S)  # the sensor
         while (columns := worker.result(SILENCE_S)) is not None:
             worker.submit(library_readers.next_block, limit_s=READ_S)
-            t, x, y, p = columns
-            yield t, x, y, p
-            n_read += len(t)
+            yield columns
+            n_read += len(columns[0])
         for _ in range(AHEAD - 1):  # the answers behind the end
             worker.result(SILENCE_S)
     except Exception as error:

@@ -20,7 +20,7 @@ def misbehaving(path):
     with open(path) as file:
         first, later = file.read().split()
     misbehave(first)
-    yield [34, 34]
+    yield 34, 34
     yield [np.array(column) for column in ([10, 11], [1, 1], [2, 2], [0, 1])]
     misbehave(later)
 
