@@ -155,8 +155,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
             "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
             f"got {format_size(pixels.region)}"
         )
-    given: dict[str, Any] = {"grid": args.grid} if args.grid else {}
-    given |= {"window_us": args.window_us} if args.window_us else {}
+    given = {name: getattr(args, name) for name in ("grid", "window_us") if getattr(args, name) is not None}
     named = volume_of(args.volume)
     config = default_config(**given, **named)
     if config.transform == "none" and not {"landmark", "t_max"}.isdisjoint(named):
@@ -164,10 +163,9 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     in_bins = args.motions == "resynthesized" and not args.volume
     config = with_bins(config) if in_bins else config
     BatchVolumes(config)
-    has_pictures = bool(find_pictures(args.dataset))
-    wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror, **(OF_PICTURES if has_pictures else {})}}
+    augmentation = {"mirror": args.mirror, **(OF_PICTURES if find_pictures(args.dataset) else {})}
+    wanted = {"seed": args.seed, "everywhere": args.everywhere, "augmentation": augmentation}
     wanted |= {name: getattr(args, name) for name in ("epochs", "network") if getattr(args, name) is not None}
-    wanted |= {"everywhere": True} if args.everywhere else {}
     settings = settings_for(config, 1, **wanted)
 
     def seen(config: TNTConfig) -> TNTConfig:
