@@ -95,7 +95,10 @@ class NpySource(Source):
     def __init__(self, path: Path) -> None:
         self.path = path
         array = map_npy(path)
-        _columns(array[:BLOCK_EVENTS] if array.ndim else array)
+        try:
+            _columns(array[:BLOCK_EVENTS] if array.ndim else array)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path}: {one_line(error)}") from None
         self._n_events = len(array)
 
     def blocks(self) -> Iterator[np.ndarray]:
@@ -104,14 +107,6 @@ class NpySource(Source):
             _columns(map_npy(self.path)[start : start + BLOCK_EVENTS])
             for start in range(0, self._n_events, BLOCK_EVENTS)
         )
-
-
-def open_npy(path: Path) -> Source:
-    """Open a `.npy` recording; its header is checked."""
-    try:
-        return NpySource(path)
-    except (TypeError, ValueError) as error:
-        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {one_line(error)}") from None
 
 
 def open_npz(path: Path) -> Source:

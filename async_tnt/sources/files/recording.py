@@ -20,7 +20,7 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
 from async_tnt.sources.files.nmnist import read_nmnist
-from async_tnt.sources.files.numpy_files import open_npy, open_npz
+from async_tnt.sources.files.numpy_files import NpySource, open_npz
 from async_tnt.sources.files.prophesee import DatSource, EvtSource
 from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, events_on_sensor
 from async_tnt.sources.files.text_files import open_csv, open_txt
@@ -59,7 +59,7 @@ def _open_by_content(path: Path) -> Source:
 
 READERS: dict[str, Callable[[Path], Source]] = {
     ".bin": lambda path: ArraySource(read_nmnist(path), NMNIST_SENSOR, NMNIST),
-    ".npy": open_npy,
+    ".npy": NpySource,
     ".npz": open_npz,
     ".txt": open_txt,
     ".csv": open_csv,
