@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         raise ValueError(f"{args.model}: objects are scored in windows of a duration, not of a number of events")
     scores: dict[float, ObjectScores] = {}
     skipped: list[str] = []
-    unknown: dict[str, int] = {}
+    unknown: Counter[str] = Counter()
     n_moments = 0
     tables = find_tables(args.dataset)
     fill_cache(model=model)
@@ -46,7 +47,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
             else:
                 n_moments += len(np.unique(table.t))
                 scores = {share: one + scores[share] if scores else one for share, one in found.items()}
-                unknown = {k: unknown.get(k, 0) + table.unknown.get(k, 0) for k in {*unknown, *table.unknown}}
+                unknown.update(table.unknown)
             bar.update()
     if not scores:
         raise ValueError(f"{args.dataset}: none of {len(tables)} recordings can be evaluated; {skipped[0]}")
