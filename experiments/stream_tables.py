@@ -51,7 +51,12 @@ def volumes(found: dict[str, Any]) -> str:
         [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
         for way, words in ways.items()
     ]
-    return f"{table(['', *('{} x {}'.format(*v['grid']) for v in grids)], rows)}\n\n{about_machine(found)}"
+    whole = found["whole_window"]
+    words = (
+        f"A window of {whole['events']:,} events on 1280 x 720, opened, filled and read: "
+        f"{short(whole['ns_per_event']['median'])} ns per event."
+    )
+    return f"{table(['', *('{} x {}'.format(*v['grid']) for v in grids)], rows)}\n\n{words} {about_machine(found)}"
 
 
 def memory() -> str:
