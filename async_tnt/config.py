@@ -235,7 +235,6 @@ _FIELDS: dict[str, Callable[[str, Any], object]] = {
 }
 """Name -> check(name, value), which returns the value as it is kept."""
 
-
 _RELATIONS: tuple[tuple[Callable[[TNTConfig], bool], str, tuple[str, ...]], ...] = (
     (
         lambda c: not c.remove_flow or (c.landmark == "line" and c.transform == "tnt"),
