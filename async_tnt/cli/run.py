@@ -84,7 +84,7 @@ def main(args: argparse.Namespace) -> int:
     engine = choose_engine(args.model, sensor_to_read(args), args.config)
     fill_cache(model=engine.model)
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
-    processor = Processor(engine.model, classes=engine.classes, **engine.networks, **settings)
+    processor = Processor(engine.model, classes=engine.classes, classifier=engine.classifier, **settings)
     pixels = selector_of(args, engine.model)
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line

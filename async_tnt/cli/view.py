@@ -87,7 +87,7 @@ def main(args: argparse.Namespace) -> int:
         name=path if live else path.name,
         classes=engine.classes,
         start_us=args.start_us,
-        **engine.networks,
+        classifier=engine.classifier,
         **triggers_of(args),
     )
     stopped = False

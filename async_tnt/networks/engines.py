@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
@@ -17,13 +16,11 @@ from async_tnt.networks.onnx_network import OnnxClassifier
 
 @dataclass(frozen=True)
 class Engine:
-    """A model's configuration and classes, and what runs its networks."""
+    """A model as a `Processor` takes it. Without `classifier`, a Model runs its own networks."""
 
     model: Model | TNTConfig
     classes: Sequence[str]
-    networks: dict[str, Any] = field(default_factory=dict)
-    """Arguments of a `Processor`: `classifier` and, where the configuration needs one, `regressor`; none for a Model
-    that runs its own."""
+    classifier: OnnxClassifier | None = None
 
 
 def choose_engine(
@@ -53,7 +50,7 @@ def choose_engine(
                 f"{name_or_path}: an ONNX network without a configuration of this package, which defines how events "
                 "become its volume; give one, `config`: a file of what `async-tnt info` prints of a model as JSON"
             )
-        return Engine(classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
+        return Engine(classifier.exported.config, classifier.exported.classes, classifier)
     model = load_model(name_or_path)
     if map_sensor is not None and model.places is not None:
         model = model.for_sensor(map_sensor)
@@ -87,5 +84,5 @@ def _of_other_program(path: Path, config: Path) -> Engine:
         names = list(map(str, range(network.n_classes) if classes is None else classes))
         if len(names) != network.n_classes:
             raise ValueError(f"{config}: {len(names)} classes, but {path} computes {network.n_classes}") from None
-        return Engine(volume, names, {"classifier": network})
+        return Engine(volume, names, network)
     return Engine(model, model.classes)

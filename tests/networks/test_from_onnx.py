@@ -181,12 +181,12 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     torch.onnx.export(branches().eval(), torch.tensor(VOLUMES[:1]), str(path), dynamo=False)
     config.write_text(json.dumps({"config": CONFIG.to_dict(), "classes": ["a", "b", "c", "d"]}))
     engine = choose_engine(path, config=config)
-    assert (engine.networks, engine.model.config, engine.classes) == ({}, CONFIG, ("a", "b", "c", "d"))
+    assert (engine.classifier, engine.model.config, engine.classes) == (None, CONFIG, ("a", "b", "c", "d"))
     other = write_onnx(tmp_path / "sin.onnx", [node("Sin", "x", "s"), node("Flatten", "s")])
     small = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2)
     config.write_text(json.dumps({"config": small.to_dict()}))
     engine = choose_engine(other, config=config)
-    assert (list(engine.networks), engine.model, len(engine.classes)) == (["classifier"], small, 60)
+    assert (type(engine.classifier), engine.model, len(engine.classes)) == (OnnxClassifier, small, 60)
     layers = [node("Sin", "x", "s"), node("GlobalAveragePool", "s", "g"), node("Flatten", "g")]
     open_sides = write_onnx(tmp_path / "open.onnx", layers, shape=("n", 2, "h", "w"))
     assert len(choose_engine(open_sides, config=config).classes) == 2
