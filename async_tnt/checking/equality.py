@@ -198,15 +198,9 @@ def closed_volumes(
         return [0.0]
 
     processor = Processor(config, classifier=keep, regressor=regressor, start_us=start_us)
-    decisions = []
-    if packet_size == 1:
-        for t, x, y, p in zip(*(events[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
-            decisions += processor.push_one(t, x, y, p)
-    else:
-        size = packet_size or max(1, events.size)
-        for first in range(0, events.size, size):
-            decisions += processor.push(events[first : first + size])
-    decisions += processor.finish()
+    size = packet_size or max(1, events.size)
+    packets = events.tolist() if packet_size == 1 else [events[k : k + size] for k in range(0, events.size, size)]
+    decisions = [decision for packet in packets for decision in processor.push(packet)] + processor.finish()
     return [(decision.window_start_us, volume) for decision, volume in zip(decisions, volumes, strict=True)]
 
 
