@@ -67,9 +67,7 @@ class TNTVolume:
         self._array = np.zeros(config.shape, np.float32)
         self._view = _read_only(self._array)
         self._running = Running("TNTVolume")
-        self._replay = None
-        if config.needs_replay:
-            self._replay = ReplayBuffer(config, regressor)
+        self._replay = ReplayBuffer(config, regressor) if config.needs_replay else None
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
@@ -265,18 +263,15 @@ class TNTVolume:
     @property
     def counts(self) -> Counts:
         """What became of the events, see `Counts`."""
-        if self._replay is not None:
-            self._replay.run(self._buffer, self._array)
-        received, kept, late, tau_zero = (int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO))
-        dropped = self._decoder.n_dropped
-        decided = self.n_dropped_decided
-        outside = received - kept - late - tau_zero - decided
+        ints, by_decoder = self.state().view(np.int64), self._decoder.n_dropped
+        received, kept, tau_zero = (int(ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.TAU_ZERO))
+        late, decided = self.n_late, self.n_dropped_decided
         return Counts(
-            received=received + dropped,
+            received=received + by_decoder,
             kept=kept,
-            dropped_outside=outside,
+            dropped_outside=received - kept - tau_zero - late - decided,
             dropped_tau_zero=tau_zero,
-            dropped_late=late + dropped,
+            dropped_late=late + by_decoder,
             dropped_decided=decided,
         )
 
