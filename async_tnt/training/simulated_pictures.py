@@ -113,9 +113,8 @@ def check_pictures(
                 good.append(picture)
             else:
                 left_out.append(f"{picture.name}: the same picture as {same.name}.")
-    empty = [name for k, name in enumerate(classes) if name in found and k not in others]
-    empty = [name for name in empty if classes.index(name) not in {picture.label for picture in good}]
-    if empty:
+    left = {*others.tolist(), *(picture.label for picture in good)}
+    if empty := [name for k, name in enumerate(classes) if name in found and k not in left]:
         why = next(line for line in left_out if line.startswith(f"{empty[0]}/"))
         raise ValueError(f"no picture of class {', '.join(empty)} is left ({why}); add some, or remove the folder")
     return good, left_out
