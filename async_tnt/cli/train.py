@@ -21,7 +21,7 @@ from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.picture_scene import SceneSettings
-from async_tnt.sources.labelled_recordings import find_recordings, has_part
+from async_tnt.sources.labelled_recordings import find_recordings, has_test
 from async_tnt.sources.sensor import format_size
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
             raise ValueError("--test needs recordings of a camera in DATASET/Test; pictures there are not recorded")
     elif args.camera or args.follow or args.light != "both" or args.size != SceneSettings.size:
         raise ValueError("--camera, --follow, --light and --size are for pictures; DATASET holds none")
-    if args.test and not has_part(args.dataset, "Test"):
+    if args.test and not has_test(args.dataset):
         raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")
     parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
     if any(run_folder.resolve().is_relative_to(part.resolve()) for part in parts):

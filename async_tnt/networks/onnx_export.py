@@ -122,10 +122,10 @@ class _Nodes:
         self.nodes.append(self._make(op, list(inputs), [output], **attributes))
         return output
 
-    def _constant(self, name: str, value: Any, dtype: type = np.float32) -> str:
+    def _constant(self, name: str, value: Any) -> str:
         while name in self.weights:  # a model's own may have this name
             name += "_"
-        self.weights[name] = np.asarray(value, dtype)
+        self.weights[name] = np.asarray(value, np.float32)
         return name
 
     def _conv(self, layer: Layer, inputs: list[str], name: str) -> None:

@@ -121,17 +121,16 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     }
 
 
-def class_folders(folder: Path, part: str) -> list[Path]:
-    """The class folders of a part of a data set or, without such a part, of all of it; none of sessions, or where no
-    folder is."""
-    inner = folder / part
+def class_folders(folder: Path) -> list[Path]:
+    """The class folders in `Train` or, without it, in the data set itself; none of sessions, or where no folder is."""
+    inner = folder / "Train"
     of = inner if inner.is_dir() and (_folders(inner) or _sessions(inner)) else folder
     return _folders(of) if of.is_dir() and not _sessions(of) else []
 
 
-def has_part(folder: Path, part: str) -> bool:
+def has_test(folder: Path) -> bool:
     """Whether some of a data set's recordings are set aside for "Test", as a folder or by lists."""
-    return (folder / part).is_dir() or any((folder / file).is_file() for file in LISTS.values())
+    return (folder / "Test").is_dir() or any((folder / file).is_file() for file in LISTS.values())
 
 
 def is_recording(path: Path) -> bool:

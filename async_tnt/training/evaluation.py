@@ -112,13 +112,13 @@ class Evaluation:
 
 
 def class_probabilities(
-    pipeline: Pipeline, windows: Windows, *, until_us: int | np.ndarray | None = None, nothing: int = SHOWN
+    pipeline: Pipeline, windows: Windows, *, until_us: int | None = None, nothing: int = SHOWN
 ) -> np.ndarray:
     """Probability of each class for each window: float64, shape (N, n_classes).
 
     Parameters
     ----------
-    until_us : only the events of each window's first `until_us` microseconds, int or (N,); all by default.
+    until_us : only the events of each window's first `until_us` microseconds; all by default.
     nothing : what stands in the place of the recordings, see `Draws`.
     """
     if len(windows) == 0:
@@ -131,7 +131,7 @@ def class_probabilities(
             some = windows[first : first + BATCH]
             draws = unchanged(len(some), pipeline.config)
             if until_us is not None:
-                draws.until_us[:] = np.broadcast_to(until_us, len(windows))[first : first + BATCH]
+                draws.until_us[:] = until_us
             if nothing != SHOWN:
                 draws.seed[:] = np.arange(first, first + len(some))
                 rng = np.random.default_rng((first, nothing))

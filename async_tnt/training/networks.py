@@ -138,20 +138,20 @@ def _head(channels: int, n_classes: int, *between: nn.Module) -> list[nn.Module]
     return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), *between, nn.Linear(channels, n_classes)]
 
 
-def landmark_network(channels: int, n_filters: int = 20) -> nn.Module:
+def landmark_network(channels: int) -> nn.Module:
     """The thesis' landmark regressor: raw volumes (N, C, H, W) to landmarks (N, 2) in grid pixels.
 
     The 1x1 convolution starts at zero: the first landmark is the image centre, whatever the events.
     """
     network: Any = nn.Sequential(
         OrderedDict(
-            conv1=nn.Conv2d(channels, n_filters, 3, padding="same"),
+            conv1=nn.Conv2d(channels, 20, 3, padding="same"),
             relu1=nn.ReLU(),
-            conv2=nn.Conv2d(n_filters, n_filters, 3, padding="same"),
+            conv2=nn.Conv2d(20, 20, 3, padding="same"),
             relu2=nn.ReLU(),
-            conv3=nn.Conv2d(n_filters, n_filters, 3, padding="same"),
+            conv3=nn.Conv2d(20, 20, 3, padding="same"),
             relu3=nn.ReLU(),
-            heatmap=nn.Conv2d(n_filters, 1, 1, bias=False),
+            heatmap=nn.Conv2d(20, 1, 1, bias=False),
             landmark=HeatmapCentroid(),
         )
     )

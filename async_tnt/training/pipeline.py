@@ -181,14 +181,14 @@ def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
     }
 
 
-def input_scale(config: TNTConfig, windows: Windows, n: int = 512) -> float:
-    """1 / root mean square of all cells, over `n` windows spread evenly; `export` folds it into the weights.
+def input_scale(config: TNTConfig, windows: Windows) -> float:
+    """1 / root mean square of all cells, over 512 windows spread evenly; `export` folds it into the weights.
 
     One number for all bins. A scale per bin would fit the training motion's event rate over time, amplify the bins
     with few events (31 times in N-MNIST's first, after TNT), and be wrong for every other motion. TNT does worse with
     it even on held-out digits of the training motions.
     """
-    some = windows[np.unique(np.linspace(0, len(windows) - 1, min(n, len(windows))).astype(np.int64))]
+    some = windows[np.unique(np.linspace(0, len(windows) - 1, min(512, len(windows))).astype(np.int64))]
     volumes = BatchVolumes(config)  # one after another: together they may be large
     mean_square = np.mean([np.square(volumes(some[k : k + 1]), dtype=np.float64).mean() for k in range(len(some))])
     return float(1.0 / np.sqrt(max(mean_square, 1e-12)))

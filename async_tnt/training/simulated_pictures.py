@@ -64,11 +64,11 @@ class LabelledPicture:
         return f"{self.path.parent.name}/{self.path.name}"
 
 
-def find_pictures(folder: Path, part: str = "Train") -> dict[str, list[Path]]:
-    """Class name -> its pictures, sorted by name, of the classes that have any."""
+def find_pictures(folder: Path) -> dict[str, list[Path]]:
+    """Class name -> its pictures to train on, sorted by name, of the classes that have any."""
     found = {
         c.name: [p for p in sorted(c.glob("[!.]*")) if p.suffix.lower() in SUFFIXES and p.is_file()]
-        for c in class_folders(folder, part)
+        for c in class_folders(folder)
     }
     return {name: paths for name, paths in found.items() if paths}
 
