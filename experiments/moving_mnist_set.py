@@ -8,7 +8,6 @@ motion, index of the image), so the number of workers and interruptions change n
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import itertools
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.checks import short
-from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.processes import run_counted
 from async_tnt.files import locked_folder
 from async_tnt.package import __version__, available_cores
 from async_tnt.progress import progress
@@ -130,12 +129,8 @@ def build(
         write_manifest(made)
         to_do = [job for job in jobs if not _is_done(job.path)]
         n_done = len(made) - sum(len(job.images) for job in to_do)
-        with (
-            progress(len(made), "simulating", done=n_done) as bar,
-            contextlib.closing(run_all(_make_shard, to_do, workers or available_cores())) as results,
-        ):
-            for n_recordings in results:
-                bar.update(n_recordings)
+        bar = progress(len(made), "simulating", done=n_done)
+        run_counted(_make_shard, to_do, workers or available_cores(), bar)
     return made
 
 

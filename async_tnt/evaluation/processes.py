@@ -11,6 +11,7 @@ from multiprocessing import connection
 from typing import Any, TypeVar
 
 from async_tnt.checks import needs_extra, one_line
+from async_tnt.progress import Bar
 from async_tnt.sources.worker import Worker, WorkerEnded
 
 Task = TypeVar("Task")
@@ -64,6 +65,13 @@ def run_all(
     finally:
         for worker, _ in team.values():
             worker.end()
+
+
+def run_counted(function: Callable[[Task], int], tasks: Sequence[Task], workers: int, bar: Bar) -> None:
+    """`run_all` of a function that returns by how much a progress bar advances."""
+    with bar, contextlib.closing(run_all(function, tasks, workers)) as amounts:
+        for n in amounts:
+            bar.update(n)
 
 
 def run_on_dask(

@@ -9,7 +9,6 @@ A window whose path was not found is used as it was recorded.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import zlib
 from collections import Counter
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.processes import run_counted
 from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.files import write_text
 from async_tnt.progress import Bar
@@ -114,12 +113,8 @@ def resynthesize(
         write_text(manifest, json.dumps(content, indent=1) + "\n")
         job = partial(_move, config=config, cell=cell, calibration=calibration, masked=masked, seed=settings.seed)
         n_all, n_missing = (sum(len(chunk.windows) for chunk in some) for some in (chunks, missing))
-        with (
-            progress(n_all, "re-synthesizing motions", done=n_all - n_missing) as bar,
-            contextlib.closing(run_all(job, missing, workers)) as done,
-        ):
-            for n in done:
-                bar.update(n)
+        bar = progress(n_all, "re-synthesizing motions", done=n_all - n_missing)
+        run_counted(job, missing, workers, bar)
     return _open(folder, training, held_out, config, chunks, settings)
 
 

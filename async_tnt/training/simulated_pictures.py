@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.processes import run_counted
 from async_tnt.events import structured
 from async_tnt.files import replacing, write_text
 from async_tnt.progress import Bar
@@ -213,12 +213,7 @@ def simulate_pictures(
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     job = partial(_record, settings=settings, seed=(seed, list(RECORDINGS).index(part)))
     n_missing = sum(len(chunk.takes) for chunk in missing)
-    with (
-        progress(n_all, "simulating pictures", done=n_all - n_missing) as bar,
-        contextlib.closing(run_all(job, missing, workers)) as done,
-    ):
-        for n in done:
-            bar.update(n)
+    run_counted(job, missing, workers, progress(n_all, "simulating pictures", done=n_all - n_missing))
     for chunk in chunks:
         *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
         whole = [column.dtype for column in columns] == list(COLUMNS.values()) and sizes.shape == (len(chunk.takes),)
