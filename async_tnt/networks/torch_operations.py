@@ -62,10 +62,6 @@ def _batch_norm(made: LayerList, call: Call) -> str:
     return made.add("batch_norm", call, weights=made.tensors(call, **roles), epsilon=call.module.eps)
 
 
-def _relu6(made: LayerList, call: Call) -> str:
-    return made.add("clip", call, low=0.0, high=6.0)
-
-
 def _function(op: str) -> Operation:
     """Of one input, without parameters."""
 
@@ -308,7 +304,7 @@ MODULES: dict[type, Operation] = {
 """By the very type: a subclass may compute anything."""
 FUNCTIONS: dict[Any, Operation] = {
     **dict.fromkeys((torch.relu, torch.relu_, F.relu), RELU),
-    F.relu6: Operation(_relu6, _FLAG),
+    F.relu6: Operation(HARDTANH.rule, {**_FLAG, "min_val": 0.0, "max_val": 6.0}),
     **dict.fromkeys((F.hardtanh, F.hardtanh_), HARDTANH),
     **dict.fromkeys((torch.clamp, torch.clamp_, torch.clip, torch.clip_), CLAMP),
     **dict.fromkeys((F.leaky_relu, F.leaky_relu_), LEAKY_RELU),
