@@ -180,7 +180,7 @@ class Reconstruction:
             cut = frames.copy()
             for one, columns in zip(cut, windows, strict=True):
                 middle = int(np.median(columns[axis])) // self.model.cell if len(columns[axis]) else 0
-                one[(..., slice(middle, None)) if axis == 1 else (..., slice(middle, None), slice(None))] = 0
+                np.moveaxis(one, -axis, 0)[middle:] = 0  # of a frame (rows, columns): the last axis is x
             halves[:, 2 * k] = self.model.band_of(self.model.spectra(cut))
             halves[:, 2 * k + 1] = band - halves[:, 2 * k]
         return halves
