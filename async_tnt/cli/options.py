@@ -154,9 +154,9 @@ def add_volume(parser: argparse._ActionsContainer, default: str) -> None:
 
 
 def volume_of(text: str | None) -> dict[str, Any]:
-    """`bins=5,polarity=split` as fields of `TNTConfig`. An argparse type."""
+    """`bins=5,polarity=split` as fields of `TNTConfig`; none where the option is not given."""
     volume = {}
-    for part in (text or "").split(",") if text is not None else ():
+    for part in () if text is None else text.split(","):
         name, _, value = part.partition("=")
         if name not in FIELDS or name in volume:
             raise argparse.ArgumentTypeError(

@@ -1,8 +1,5 @@
 """Bytes of datagrams to events: one pass that takes apart, checks and unwraps, and `clock.repair_times`."""
 
-# mypy: disallow-untyped-defs=False
-# (Numba functions: their types are in the docstrings)
-
 import numpy as np
 from numba import int64, uint8
 
