@@ -61,7 +61,7 @@ class KeepUp(BackgroundReader):
     ) -> None:
         self.slower = self.slowest = 1
         self._processor = processor
-        self._every = {name: getattr(processor, name) for name in ("every_us", "every_events")}
+        self._every = processor.every_us, processor.every_events
         self._changed_ns = 0
         super().__init__(
             source, latest=True, max_packets=MAX_PACKETS, max_delay_us=max_delay_us, copy=copy, on_close=on_close
@@ -98,7 +98,7 @@ class KeepUp(BackgroundReader):
     def _set(self, slower: int, now_ns: int) -> None:
         self.slower, self._changed_ns = slower, now_ns
         self.slowest = max(self.slowest, slower)
-        every_us, every_events = self._every["every_us"], self._every["every_events"]
+        every_us, every_events = self._every
         if every_us is not None:
             self._processor.every_us = min(slower * every_us, max(every_us, self._processor.config.window_us))
         if every_events is not None:
