@@ -12,7 +12,7 @@ the landmark's two numbers are learned there, so the backward pass costs about a
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -216,9 +216,8 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
         for tensor in first:
             weights[tensor] = weights[tensor] * scale.cpu().numpy()
         if not first:  # a layer of its own, before the others
-            added, tensors = _scale_layer(name, pipeline.config.channels, float(scale))
+            network[name], tensors = _scaled(name, network[name], pipeline.config.channels, float(scale))
             weights |= tensors
-            network[name] = [added, *(_renamed(layer, {VOLUME: added["name"]}) for layer in network[name])]
     return replace(model, weights=weights, network=network)
 
 
@@ -232,16 +231,15 @@ def first_weights(layers: Sequence[Layer]) -> list[str]:
     return tensors if alone and len(tensors) == len(readers) else []
 
 
-def _scale_layer(network: str, channels: int, scale: float) -> tuple[Layer, dict[str, np.ndarray]]:
-    """The volume times a number, as a batch norm."""
-    tensors = {"mean": np.zeros(channels), "variance": np.ones(channels), "weight": np.full(channels, scale)}
-    named = {f"{network}.scale.{role}": values.astype(np.float32) for role, values in tensors.items()}
-    weights = dict(zip(tensors, named, strict=True))
-    return {"op": "batch_norm", "name": "scaled volume", "inputs": [VOLUME], "weights": weights, "epsilon": 0.0}, named
-
-
-def _renamed(layer: Layer, names: Mapping[str, str]) -> Layer:
-    return {**layer, "inputs": [names.get(name, name) for name in layer["inputs"]]}
+def _scaled(name: str, layers: Sequence[Layer], channels: int, scale: float) -> tuple[list[Layer], dict[str, Any]]:
+    """Layers that read the volume times a number, which is computed as a batch norm; and the tensors of that."""
+    values = {"mean": 0.0, "variance": 1.0, "weight": scale}
+    roles = {role: f"{name}.scale.{role}" for role in values}
+    first = {"op": "batch_norm", "name": "scaled volume", "inputs": [VOLUME], "weights": roles, "epsilon": 0.0}
+    sources = {VOLUME: "scaled volume"}
+    others = [{**layer, "inputs": [sources.get(of, of) for of in layer["inputs"]]} for layer in layers]
+    tensors = {roles[role]: np.full(channels, value, np.float32) for role, value in values.items()}
+    return [first, *others], tensors
 
 
 def pipeline_of(model: Model) -> Pipeline:
