@@ -51,8 +51,9 @@ def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSele
     ValueError, OSError : options that exclude each other, a region or a camera of another size than the model's
         sensor, or a mask that is missing, damaged, or of another sensor.
     """
-    config = model.config if isinstance(model, Model) else model
-    return PixelSelector(selection_of(args), config.sensor)
+    if isinstance(model, TNTConfig):
+        return PixelSelector(selection_of(args), model.sensor)
+    return PixelSelector(selection_of(args), model.config.sensor, any_size=model.places is not None)
 
 
 def selection_of(args: argparse.Namespace) -> PixelSelection:
@@ -67,10 +68,10 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
 
 
 def sensor_to_read(args: argparse.Namespace) -> Sensor | None:
-    """The pixels that a map model is to read: of a region with --crop, of --sensor, or of the first file, if it states
-    them."""
-    given: Sensor | None = args.roi[2:] if args.roi is not None and args.crop else args.sensor
-    if given is not None:
+    """The pixels that a map model is to read: of a region with --crop, of --sensor, of the mask, or of the first file,
+    if it states them."""
+    selection = selection_of(args)
+    if (given := selection.region or selection.camera) is not None:
         return given
     for path in paths_of(args)[:1]:
         with contextlib.suppress(OSError, ValueError, ImportError):  # which is told when it is read

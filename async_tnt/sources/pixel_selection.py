@@ -103,6 +103,7 @@ class PixelSelector:
     ----------
     selection : what the model sees.
     model : (width, height) in pixels that the model is for.
+    any_size : whether it can be for others, see `Model.for_sensor`; for messages.
 
     Attributes
     ----------
@@ -114,10 +115,10 @@ class PixelSelector:
         selection names one; a region off the camera, if that is known.
     """
 
-    def __init__(self, selection: PixelSelection, model: Sensor) -> None:
+    def __init__(self, selection: PixelSelection, model: Sensor, *, any_size: bool = False) -> None:
         self.selection = selection
         self.expected = selection.camera if selection.crop else model
-        self._model = model
+        self._model, self._any_size = model, any_size
         self._filters: dict[Sensor, PixelFilter] = {}
         region, camera = selection.region, selection.camera
         if region not in (None, model):
@@ -128,7 +129,7 @@ class PixelSelector:
         if not selection.crop and camera is not None and camera != model:
             raise ValueError(
                 f"{selection.origin} {format_size(camera)} pixels, but the model is for {format_size(model)}"
-                f"{_advice(model, camera)}"
+                f"{self._advice(camera)}"
             )
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
@@ -171,7 +172,7 @@ class PixelSelector:
         if chosen.crop:
             check_sensor(name, found, sensor, chosen.origin)
         else:
-            check_sensor(name, found, sensor, advice=_advice(self._model, found))
+            check_sensor(name, found, sensor, advice=self._advice(found))
         if not chosen.leaves_out:
             return lambda packet: packet
         if sensor not in self._filters:
@@ -197,8 +198,12 @@ class PixelSelector:
         """What a model has seen of a source without any event left, for messages."""
         return "no events at the selected pixels" if self.selection.leaves_out else "no events"
 
-
-def _advice(model: Sensor, camera: Sensor | None) -> str:
-    holds_model = camera is None or (model[0] <= camera[0] and model[1] <= camera[1])
-    part = f", or cut out a part: `roi` X,Y,{model[0]},{model[1]} `crop`" if holds_model else ""
-    return f"; train one for this camera (async-tnt train){part}"
+    def _advice(self, camera: Sensor | None) -> str:
+        """What to do about a camera of another size than the model's."""
+        (width, height), size = self._model, camera or self._model
+        if self._any_size:
+            return f"; give `sensor` {format_size(size)}"
+        part = (
+            f", or cut out a part: `roi` X,Y,{width},{height} `crop`" if width <= size[0] and height <= size[1] else ""
+        )
+        return f"; train one for this camera (async-tnt train){part}"

@@ -107,3 +107,15 @@ def test_a_recording_of_which_nothing_is_left_says_why(command, tmp_path, progra
     code, _, message = program(*words, "--roi", "0,0,20,20", "--mask", tmp_path / "mask.npy")
     name = "0/a.npz" if command == "evaluate" else path
     assert code == 2 and f"{name}: no events at the selected pixels" in message
+
+
+def test_a_map_model_reads_a_camera_of_any_size_that_is_known(sets, tmp_path, program):
+    large, small = (sets / name / "3" / "a.npz" for name in ("large", "hot"))
+    words = "run", "--model", "digits-everywhere", "--json"
+    code, _, message = program(*words, small, large)
+    assert (
+        code == 2
+        and f"{large}: a sensor of 100x80 pixels, but the model is for 34x34; give --sensor 100x80\n" in message
+    )
+    np.save(tmp_path / "a.npy", open_recording(large).read())
+    assert program(*words, tmp_path / "a.npy", "--mask", sets / "large.npy")[0] == 0
