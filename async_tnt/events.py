@@ -174,8 +174,9 @@ class EventDecoder:
         if n_late and self.late == "raise":
             i = int(np.argmax(late))
             newest = max(self.newest_us, int(t[:i].max(initial=-1)))
+            at = f" at event {i}" if t.size > 1 else ""
             raise ValueError(
-                f'`t` must not run backwards (late="raise"), got {t[i]} after {newest} at event {i}; '
+                f'`t` must not run backwards (late="raise"), got {t[i]} after {newest}{at}; '
                 'late="accept" takes such events, late="drop" drops and counts them'
             )
         self.newest_us = newest_us

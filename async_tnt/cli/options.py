@@ -32,7 +32,7 @@ MODELS = f"a bundled model ({', '.join(bundled_models())}) or a .safetensors fil
 
 
 def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool = False) -> None:
-    """FILEs, or `one`, and --model; with `live` also udp://... or a camera, and a model in an .onnx file."""
+    """FILEs, or `one`, and --model; with `live` also udp://... or a camera, a model in an .onnx file, and --config."""
     bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if live else ""
     onnx = ", or an .onnx file of `async-tnt export`" if live else ""
@@ -49,6 +49,14 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         metavar="NAME|FILE",
         help=f"{MODELS}{onnx} (default: %(default)s)",
     )
+    if live:
+        parser.add_argument(
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="how events become the volumes of another program's .onnx network: a JSON file with `config` and "
+            "`classes`, as async-tnt info MODEL --json prints them",
+        )
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:

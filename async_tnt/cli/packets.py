@@ -24,7 +24,7 @@ def add_keep_up(parser: argparse.ArgumentParser) -> None:
         type=positive_int,
         metavar="MS",
         help="camera or network: where decisions are slower than events, decide less often (--every-us, "
-        "--every-events), then skip and count packets, so that none is more than MS milliseconds old",
+        "--every-events), then skip and count packets, so that none but the newest is more than MS milliseconds old",
     )
 
 

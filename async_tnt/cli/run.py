@@ -6,7 +6,6 @@ import argparse
 import errno
 import time
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,13 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("accept", "drop", "raise"),
         default="accept",
         help="what to do with an event older than the newest one (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="how events become the volumes of another program's .onnx network: a JSON file with `config` and "
-        "`classes`, as async-tnt info MODEL --json prints them",
     )
     add_pixels(parser)
     add_keep_up(parser)
@@ -184,7 +176,7 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
         moved_off = counts.dropped_outside + counts.dropped_tau_zero
         return (
             f"; {counts.kept:,} kept, {moved_off:,} moved off the grid by the transform, "
-            f"{counts.dropped_late:,} too late for their window"
+            f"{counts.dropped_late:,} too late for their window, {counts.dropped_decided:,} after it was decided"
         )
 
     return follow(name, pixels, processor, keep_up_ms, print_all, end)

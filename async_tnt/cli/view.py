@@ -73,7 +73,7 @@ def main(args: argparse.Namespace) -> int:
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
-    engine = choose_engine(args.model, sensor_to_read(args))
+    engine = choose_engine(args.model, sensor_to_read(args), args.config)
     pixels = selector_of(args, engine.model)
     opened = None if live else pixels.open(path)
     speed = args.speed or (1.0 if args.out is None else math.inf)
@@ -99,7 +99,7 @@ def main(args: argparse.Namespace) -> int:
     n_events = view.processor.counts.received
     if not n_events and not stopped:
         raise ValueError(f"{path}: {pixels.nothing}, nothing to show")
-    if args.out is not None:
+    if args.out is not None and n_events:  # a file without any is not written
         say(f"{args.out}: {n_events:,} events, {view.log.n_pictures:,} pictures; open it with: rerun {args.out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")

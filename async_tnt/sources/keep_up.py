@@ -19,7 +19,7 @@ MOST_SLOWER = 1 << 10
 
 
 class KeepUp(BackgroundReader):
-    """A `BackgroundReader` whose packets are at most `max_delay_us` old when they are handed out.
+    """A `BackgroundReader` whose packets, but for the newest, are at most `max_delay_us` old when they are handed out.
 
     While packets wait for more than a quarter of that, `every_us` and `every_events` of the processor that reads them
     are doubled, again and again, up to a window's length and to 1,024 times; while they wait for less than a twentieth,
@@ -61,7 +61,9 @@ class KeepUp(BackgroundReader):
     ) -> None:
         self.slower = self.slowest = 1
         self._processor = processor
-        self._every = processor.every_us, processor.every_events
+        self._every = every_us, every_events = processor.every_us, processor.every_events
+        most = 1 if every_us is None else -(-processor.config.window_us // every_us)
+        self._most = MOST_SLOWER if every_events is not None else min(most, MOST_SLOWER)  # beyond, nothing changes
         self._changed_ns = 0
         super().__init__(
             source, latest=True, max_packets=MAX_PACKETS, max_delay_us=max_delay_us, copy=copy, on_close=on_close
@@ -90,7 +92,7 @@ class KeepUp(BackgroundReader):
         pause = URGENT_PAUSE if waited > URGENT_FROM else PAUSE
         if now_ns - self._changed_ns < 1000 * pause * self.max_delay_us:
             return
-        if waited > SLOWER_FROM and self.slower < MOST_SLOWER:
+        if waited > SLOWER_FROM and self.slower < self._most:
             self._set(2 * self.slower, now_ns)
         elif waited < FASTER_BELOW and self.slower > 1:
             self._set(self.slower // 2, now_ns)

@@ -56,8 +56,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
 
     Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of the datagrams that were waiting,
     64 at most, or of the one that ended a wait. It ends when `close` is called, from any thread, or after `timeout_s`
-    of silence. Invalid events never raise; they are dropped, see `counts`. One thread iterates at a time; asyncio reads
-    it through a `BackgroundReader`.
+    without a valid event. Invalid events never raise; they are dropped, see `counts`. One thread iterates at a time;
+    asyncio reads it through a `BackgroundReader`.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
     buffer_bytes : receive buffer to ask the system for; the attribute has what it gives.
-    timeout_s : silence, in seconds, below 1e6, after which iterating ends; None waits forever.
+    timeout_s : seconds without a valid event, below 1e6, after which iterating ends; None waits forever.
     max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
         starts again. None: every time is trusted.
 

@@ -49,6 +49,9 @@ def test_by_hand():
     with pytest.raises(ValueError, match=r"^`t` must not run backwards \(late=\"raise\"\), got 6 after 7 at event 2; "):
         refuse.decode(events)
     assert (refuse.newest_us, refuse.n_dropped) == (-1, 0)
+    refuse.decode_one(9, 0, 0, 1)
+    with pytest.raises(ValueError, match=r"got 8 after 9; "):
+        refuse.decode_one(8, 0, 0, 1)
 
 
 @given(

@@ -12,7 +12,7 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 EVENTS = open_recording(sample_recordings()[7]).read()
 
 
-@pytest.mark.parametrize("options", ["", "--keep-up 60000 --roi 60,0,34,34 --crop --sensor 100x40"])
+@pytest.mark.parametrize("options", ["--confidence 0.9", "--keep-up 60000 --roi 60,0,34,34 --crop --sensor 100x40"])
 def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, program):
     port, sent = free_port(), EVENTS.copy()
     sent["x"] += 60 if "--roi" in options else 0
@@ -21,13 +21,16 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     url = f"udp://127.0.0.1:{port}?timeout_s=1"
     code, out, err = program("run", url, "--json", "--every-us", 20_000, *options.split())
     sender.join()
-    processor = Processor(load_model("digits"), every_us=20_000)
+    confidence = 0.9 if "--confidence" in options else None
+    processor = Processor(load_model("digits"), every_us=20_000, confidence=confidence)
     expected = processor.push(EVENTS) + processor.finish()
     got = [json.loads(line) for line in out.splitlines()]
     assert code == 0 and [(d["trigger"], d["time_us"], d["label"], d["events"]) for d in got] == [
         (d.trigger, d.time_us, d.label, d.events) for d in expected
     ]
     assert f"listening at udp://127.0.0.1:{port}" in err and f"{len(EVENTS):,} events (0 malformed" in err
+    n_decided = processor.counts.dropped_decided
+    assert f", {n_decided:,} after it was decided" in err and (n_decided > 1000) == ("--confidence" in options)
     assert ("0 skipped to stay fresh" in err) == ("--keep-up" in options)
     assert ("left out: 0 outside of the region" in err) == ("--roi" in options)
     assert all(("--keep-up" not in options) or d["n_skipped"] == 0 for d in got)

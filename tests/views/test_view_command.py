@@ -125,24 +125,25 @@ def test_events_of_the_network(tmp_path, program):
     np.testing.assert_array_equal(sheet, log.bin_sheet(processor.volume()))
 
 
-@pytest.mark.parametrize("live", [True, False])
-def test_ctrl_c_completes_the_file_and_exits_with_130(tmp_path, live, monkeypatch, program):
+@pytest.mark.parametrize(("live", "after"), [(True, 2000), (False, 2000), (True, 0)])
+def test_ctrl_c_completes_the_file_and_exits_with_130(tmp_path, live, after, monkeypatch, program):
     from async_tnt.views.rerun_view import RerunView
 
     push, seen = RerunView.push, []
 
     def interrupted(view, events):
         seen.append(events)
-        if sum(map(len, seen)) > 2000:
+        if sum(map(len, seen)) > after:
             raise KeyboardInterrupt
         return push(view, events)
 
     monkeypatch.setattr(RerunView, "push", interrupted)
     out = tmp_path / "a.rrd"
     with sent() if live else contextlib.nullcontext() as port:
-        code, _, err = program("view", f"udp://127.0.0.1:{port}" if live else SAMPLE, "--out", out)
+        code, said, err = program("view", f"udp://127.0.0.1:{port}" if live else SAMPLE, "--out", out)
     assert code == 130 and len(own_lines(err)) == (2 if live else 1)
-    assert os.listdir(tmp_path) == ["a.rrd"] and len(Rrd(out).times(log.TNT)) >= 2
+    assert os.listdir(tmp_path) == (["a.rrd"] if after else []) and said.startswith(f"{out}: ") == (live and after > 0)
+    assert not after or len(Rrd(out).times(log.TNT)) >= 2
 
 
 def rerun_program():
