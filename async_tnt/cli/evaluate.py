@@ -109,7 +109,7 @@ def main(args: argparse.Namespace) -> int:
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
     for line in skipped:
-        complain(f"skipped: {line}")
+        complain(ValueError(f"skipped: {line}"))
     return 2 if skipped and args.strict else 0
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.cli.options import READABLE, size_of
-from async_tnt.cli.output import complain, say
+from async_tnt.cli.output import OPTIONS, complain, say, with_options
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
@@ -121,7 +121,7 @@ def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], lis
                 n_events += found.events
             except (OSError, ValueError, ImportError, MemoryError) as error:
                 reports.append({"recording": str(path), "error": str(error)})
-                lines.append(f"{name} cannot be read: {error}")
+                lines.append(with_options(f"{name} cannot be read: {error}", OPTIONS))
             bar.update()
     counts = ", ".join(f"{name} {n}" for name, n in folders.items()) if len(folders) > 1 else "no folders in it"
     head = f"{folder}: {len(paths)} recordings, {n_events:,} events; {counts}"

@@ -123,8 +123,8 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         changes["window_us"] = args.window_us
     if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
         changes.setdefault("remove_flow", False)
-    if config.representation in TIME_IMAGES:
-        raise ValueError(f"{args.model}: event volumes and counts can be drawn, but not {config.representation}")
+    if (kind := changes.get("representation", config.representation)) in TIME_IMAGES:
+        raise ValueError(f"event volumes and counts can be drawn, but not {kind} (`model`, `volume`)")
     if changes.setdefault("transform", "tnt") != "tnt":
         raise ValueError("--volume transform=none: the volume without the transform is drawn anyway, beside the other")
     return config.replace(**changes)

@@ -111,7 +111,8 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ("h.npz --model digits", "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),
         ("h.npz --sensor 50x50", "h.npz: a sensor of 40x40 pixels, but --sensor says 50x50"),
         ("--volume landmark=regressor", "needs a model with a landmark network, but model digits has none"),
-        ("3 --model times.safetensors", "event volumes and counts can be drawn, but not mean_time"),
+        ("3 --model times.safetensors", "event volumes and counts can be drawn, but not mean_time (--model, --volume)"),
+        ("--volume representation=count_time", "event volumes and counts can be drawn, but not count_time"),
         ("3 --model of_events.safetensors", "windows of a duration can be drawn, but not of 500 events"),
     ],
 )
