@@ -53,6 +53,8 @@ def _open_streams() -> None:
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115 (it stays open)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # the encoding of a file on Windows lacks characters
     if os.name == "posix":  # the Windows console is not a file
         raw = _Stderr(sys.stderr.fileno(), "w", closefd=False)
         sys.stderr = io.TextIOWrapper(

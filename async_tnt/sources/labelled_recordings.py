@@ -179,11 +179,14 @@ def _sessions(folder: Path) -> dict[Path, Path]:
 
 
 def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: list[Path]) -> None:
-    """There are no recordings beside the sessions. Those that no list names may be there, and texts of any kind."""
+    """There are no recordings or tables beside the sessions. Those that no list names may be there, and texts of any
+    kind."""
     if not any((folder / file).is_file() for file in LISTS.values()):
         for path in _unlabelled(folder):
             if path not in sessions:
                 raise ValueError(f"{path} has no table {path.stem}{TABLE}, as others have; write one, or remove it")
+        for table in sorted({*folder.glob(f"*{TABLE}")} - {*sessions.values()}):
+            raise ValueError(f"{table} has no recording {table.name.removesuffix(TABLE)}.*, as others have; remove it")
     if of_classes := [path for c in classes for path in _unlabelled(c)]:
         raise ValueError(
             f"{folder}: expected class folders, or sessions with tables, got both: {of_classes[0].relative_to(folder)} "

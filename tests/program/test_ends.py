@@ -143,6 +143,13 @@ def test_a_closed_pipe_is_no_error():
     assert done.stdout.startswith("recording") and done.stderr == ""
 
 
+def test_output_whose_encoding_lacks_a_character_has_its_escape():
+    done = subprocess.run(
+        [sys.executable, *PROGRAM, "info", SAMPLE], env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True
+    )
+    assert done.returncode == 0 and rb"\u258" in done.stdout
+
+
 @has_full
 def test_output_that_cannot_be_written_is_not_blamed_on_the_recordings():
     with open("/dev/full", "w") as full, started(*PROGRAM, "run", "--json", stdout=full) as process:

@@ -140,6 +140,12 @@ def test_only_texts_and_the_other_part_may_lie_beside_sessions(tmp_path):
     write(tmp_path / "b.npz", part("flat", 0, 0))
     with pytest.raises(ValueError, match=r"b\.npz has no table b_labels\.csv, as others have"):
         find_recordings(tmp_path)
+    (tmp_path / "b.npz").rename(tmp_path / "c.npz")
+    (tmp_path / "b_labels.csv").touch()
+    (tmp_path / "c_labels.csv").write_bytes((tmp_path / "a_labels.csv").read_bytes())
+    with pytest.raises(ValueError, match=r"b_labels\.csv has no recording b\.\*, as others have; remove it"):
+        find_recordings(tmp_path)
+    (tmp_path / "c_labels.csv").unlink()
     (tmp_path / "trials_to_test.txt").touch()  # lists say what is for training and for testing
     assert find_recordings(tmp_path) == found
     write(tmp_path / "flat" / "d.npz", part("flat", 0, 0))
