@@ -40,7 +40,8 @@ NOISE_HZ, HOT_EVENTS = (0.1, 0.9), (20, 300)
 MOST_NOISE = 100_000
 """Events of a scene: a large sensor's would take longer than all else."""
 OUTER = 2, 98
-"""Percentiles of an object's events: its middle is halfway between them, whatever noise is farther out."""
+"""Percentiles of an object's events until the scene's end: its middle is halfway between them, whatever noise is
+farther out."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ class SceneMaker:
         is_object = (draws.nothing == SHOWN) & (np.abs(own).sum((1, 2, 3)) >= FEWEST)
 
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
-        middles = (np.einsum("nij,nj->ni", draws.matrix[:, :, :2], _middles(windows)) + draws.matrix[:, :, 2]) / fine
+        middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], _middles(windows, until_us[scene] - later_us))
+        middles = (middles + draws.matrix[:, :, 2]) / fine
         volumes = self._noise(n_scenes, until_us, rng)
         position, end = np.full((n, 2), np.inf), np.array(self.config.sensor) - 1.0
         for i in range(n):
@@ -148,10 +150,11 @@ class SceneMaker:
         return self._scenes(windows).copy()
 
 
-def _middles(windows: Windows) -> np.ndarray:
-    """(x, y) of each window's object, float64, (N, 2); of one without events, of nothing."""
+def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
+    """(x, y) of each window's object, of its events before that time, float64, (N, 2); without any, of nothing."""
     middles = np.zeros((len(windows), 2))
-    for i, (first, last) in enumerate(itertools.pairwise(windows.recordings.offsets)):
+    for i, (first, end) in enumerate(itertools.pairwise(windows.recordings.offsets)):
+        last = first + np.searchsorted(windows.recordings.t[first:end], until_us[i])
         if first < last:
             both = windows.recordings.x[first:last], windows.recordings.y[first:last]
             middles[i] = np.percentile(both, OUTER, axis=1).mean(axis=0)

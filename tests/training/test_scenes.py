@@ -61,7 +61,6 @@ def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(gr
     draws = unchanged(12, config)
     draws.until_us[:] = 700
     scenes = maker(windows, draws, np.random.default_rng(5))
-    middles = [np.mean([np.percentile(one[c], (2, 98)) for c in "xy"], 1) for one in events]
     expected = np.zeros(scenes.volumes.shape)
     again = np.random.default_rng(5)  # the draws of starts, as the maker makes them
     again.integers(max(1, round(12 / module.OBJECTS)), size=12)
@@ -71,7 +70,8 @@ def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(gr
     for i, (scene, place) in enumerate(zip(scenes.scene, scenes.position, strict=True)):
         one = events[i][events[i]["t"] + later[i] < 700]
         cells_a_pixel = (3 * np.array(grid) - 1) / (np.array([60, 48]) - 1)
-        in_crop = middles[i] * (np.array(grid) - 1) / (np.array([20, 16]) - 1)
+        middle = np.mean([np.percentile(one[c], (2, 98)) for c in "xy"], 1)  # of what the scene shows
+        in_crop = middle * (np.array(grid) - 1) / (np.array([20, 16]) - 1)
         cells = np.rint(place * cells_a_pixel - in_crop).astype(int)
         assert np.allclose((cells + in_crop) / cells_a_pixel, place)
         settings = {"start_us": 0, "window_us": 1000, "bins": 3, "polarity": "split"}
