@@ -42,7 +42,8 @@ windows. Recordings that cannot be read, and empty ones, are skipped and named a
 
 Of a model that finds objects, DATASET holds recordings with tables of objects, NAME_objects.csv (t, class, x, y, or
 boxes x, y, w, h) or Prophesee's NAME_bbox.npy. For each time in the table it decides at the end of the window before
-it, and earlier; an object is found by its class within its box, or within 5 pixels of a point.
+it, and earlier; an object is found by its class in the ellipse that touches its box's sides, or within 5 pixels of a
+point.
 
   async-tnt evaluate gestures.safetensors held_out
   async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy

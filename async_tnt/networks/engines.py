@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
@@ -80,9 +81,21 @@ def _of_other_program(path: Path, config: Path) -> Engine:
     except TypeError as error:  # the file has its own
         raise ValueError(one_line(error)) from None
     except NotImplementedError:
-        network = OnnxClassifier(path, shape=volume.shape)
+        network = OnnxClassifier(_of_logits(path), shape=volume.shape)
         names = list(map(str, range(network.n_classes) if classes is None else classes))
         if len(names) != network.n_classes:
             raise ValueError(f"{config}: {len(names)} classes, but {path} computes {network.n_classes}") from None
         return Engine(volume, names, network)
     return Engine(model, model.classes)
+
+
+def _of_logits(path: Path) -> Any:
+    """The file or, if a softmax ends its network, the network with its logarithm, which are logits of the same."""
+    import onnx
+
+    proto = onnx.load(path)
+    ends = [node for node in proto.graph.node if list(node.output) == [output.name for output in proto.graph.output]]
+    if not ends or ends[0].op_type != "Softmax":
+        return path
+    ends[0].op_type = "LogSoftmax"
+    return proto

@@ -27,7 +27,7 @@ Layers = list[dict[str, Any]]
 
 STANDARD = ("", "ai.onnx")  # the domain of ONNX's own operations
 FIRST_OPSET = 7  # before it, sums took an axis, and batch norms and dropouts trained unless told otherwise
-WAY_OUT = "; OnnxClassifier(path) runs any float32 network, whole at every decision"
+WAY_OUT = "; OnnxClassifier(path) runs any float32 network of logits, whole at every decision"
 
 
 def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:

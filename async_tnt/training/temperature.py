@@ -5,7 +5,7 @@
 No decision changes, only its probability. The factor goes into the weights of the last layer, so a calibrated model is
 like any other.
 
-A few windows that are all right would ask for certainty, T = 0. So one window more is counted of each class, whatever
+A few windows that are all right would ask for certainty, T = 0. So one decision more is counted of each class, whatever
 is shown (the rule of succession, as in Platt's scaling).
 
 References: Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599; Platt 1999, Probabilistic outputs for support vector

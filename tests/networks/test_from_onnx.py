@@ -62,7 +62,7 @@ def write_onnx(path, nodes, constants=None, output="y", opset=13, shape=(1, 2, 6
 ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
 HALF, YES = np.float32(0.5), np.bool_(True)
 REFUSED = [  # nodes, constants, message, opset
-    ([node("Sin")], {}, "(Sin) has no compiled form; OnnxClassifier(path) runs any float32 network, whole", 13),
+    ([node("Sin")], {}, "(Sin) has no compiled form; OnnxClassifier(path) runs any float32 network of logits, whole", 13),
     ([node("Relu", domain="my")], {}, "(Relu) is of the domain 'my', not ONNX's own; OnnxClassifier(path) runs", 13),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
     ([node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)], {}, "(AveragePool): ceil_mode has no compiled form", 13),
@@ -187,6 +187,13 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     config.write_text(json.dumps({"config": small.to_dict()}))
     engine = choose_engine(other, config=config)
     assert (type(engine.classifier), engine.model, len(engine.classes)) == (OnnxClassifier, small, 60)
+    volume, ends = (
+        np.ones(small.shape, np.float32),
+        [node("Sin", "x", "s"), node("Flatten", "s", "l"), node("Softmax", "l")],
+    )
+    of_odds = choose_engine(write_onnx(tmp_path / "odds.onnx", ends), config=config).classifier(volume)
+    logits = engine.classifier(volume)
+    np.testing.assert_allclose(of_odds, logits - np.log(np.exp(logits).sum()), atol=1e-5)
     layers = [node("Sin", "x", "s"), node("GlobalAveragePool", "s", "g"), node("Flatten", "g")]
     open_sides = write_onnx(tmp_path / "open.onnx", layers, shape=("n", 2, "h", "w"))
     assert len(choose_engine(open_sides, config=config).classes) == 2
