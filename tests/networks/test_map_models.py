@@ -322,16 +322,3 @@ def test_what_a_map_model_refuses():
     for classes in ("abcd", {"a", "b", "c", "d"}):
         with pytest.raises(TypeError, match="`classes` must be a tuple or list of names"):
             Model.from_torch(one_place, CONFIG, classes)
-
-
-def test_an_exported_map_model_runs_as_the_model_does(tmp_path, program):
-    model = map_model()
-    file, events = tmp_path / "map.onnx", random_events(2000, seed=8, sensor=CONFIG.sensor, duration_us=3000)
-    file.write_bytes(to_onnx(model).SerializeToString())
-    np.savez(tmp_path / "a.npz", events=events, sensor=np.array(CONFIG.sensor))
-    model.save(tmp_path / "map.safetensors")
-    lines = [
-        program("run", tmp_path / "a.npz", "--model", one)[1].splitlines()[-1].partition("  end")[2]
-        for one in (file, tmp_path / "map.safetensors")
-    ]
-    assert lines[0] == lines[1] and "(" in lines[0]
