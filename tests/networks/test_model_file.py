@@ -67,12 +67,9 @@ def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
 
 
 def test_what_cannot_be_saved_leaves_nothing(tmp_path):
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(OSError, match="folder"):
-        small_model().save(tmp_path / "folder")
     with pytest.raises(TypeError, match="float32 is not JSON serializable"):
         thesis_model(SMALL, changed(), CLASSES, {"accuracy": np.float32(0.5)}).save(tmp_path / "m")
-    assert os.listdir(tmp_path) == ["folder"] and os.listdir(tmp_path / "folder") == []
+    assert os.listdir(tmp_path) == []
 
 
 def test_what_is_no_model_file_lists_the_bundled_names(tmp_path, monkeypatch):
