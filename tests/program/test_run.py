@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from made import random_events, random_model
+from made import random_events
 
-from async_tnt import Processor, TNTConfig, load_model
+from async_tnt import Processor, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SAMPLES = sample_recordings()
@@ -73,12 +73,6 @@ def test_an_unreadable_recording_is_one_line_and_the_next_one_follows(name, cont
     code, printed, err = program("run", tmp_path / name, SAMPLES[1])
     assert code == 2 and err.count("\n") == 1 and err.startswith("async-tnt: ") and message in err
     assert "1.bin: 1 " in printed
-
-
-def test_a_model_for_another_sensor_is_refused(tmp_path, program):
-    path = random_model(TNTConfig(sensor=(20, 20))).save(tmp_path / "m.safetensors")
-    code, _, message = program("run", "--model", path, SAMPLES[1])
-    assert code == 2 and "is off the 20 x 20 sensor; the file states none, --sensor or the model does" in message
 
 
 def test_late_events_are_reported(program):
