@@ -143,14 +143,6 @@ def test_an_interval_by_hand():
     assert interval(np.zeros((2, 3)))["p"] == 1 and interval(np.ones((2, 3)))["p"] == 0
 
 
-def test_its_width_is_that_of_the_bootstrap_over_seeds_and_digits():
-    rng = np.random.default_rng(0)
-    values = rng.normal(0, 0.2, (40, 1)) + rng.normal(0, 0.5, (1, 60)) + rng.normal(0, 0.3, (40, 60))
-    drawn = [values[rng.integers(0, 40, 40)][:, rng.integers(0, 60, 60)].mean() for _ in range(2_000)]
-    found = interval(values)
-    assert np.std(drawn) == pytest.approx((found["high"] - found["low"]) / 4, rel=0.1)
-
-
 def test_an_interval_holds_the_truth_in_19_of_20_cases():
     rng = np.random.default_rng(1)
     held = 0
