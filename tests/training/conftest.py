@@ -21,13 +21,19 @@ def trained(gestures, tmp_path_factory):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
     folder = tmp_path_factory.mktemp("trained")
     out = folder / "gestures.safetensors"
-    assert main(["train", str(gestures), "--out", str(out), "--grid", "34x34", "--epochs", "8", "--test"]) == 0
+    assert main(["train", str(gestures), "--out", str(out), "--grid", "34x34", "--epochs", "3", "--test"]) == 0
     return out
 
 
 @pytest.fixture
-def train(program, tmp_path):
-    """Train on a set for one epoch, by the program; returns exit code, stderr and the model's file."""
+def few_steps(monkeypatch):
+    """For what needs a model that has learned nothing: two steps an epoch instead of fifty."""
+    monkeypatch.setattr("async_tnt.training.settings.STEPS_AN_EPOCH", 2)
+
+
+@pytest.fixture
+def train(program, tmp_path, few_steps):
+    """Train on a set for one short epoch, by the program; returns exit code, stderr and the model's file."""
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
     def run(dataset, *words):
