@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from training.gestures import write
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
@@ -32,23 +33,17 @@ def with_hot_pixels(events, corner=(0, 0)):
     return both[np.argsort(both["t"], kind="stable")]
 
 
-def write(path, events, sensor):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez(path, events=events, sensor=np.array(sensor))
-    return path
-
-
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
     """Samples as they are, with hot pixels, and with these somewhere on a larger camera; masks."""
     folder = tmp_path_factory.mktemp("sets")
     for digit, path in sample_recordings().items():
         events, name = open_recording(path).read(), f"{digit}/a.npz"
-        write(folder / "clean" / name, PixelFilter(SIZE, mask=hot_mask(SIZE))(events), SIZE)
-        write(folder / "hot" / name, with_hot_pixels(events), SIZE)
+        write(folder / "clean" / name, PixelFilter(SIZE, mask=hot_mask(SIZE))(events), sensor=SIZE)
+        write(folder / "hot" / name, with_hot_pixels(events), sensor=SIZE)
         events["x"] += CORNER[0]
         events["y"] += CORNER[1]
-        write(folder / "large" / name, with_hot_pixels(events, CORNER), CAMERA)
+        write(folder / "large" / name, with_hot_pixels(events, CORNER), sensor=CAMERA)
     save_mask(folder / "hot.npy", hot_mask(SIZE))
     save_mask(folder / "large.npy", hot_mask(CAMERA, CORNER))
     return folder
@@ -101,7 +96,7 @@ def test_counts_and_report_say_what_was_left_out(sets, program):
 @of_all_commands
 def test_a_recording_of_which_nothing_is_left_says_why(command, tmp_path, program):
     events = np.array([(1, 3, 3, 1), (2, 30, 30, 1), (3, 4, 3, 1)], EVENTS.dtype)
-    path = write(tmp_path / "set" / "0" / "a.npz", events, SIZE)
+    path = write(tmp_path / "set" / "0" / "a.npz", events, sensor=SIZE)
     save_mask(tmp_path / "mask.npy", np.fromfunction(lambda y, x: y == 3, (34, 34)))
     words = words_for(command, tmp_path / "set", "digits", tmp_path)
     code, _, message = program(*words, "--roi", "0,0,20,20", "--mask", tmp_path / "mask.npy")
