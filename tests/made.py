@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from async_tnt import EVENT_DTYPE, Model, TNTConfig
+from async_tnt import EVENT_DTYPE, Model, TNTConfig, TNTVolume
 
 
 def events_of(t, x, y, p) -> np.ndarray:
@@ -24,6 +24,14 @@ def random_events(n: int, *, seed: int = 0, duration_us: int = 105_000, sensor=(
         rng.integers(0, sensor[1], n),
         rng.integers(0, 2, n),
     )
+
+
+def opened(config: TNTConfig, events=None, start_us: int = 0, **settings) -> TNTVolume:
+    """A volume whose window begins then, with these events."""
+    volume = TNTVolume(config, **settings)
+    volume.open(start_us)
+    volume.update(events)
+    return volume
 
 
 def random_model(

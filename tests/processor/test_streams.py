@@ -6,9 +6,9 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 from deciding import key
-from made import random_events, random_model
+from made import opened, random_events, random_model
 
-from async_tnt import Processor, TNTConfig, TNTVolume, astream, stream, volumes
+from async_tnt import Processor, TNTConfig, astream, stream, volumes
 from async_tnt.streams import Settings
 
 MODEL = random_model(TNTConfig(window_us=1000))
@@ -108,10 +108,7 @@ def test_volumes_are_those_that_a_decision_would_have_seen(settings):
     found = list(volumes(packets(70), config, **settings))
     assert [(one.start_us, one.events) for one in found] == [(d.window_start_us, d.events) for d in decisions]
     for one, decision in zip(found, decisions, strict=True):
-        by_hand = TNTVolume(config)
-        by_hand.open(decision.window_start_us)
         inside = EVENTS[EVENTS["t"] >= decision.window_start_us][: decision.events]
-        by_hand.update(inside)
-        np.testing.assert_array_equal(one.volume, by_hand.array)
+        np.testing.assert_array_equal(one.volume, opened(config, inside, decision.window_start_us).array)
     with pytest.raises(TypeError, match=r"`classifier`, `classes` and `confidence` are for decisions"):
         volumes([EVENTS], config, confidence=0.9)

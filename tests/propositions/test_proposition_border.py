@@ -6,10 +6,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from made import events_of, random_events
+from made import events_of, opened, random_events
 from tnt_reference import tnt_coordinates
 
-from async_tnt import TNTConfig, TNTVolume
+from async_tnt import TNTConfig
 
 WINDOW_US = 105_000
 
@@ -33,10 +33,7 @@ def test_an_event_is_lost_exactly_where_tau_is_less_than_its_distance_from_the_l
         dt > 0 and max(abs(2 * x - 33), abs(2 * y - 33)) * WINDOW_US <= 33 * Fraction(t_max) * dt
         for dt, x, y, _ in events.tolist()
     )
-    volume = TNTVolume(TNTConfig(window_us=WINDOW_US, t_max=t_max, landmark="center"))
-    volume.open(0)
-    volume.update(events)
-    got = volume.counts
+    got = opened(TNTConfig(window_us=WINDOW_US, t_max=t_max, landmark="center"), events).counts
     assert 0 < got.kept == n_kept
     assert got.dropped_outside + got.dropped_tau_zero == len(events) - n_kept > 0
 

@@ -11,20 +11,13 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from made import nasty_streams
+from made import nasty_streams, opened
 from tnt_reference import LandmarkRegressor, event_volume, tnt_coordinates, tnt_volume
 
-from async_tnt import TNTConfig, TNTVolume
+from async_tnt import TNTConfig
 from async_tnt.kernels import state as S
 
 WINDOW_US, SENSOR = 800, (34, 34)
-
-
-def streamed(events, config):
-    volume = TNTVolume(config)
-    volume.open(0)
-    volume.update(events)
-    return volume
 
 
 def cells(volume):
@@ -56,7 +49,7 @@ def test_proposition_3_in_the_stream_to_the_last_bit(data):
         config = config.replace(remove_flow=data.draw(st.booleans()))
     events = data.draw(nasty_streams((20, 14), WINDOW_US, 0))
     a = data.draw(st.integers(0, 14)), data.draw(st.integers(0, 20))
-    here, there = streamed(events, config), streamed(shifted(events, a), config)
+    here, there = opened(config, events), opened(config, shifted(events, a))
     assert cells(there).tobytes() == cells(here).tobytes()
     assert there.array.tobytes() == here.array.tobytes()
     assert there.counts == here.counts

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from made import events_of, random_events
+from made import events_of, opened, random_events
 
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.window_batches import EDGE, HOT_PIXELS, ONE_POLARITY, PATCH, SCATTERED, SHOWN
@@ -10,7 +10,6 @@ from async_tnt.training.augment import FINE, Augmentation, of_nothing, unchanged
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import make_windows
-from async_tnt.volume import TNTVolume
 
 NOTHING = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)
 RNG = np.random.default_rng
@@ -26,10 +25,7 @@ def streamed(config, windows, k, until_us):
     r, start = windows.recordings, int(windows.start_us[k])
     own = slice(*r.offsets[windows.recording[k] :][:2])
     inside = (r.t[own] >= start) & (r.t[own] < start + until_us)
-    volume = TNTVolume(config)
-    volume.open(start)
-    volume.update([getattr(r, name)[own][inside].astype(np.int64) for name in "txyp"])
-    return volume.array
+    return opened(config, [getattr(r, name)[own][inside].astype(np.int64) for name in "txyp"], start).array
 
 
 @pytest.mark.parametrize(

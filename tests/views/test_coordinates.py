@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, nasty_streams, random_events, random_model
+from made import events_of, nasty_streams, opened, random_events, random_model
 
-from async_tnt import TNTConfig, TNTVolume
+from async_tnt import TNTConfig
 from async_tnt.kernels.state import BLOCK
 from async_tnt.views.figure_subject import Subject
 
@@ -30,10 +30,7 @@ def window_of(events, config):
 
 
 def streamed(events, config):
-    volume = TNTVolume(config, regressor=window_of(events, config).subject.regressor())
-    volume.open(START_US)
-    volume.update(events)
-    return volume
+    return opened(config, events, START_US, regressor=window_of(events, config).subject.regressor())
 
 
 def equal_reference(events, config):

@@ -8,9 +8,9 @@ import pytest
 import tnt_reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import nasty_streams, random_events, random_regressor_model
+from made import nasty_streams, opened, random_events, random_regressor_model
 
-from async_tnt import CompiledRegressor, TNTConfig, TNTVolume
+from async_tnt import CompiledRegressor, TNTConfig
 from async_tnt.checking.reference import reference_landmark, reference_volume
 from async_tnt.networks.torch_modules import landmark_function
 
@@ -49,12 +49,6 @@ def reference_kept(events, config, start_us, landmark):
     ).kept
 
 
-def opened(config, start_us=0):
-    volume = TNTVolume(config)
-    volume.open(start_us)
-    return volume
-
-
 def assert_equals_reference(volume, events, config, start_us, landmark=None):
     """landmark : where it is in the reference, or else as the configuration says."""
     expected = reference_volume(events, config, start_us, landmark)
@@ -77,7 +71,7 @@ def test_update_equals_batch_at_every_prefix(data):
     config = config.replace(window_events=data.draw(st.sampled_from([None, 25])))
     start_us = data.draw(st.sampled_from(STARTS))
     events = data.draw(nasty_streams(sensor, window_us, start_us, max_events=25))
-    volume = opened(config, start_us)
+    volume = opened(config, start_us=start_us)
     assert_equals_reference(volume, events[:0], config, start_us)
     for n, event in enumerate(events.tolist(), start=1):
         volume.update_one(*event)
@@ -104,8 +98,7 @@ TORCH = {id(model): landmark_function(model) for model in MODELS}
 def test_with_a_landmark_network_it_equals_batch_about_the_landmark_of_torch(model, start_us, data):
     config = model.config
     events = data.draw(nasty_streams(config.sensor, config.window_us, start_us, max_events=20))
-    volume = TNTVolume(config, regressor=CompiledRegressor(model))
-    volume.open(start_us)
+    volume = opened(config, start_us=start_us, regressor=CompiledRegressor(model))
     for n, event in enumerate(events.tolist(), start=1):
         volume.update_one(*event)
         raw = reference_volume(events[:n], config.replace(transform="none"), start_us)
@@ -118,8 +111,7 @@ def test_with_a_landmark_network_it_equals_batch_about_the_landmark_of_torch(mod
 )
 def test_a_long_packet_equals_batch_and_its_cells_sum_to_the_events_kept(config):
     events = random_events(1500, seed=1)
-    volume = opened(config)
-    volume.update(events)
+    volume = opened(config, events)
     assert_equals_reference(volume, events, config, 0)
     if config.polarity != "signed" and config.representation in ("volume", "count"):
         assert volume.array.sum(dtype=np.float64) == pytest.approx(volume.counts.kept, abs=1e-4)
@@ -133,6 +125,4 @@ def test_opposite_events_cancel_without_a_trace():
     events["t"][n:] = events["t"][: n - 1]
     events["p"] = np.arange(2 * n - 1) < n
     config = TNTConfig(landmark="center")
-    volume = opened(config)
-    volume.update(events)
-    assert_equals_reference(volume, events, config, 0)
+    assert_equals_reference(opened(config, events), events, config, 0)

@@ -6,18 +6,12 @@ import re
 import numpy as np
 import pytest
 from deciding import total_and_size
-from made import random_events, random_model
+from made import opened, random_events, random_model
 
 from async_tnt import CompiledRegressor, Processor, TNTConfig, TNTVolume
 
 CONFIG = TNTConfig(window_us=1000, landmark="center", t_max=1.0)
 OF_REGRESSOR = CONFIG.replace(landmark="regressor")
-
-
-def opened(config=CONFIG, start_us=0, **settings):
-    volume = TNTVolume(config, **settings)
-    volume.open(start_us)
-    return volume
 
 
 def brightest(raw):
@@ -37,7 +31,7 @@ def test_window_is_half_open(landmark):
 
 
 def test_array_is_a_read_only_float32_view_of_the_open_window():
-    volume = opened()
+    volume = opened(CONFIG)
     first = volume.array
     volume.update_one(500, 16, 16, 1)
     assert first is volume.array and first.any()
