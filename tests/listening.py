@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
+import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -35,6 +38,16 @@ def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
             except ConnectionError:
                 time.sleep(0.01)
     raise TimeoutError(f"no listener at port {port} after {patience_s} s")
+
+
+@contextlib.contextmanager
+def sent(events: np.ndarray) -> Iterator[int]:
+    """A port to which the events are sent once somebody listens; all of them before the block ends."""
+    port = free_port()
+    sender = threading.Thread(target=send_in_parts, args=(port, events), daemon=True)
+    sender.start()
+    yield port
+    sender.join()
 
 
 def send_in_parts(port: int, events: np.ndarray, n_parts: int = 40, pause_s: float = 0.002) -> None:

@@ -1,10 +1,9 @@
 """`async-tnt run` of a stream from the network."""
 
 import json
-import threading
 
 import pytest
-from listening import free_port, send_in_parts
+from listening import sent
 
 from async_tnt import Processor, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -14,13 +13,11 @@ EVENTS = open_recording(sample_recordings()[7]).read()
 
 @pytest.mark.parametrize("options", ["--confidence 0.9", "--keep-up 60000 --roi 60,0,34,34 --crop --sensor 100x40"])
 def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, program):
-    port, sent = free_port(), EVENTS.copy()
-    sent["x"] += 60 if "--roi" in options else 0
-    sender = threading.Thread(target=send_in_parts, args=(port, sent), daemon=True)  # once somebody listens
-    sender.start()
-    url = f"udp://127.0.0.1:{port}?timeout_s=1"
-    code, out, err = program("run", url, "--json", "--every-us", 20_000, *options.split())
-    sender.join()
+    events = EVENTS.copy()
+    events["x"] += 60 if "--roi" in options else 0
+    with sent(events) as port:
+        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        code, out, err = program("run", url, "--json", "--every-us", 20_000, *options.split())
     confidence = 0.9 if "--confidence" in options else None
     processor = Processor(load_model("digits"), every_us=20_000, confidence=confidence)
     expected = processor.push(EVENTS) + processor.finish()

@@ -4,12 +4,11 @@ import io
 import json
 import os
 import signal
-import threading
 
 import numpy as np
 import pytest
 from full_disk import full_after
-from listening import free_port, send_in_parts
+from listening import free_port, sent
 from made import random_events
 from sources.test_cameras import PlayedDevice, made_events
 
@@ -22,19 +21,10 @@ EVENTS = random_events(5_000, seed=3, duration_us=2_000_000, sensor=(64, 48))
 EVENTS["t"] += 7_000_000_000  # a camera that has been on for two hours
 
 
-@pytest.fixture
-def sent():
-    """Send the events, once somebody listens at the port that this returns."""
-    port = free_port()
-    sender = threading.Thread(target=send_in_parts, args=(port, EVENTS), daemon=True)
-    sender.start()
-    yield port
-    sender.join()
-
-
-def test_a_stream_is_recorded_whole_until_it_ends(sent, program, tmp_path):
-    url = f"udp://127.0.0.1:{sent}?timeout_s=1"
-    code, out, err = program("record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path / "gestures")
+def test_a_stream_is_recorded_whole_until_it_ends(program, tmp_path):
+    with sent(EVENTS) as port:
+        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        code, out, err = program("record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path / "gestures")
     (path,) = (tmp_path / "gestures" / "wave").glob("*.dat")
     assert code == 0 and out.startswith(f"{path}: 5,000 events, ") and f"recording wave from {url} into {path}" in err
     recording = open_recording(path)
@@ -85,19 +75,20 @@ def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path
     for name in ("20261126_120000.dat.part", "20261126_120000_2.json"):  # other programs are writing
         (tmp_path / "wave" / name).touch()
     for n in range(2):
-        port = free_port()
-        threading.Thread(target=send_in_parts, args=(port, EVENTS), daemon=True).start()
-        words = ["record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "wave", "--seconds", 1.5]
-        assert program(*words, "--out", tmp_path)[0] == 0 and timers[n][0] == 1.5
+        with sent(EVENTS) as port:
+            words = ["record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "wave", "--seconds", 1.5]
+            assert program(*words, "--out", tmp_path)[0] == 0 and timers[n][0] == 1.5
     assert [path.name for path in sorted((tmp_path / "wave").glob("*.dat"))] == [
         "20261126_120000_3.dat",
         "20261126_120000_4.dat",
     ]
 
 
-def test_an_interrupted_recording_is_complete_up_to_then(sent, program, tmp_path, when_recorded):
+def test_an_interrupted_recording_is_complete_up_to_then(program, tmp_path, when_recorded):
     when_recorded(5_000, lambda: os.kill(os.getpid(), signal.SIGINT))
-    code, out, _ = program("record", f"udp://127.0.0.1:{sent}", "--sensor", "64x48", "--class", "a", "--out", tmp_path)
+    with sent(EVENTS) as port:
+        words = ["record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "a"]
+        code, out, _ = program(*words, "--out", tmp_path)
     (path,) = (tmp_path / "a").glob("*.dat")
     assert code == 130 and "5,000 events" in out and open_recording(path).n_events == 5_000
 

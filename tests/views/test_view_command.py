@@ -7,13 +7,12 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from full_disk import full_after
-from listening import free_port, send_in_parts
+from listening import free_port, sent
 from made import random_events
 from waiting import until
 
@@ -102,19 +101,9 @@ def test_a_disk_that_fills_up_ends_it_and_keeps_what_was_written(tmp_path, progr
 # -- live ----------------------------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def sent(events=EVENTS):
-    """A port to which the events are sent once somebody listens."""
-    port = free_port()
-    sending = threading.Thread(target=send_in_parts, args=(port, events), daemon=True)
-    sending.start()
-    yield port
-    sending.join()
-
-
 def test_events_of_the_network(tmp_path, program):
     out = tmp_path / "a.rrd"
-    with sent() as port:
+    with sent(EVENTS) as port:
         code, printed, err = program("view", f"udp://127.0.0.1:{port}?timeout_s=0.5", "--out", out, "--keep-up", 60_000)
     assert code == 0 and f"{len(EVENTS):,} events (" in err
     assert printed.startswith(f"{out}: {len(EVENTS):,} events, ")
@@ -139,7 +128,7 @@ def test_ctrl_c_completes_the_file_and_exits_with_130(tmp_path, live, after, mon
 
     monkeypatch.setattr(RerunView, "push", interrupted)
     out = tmp_path / "a.rrd"
-    with sent() if live else contextlib.nullcontext() as port:
+    with sent(EVENTS) if live else contextlib.nullcontext() as port:
         code, said, err = program("view", f"udp://127.0.0.1:{port}" if live else SAMPLE, "--out", out)
     assert code == 130 and len(own_lines(err)) == (2 if live else 1)
     assert os.listdir(tmp_path) == (["a.rrd"] if after else []) and said.startswith(f"{out}: ") == (live and after > 0)
