@@ -1,14 +1,9 @@
 """The bundled models of digits: right on every bundled sample, and as accurate as their records say."""
 
-import runpy
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
-from async_tnt import stream  # noqa: E402
 from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.sources import open_recording, sample_recordings  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
@@ -50,27 +45,19 @@ def test_every_window_of_every_sample_is_classified_right(model, first_event):
     assert len(windows) == 30 and evaluate(pipeline_of(model), windows).per_window == 1.0
 
 
+@pytest.fixture(scope="module")
+def real_recordings(data):
+    """400 of the 1,000 test recordings."""
+    return read_nmnist_folder(data / "nmnist" / "Test", per_digit=40)
+
+
 @from_either
-def test_accuracy_on_real_recordings(model, first_event, data):
-    """On 400 of the 1,000 test recordings: 1,200 windows, standard error 0.4 %."""
-    recordings = read_nmnist_folder(data / "nmnist" / "Test", per_digit=40)
-    windows = make_windows(recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US)
+def test_accuracy_on_real_recordings(model, first_event, real_recordings):
+    """1,200 windows: standard error 0.4 %."""
+    windows = make_windows(real_recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US)
     found = evaluate(pipeline_of(model), windows)
     assert (found.to_dict()["recordings"], len(windows) >= 1_195) == (400, True)
     assert found.per_window >= 0.98 and found.per_recording >= 0.985
-
-
-def test_every_digit_of_a_scene_is_found():
-    """That of `examples/several_digits.py`, of all ten samples, in the window in which all of them move."""
-    example = runpy.run_path(str(Path(__file__).parents[2] / "examples/several_digits.py"))
-    for seed in range(5):
-        events, places = example["scene"](np.random.default_rng(seed))
-        model = load_model("digits-everywhere").for_sensor(example["SENSOR"])
-        found = {}
-        for decision in stream([events], model):
-            found |= {one.label: (one.x, one.y) for one in decision.objects if decision.window_start_us > 300_000}
-        for digit, x, y in places[-3:]:
-            assert np.hypot(*np.subtract(found[str(digit)], (x, y))) < 6
 
 
 def test_digits_on_a_large_sensor(data):
