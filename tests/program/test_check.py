@@ -71,8 +71,7 @@ def test_a_comparison_never_forgets_a_nan_and_holds_only_if_something_was_compar
     assert not comparison.holds
 
 
-@pytest.mark.parametrize("digit", [1, 4, 8])
-def test_stream_equals_batch_on_a_real_recording(data, digit):
-    path = sorted((data / "nmnist" / "Test" / str(digit)).glob("*.bin"))[digit]
+def test_stream_equals_batch_on_a_real_recording(data):
+    path = sorted((data / "nmnist" / "Test" / "8").glob("*.bin"))[8]
     comparisons = check_recording(read_nmnist(path), load_model("digits"), prefixes=4)
     assert [c for c in comparisons if not c.holds] == []
