@@ -124,7 +124,7 @@ def test_what_is_wrong_with_ones_own_is_said_before_training(function, message, 
     assert os.listdir(tmp_path) == ["set"]
 
 
-def test_training_one_from_the_command(own, tmp_path, program):
+def test_training_one_from_the_command(own, tmp_path, program, few_steps):
     folder = write_set(tmp_path / "set", {"upright": 2, "flat": 2}, side=34)
     mine, out = tmp_path / "mine.py", tmp_path / "m.safetensors"
     mine.write_text(OWN)
