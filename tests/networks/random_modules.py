@@ -3,7 +3,6 @@ classes, with views and with results that nobody reads. Each can be made again f
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,7 +107,7 @@ class _Builder:
         module = RandomModule([*self.steps, step], self.parts).eval()
         with torch.no_grad():
             try:
-                shape = tuple(copy.deepcopy(module)(torch.ones(1, *SHAPE)).shape[1:])
+                shape = tuple(module(torch.ones(1, *SHAPE)).shape[1:])
             except Exception:  # of torch: these shapes do not go together
                 return
         self.steps.append(step)

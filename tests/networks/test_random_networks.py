@@ -33,7 +33,9 @@ def volumes_of(config: TNTConfig, seed: int) -> list[np.ndarray]:
 
 
 def compiled_logits(model: Model, volumes: list[np.ndarray]) -> np.ndarray:
-    return np.stack([CompiledClassifier(model)(volume) for volume in volumes]).astype(np.float64)
+    """By one network, which must keep nothing of the volumes before."""
+    network = CompiledClassifier(model)
+    return np.stack([network(volume) for volume in volumes]).astype(np.float64)
 
 
 def torch_logits(module: torch.nn.Module, volumes: list[np.ndarray], dtype: torch.dtype) -> np.ndarray:
