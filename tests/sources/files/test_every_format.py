@@ -57,7 +57,7 @@ def test_events_are_read_back_in_any_packets_which_are_the_callers_own(tmp_path,
     assert all(len(packet) == packet_events for packet in packets[:-1])
     got = np.concatenate([np.empty(0, EVENT_DTYPE), *packets])
     np.testing.assert_array_equal(got, events)
-    assert recording.n_events == n
+    assert recording.n_events == n and recording.format
     assert recording.duration_us == (events["t"][-1] - events["t"][0] if n else 0)
     assert recording.sensor == (sensor if FORMATS[name].states_sensor else None)
     for packet in packets:
