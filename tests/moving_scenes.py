@@ -31,7 +31,8 @@ def blobs(rng, sensor=SENSOR, n=6, spread=7.0):
 def pictures(scene, displacement, sensor=SENSOR):
     """Log luminance of each pixel at each displacement, (n, H, W)."""
     y, x = np.mgrid[: sensor[1], : sensor[0]].astype(float)
-    return np.stack([scene(x - dx, y - dy) for dx, dy in displacement])
+    dx, dy = np.asarray(displacement, float).T[:, :, None, None]
+    return scene(x - dx, y - dy)
 
 
 def straight(net, n=53, profile=lambda u: u):
