@@ -137,7 +137,7 @@ def finder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finder")
     write_set(folder / "bars", {"upright": 60, "flat": 60}, side=32)
     out = folder / "bars.safetensors"
-    words = ["train", str(folder / "bars"), "--out", str(out), "--everywhere", "--epochs", "8"]
+    words = ["train", str(folder / "bars"), "--out", str(out), "--everywhere", "--epochs", "5"]
     assert main(words) == 0
     return out
 
