@@ -51,7 +51,7 @@ def write_onnx(path, nodes, constants=None, output="y", opset=13, shape=(1, 2, 6
 ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
 HALF, YES = np.float32(0.5), np.bool_(True)
 REFUSED = [  # nodes, constants, message, opset
-    ([node("Sin")], {}, "(Sin) has no compiled form; OnnxClassifier(path) runs any float32 network of logits, whole", 13),
+    ([node("Sin")], {}, "(Sin) has no compiled form; OnnxClassifier(path) runs any float32 network of logits", 13),
     ([node("Relu", domain="my")], {}, "(Relu) is of the domain 'my', not ONNX's own; OnnxClassifier(path) runs", 13),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
     ([node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)], {}, "(AveragePool): ceil_mode has no compiled form", 13),
