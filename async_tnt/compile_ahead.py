@@ -66,7 +66,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
 
 
 def compile_for(
-    config: TNTConfig, classifier: object, regressor: object, triggers: TriggerSettings, drops_late: bool
+    config: TNTConfig, classifier: object, regressor: object, triggers: TriggerSettings, finds_late: bool
 ) -> None:
     """Compile, in this process and without a word, what a Processor with these settings calls.
 
@@ -75,14 +75,14 @@ def compile_for(
     config : TNTConfig.
     classifier, regressor : what decides, and what finds the landmark or None; other code than ours is not compiled.
     triggers : when decisions are made.
-    drops_late : whether late events are searched for.
+    finds_late : whether late events are searched for.
     """
     compiled = classifier if type(classifier) is CompiledClassifier else None
     finds_objects = compiled is not None and compiled.reader is not None
     names = EVENTS | (OTHER_CLASSIFIERS if compiled is None else LOCATOR if finds_objects else CLASSIFIER)
     if compiled is None and getattr(classifier, "places", None) is not None:
         names |= {"locate_on_map"}
-    if drops_late:
+    if finds_late:
         names |= LATE
     if config.needs_replay:
         names |= REPLAY

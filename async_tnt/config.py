@@ -38,8 +38,8 @@ class TNTConfig:
     window_events : windows of so many events instead. Such a window begins with an event, and times are scaled by its
         newest one, as in the thesis, which is known only when the volume is read: the events are stored, and replayed
         then. `window_us` is the longest that it may last, by default an hour.
-    t_max : TNT time at the end of a window. An object shrinks by this factor until then; a smaller value loses
-        fewer events over the border early in the window.
+    t_max : TNT time, by which positions are divided, at the end of a window. An object shrinks by this factor until
+        then; a smaller value loses fewer events over the border early in the window.
     landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the window's
         events so far, `line`: the intercept of their running regression line, `window`: the centroid of all the
         window's events when it is read (they are stored, and replayed then), `regressor`: a network's estimate from

@@ -114,8 +114,7 @@ class Counts:
     dropped_late: int = 0
     """Older than all open windows and not `dropped_decided`, or late under late="drop"."""
     dropped_decided: int = 0
-    """Late, and all windows from the newest one that holds it up to the oldest open one were closed early by
-    `confidence`."""
+    """Late for a window that `confidence` had closed early, as it had all later ones before the oldest open one."""
 
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))

@@ -31,7 +31,7 @@ class Processor(TriggerAttributes):
     """Classifies windows of an event stream while the events arrive.
 
     Windows lie end to end, from `start_us` or else from the first event. A window is classified when it closes, and
-    skipped if it holds no events; one of `window_events` begins with the first event after the window before it, and is
+    skipped if it holds no events; one of `window_events` begins with the first event after the previous window, and is
     classified when its last event arrives. The decisions do not depend on how the stream is cut into packets.
 
     Parameters
@@ -49,7 +49,7 @@ class Processor(TriggerAttributes):
     every_events : decide also after every this many events of the window.
     confidence : close the window early, with a last decision, as soon as the likeliest class has this probability.
         It is checked at every decision of the other triggers, or after every event if there are none. Events that
-        still arrive for the window are counted as `dropped_decided`. Not for map models.
+        still arrive for the window are counted as `dropped_decided`. Not for models that find objects.
     regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
 
     Copies and pickles continue the stream, bit for bit. The three triggers, from `every_us` to `confidence`,
@@ -117,7 +117,7 @@ class Processor(TriggerAttributes):
 
         Errors of classifier and regressor pass through. The events before that decision have then been processed, the
         others have not (but `late` has seen them: pushed again, they are late), and the packet's earlier decisions are
-        lost. The next push tries the end of a window, and `every_us`, again; a decision made due by an event is missed.
+        lost. The next push repeats one at a window's end or of `every_us`; one that was due by an event is lost.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)

@@ -63,9 +63,9 @@ def stream(
 
 
 def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
-    first = TimeUnitCheck(processor.config)
+    time_unit = TimeUnitCheck(processor.config)
     for events in source:
-        yield from first.watch(processor.push(events))
+        yield from time_unit.watch(processor.push(events))
     yield from processor.finish()
 
 
@@ -88,9 +88,9 @@ def astream(
 
 
 async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIterator[Decision]:
-    first = TimeUnitCheck(processor.config)
+    time_unit = TimeUnitCheck(processor.config)
     async for events in source:
-        for decision in first.watch(processor.push(events)):
+        for decision in time_unit.watch(processor.push(events)):
             yield decision
     for decision in processor.finish():
         yield decision

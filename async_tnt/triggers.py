@@ -89,11 +89,11 @@ class Triggers:
     @property
     def n_at_decision(self) -> int:
         """Events of the oldest window at its last triggered decision."""
-        return int(self._ints[T.N_DECIDED])
+        return int(self._ints[T.N_AT_DECISION])
 
     @n_at_decision.setter
     def n_at_decision(self, n: int) -> None:
-        self._ints[T.N_DECIDED] = n
+        self._ints[T.N_AT_DECISION] = n
 
 
 class TriggerAttributes:

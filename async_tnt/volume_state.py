@@ -1,6 +1,6 @@
-"""What a volume keeps: its flat buffer, which the kernels work on, and the events of volumes that are made at the read.
+"""What a volume keeps: its flat buffer, which the kernels work on, and events that are replayed when it is read.
 
-Events are stored, and replayed when the volume is read, where only then is known
+Events are stored and replayed if one of these is known only when the volume is read:
 
 landmark `window`      the centroid of all the window's events so far
 landmark `regressor`   a network's estimate from the raw volume of the same events

@@ -21,7 +21,7 @@ from async_tnt.volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
 TRIGGER_NAMES: dict[int, Any] = {
-    T.LOOK: "",
+    T.ONLY_IF_SURE: "",  # decided BY_CONFIDENCE, or not at all
     T.BY_EVENTS: "every_events",
     T.BY_CONFIDENCE: "confidence",
     T.BY_TIME: "every_us",

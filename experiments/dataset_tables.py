@@ -74,9 +74,9 @@ def cars_in_short() -> str:
     at = {ms: _mean([test["against_time_ms"][ms] for test in tests]) for ms in CARS_MS}
     rate = found["every_event"]["a_second"]
     return (
-        f"N-CARS' official test part, cars or background, from images of counts without the transform, mean of "
-        f"{len(tests)} networks: {at['10']} after 10 ms, {at['30']} after 30 ms, {at['100']} after 100 ms; "
-        f"{rate:,.0f} decisions a second, one after every event."
+        f"On N-CARS' official test part, cars or background, networks on images of counts without the transform are "
+        f"right in {at['10']} of the recordings after 10 ms, {at['30']} after 30 ms and {at['100']} after 100 ms (mean "
+        f"of {len(tests)}), at {rate:,.0f} decisions a second, one after every event."
     )
 
 

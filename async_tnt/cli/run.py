@@ -139,14 +139,14 @@ def print_decisions(
 
 def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
     """Each decision, and its latency in microseconds, from the call with the event that caused it."""
-    clock, first = time.perf_counter_ns, TimeUnitCheck(processor.config)
+    clock, time_unit = time.perf_counter_ns, TimeUnitCheck(processor.config)
     for packet in packets:
         for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
             handed_over = clock()
             decisions = processor.push_one(t, x, y, p)
             if decisions:
                 latency_us = (clock() - handed_over) / 1e3
-                for decision in first.watch(decisions):
+                for decision in time_unit.watch(decisions):
                     yield decision, latency_us
     handed_over = clock()
     decisions = processor.finish()
@@ -184,10 +184,10 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
 
 def _timed_packets(packets: Iterable[np.ndarray], processor: Processor) -> Iterator[tuple[Decision, float]]:
     """Each decision, and the microseconds that the decisions of its packet took."""
-    first = TimeUnitCheck(processor.config)
+    time_unit = TimeUnitCheck(processor.config)
     for packet in packets:
         handed_over = time.perf_counter_ns()
         decisions = processor.push(packet)
         latency_us = (time.perf_counter_ns() - handed_over) / 1e3
-        for decision in first.watch(decisions):
+        for decision in time_unit.watch(decisions):
             yield decision, latency_us

@@ -27,7 +27,7 @@ def every_us(config: TNTConfig) -> int | None:
 
 
 def moments(config: TNTConfig) -> list[int]:
-    """The tenths of a window, in microseconds since its start; at the last one it ends. None for windows of events.
+    """The tenths of a window, in microseconds since its start; at the last one it ends. [] for windows of events.
 
     Examples
     --------

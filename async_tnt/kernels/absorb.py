@@ -8,7 +8,8 @@ The second and third run in vector registers. One event takes the same steps in 
 formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no contraction), so how a
 stream is cut cannot matter.
 
-Where the landmark or the duration is known only when the volume is read, events are stored and replayed then.
+Where the landmark or the duration is known only when the volume is read, events are stored, and replayed
+at that time.
 """
 
 import numpy as np

@@ -65,7 +65,7 @@ def absorb_and_decide(
         if by_time:
             if times[T.DUE_US] >= end_us:
                 break
-            why = T.BY_TIME if n_before > times[T.N_DECIDED] else T.NOT_DUE
+            why = T.BY_TIME if n_before > times[T.N_AT_DECISION] else T.NOT_DUE
         else:
             stop = T.until_due(trigger, n_before, first, last)
             first = absorb(buffer, t, x, y, p, first, stop)
@@ -76,8 +76,8 @@ def absorb_and_decide(
                 return first, n, NOT_FINITE
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:
                 why = T.BY_CONFIDENCE
-            if why != T.LOOK:
-                notes[n, 0] = times[T.N_DECIDED] = ints[S.N]
+            if why != T.ONLY_IF_SURE:
+                notes[n, 0] = times[T.N_AT_DECISION] = ints[S.N]
                 notes[n, 1] = ints[S.NEWEST_US]
                 notes[n, 2] = why
                 notes[n, 3] = best

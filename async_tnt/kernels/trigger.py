@@ -15,10 +15,10 @@ EVERY_EVENTS = 1  # 0: not by number
 EACH_EVENT = 2  # 1: classify at every event, as no other trigger determines when to test the confidence
 EVERY_US = 3  # 0: not by time
 DUE_US = 4  # next moment of EVERY_US in the oldest window; NEVER_US: none
-N_DECIDED = 5  # events of the oldest window at its last triggered decision
+N_AT_DECISION = 5  # events of the oldest window at its last triggered decision
 SIZE = 6
 
-NOT_DUE, LOOK, BY_EVENTS, BY_CONFIDENCE, BY_TIME = range(5)  # LOOK: decide only if confident enough
+NOT_DUE, ONLY_IF_SURE, BY_EVENTS, BY_CONFIDENCE, BY_TIME = range(5)
 
 
 @compiled
@@ -47,14 +47,14 @@ def why_due(trigger, n_before, n):
 
     Returns
     -------
-    int : NOT_DUE, LOOK or BY_EVENTS.
+    int : NOT_DUE, ONLY_IF_SURE or BY_EVENTS.
     """
     ints = trigger.view(np.int64)
     if n == n_before:  # nothing came, or late events only
         return NOT_DUE
     if ints[EVERY_EVENTS] > 0 and n % ints[EVERY_EVENTS] == 0:
         return BY_EVENTS
-    return LOOK if ints[EACH_EVENT] != 0 else NOT_DUE
+    return ONLY_IF_SURE if ints[EACH_EVENT] != 0 else NOT_DUE
 
 
 @compiled

@@ -38,7 +38,7 @@ class CompiledClassifier:
     sensor : (width, height).
     places : of a map model: where on the sensor the places of its map lie; of others None.
     network : the arrays that compiled code reads, see `kernels.program`.
-    steps : of each step of the program, the layer that it computes, or a part of.
+    steps : of each step of the program, the name of the layer that it computes or belongs to.
 
     Raises
     ------

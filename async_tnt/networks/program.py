@@ -33,7 +33,7 @@ class Program:
     """A network for the compiled interpreter; its input is zero, and nothing has been computed.
 
     arrays : ProgramArrays.
-    steps : of each, in order, the layer that it computes, or a part of.
+    steps : of each, in order, the name of the layer that it computes or belongs to.
     output_layout : where in `maps` the output begins, numbers from one of its rows, columns and channels to the next.
     output_changes : where in the program the records of the output's changes begin.
     lanes : as many filters lie side by side in `arrays.weights`.

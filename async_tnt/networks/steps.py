@@ -38,7 +38,7 @@ class Map:
 class Step:
     """A map, or some channels of it, from other maps.
 
-    name : of the layer that it computes, or a part of.
+    name : of the layer that it computes or belongs to.
     kind : MIX (one input), SUM (several of one shape are taps of one sum), MAXIMUM, FUNCTION or SPREAD (one).
     weights : of a MIX (F, C / groups, kernel_y, kernel_x), with `own_weights` (rows, columns, F, C); of a SUM (taps,
         C), tap by tap of an input, input by input, with `own_weights` (rows, columns, taps, C).

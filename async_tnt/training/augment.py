@@ -35,7 +35,7 @@ KINDS = {
     "on a patch": PATCH,
     "along an edge": EDGE,
 }
-"""Of nothing: name -> what `Draws.nothing` holds."""
+"""Of windows that show no class: name -> what `Draws.nothing` holds."""
 PATCH_SIDE = 0.1, 0.5
 EDGE_WAY, EDGE_THICKNESS, EDGE_LENGTH = (0.2, 1.2), (0.01, 0.1), (0.4, 2.0)
 """Ranges, as shares of the sensor's side."""

@@ -45,8 +45,8 @@ FULL_PIXELS, FOLLOWED, FEWEST = 128 * 128, 6, 0.1
 """Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many times; but at least this
 share."""
 CHUNK = 200
-PAUSE = 100  # windows without any event
 """Recordings of a file."""
+PAUSE = 100  # windows without any event
 N_EXAMPLES, N_TAKES = 5, 6
 """Classes of a figure, and recordings of each."""
 
