@@ -83,7 +83,7 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(wind
         (tmp_path / "cut" / name).unlink()
     resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "cut", workers=2)
     assert contents(tmp_path / "cut") == contents(folder)
-    monkeypatch.setattr("async_tnt.training.resynthesis.run_all", lambda job, missing, workers: iter(missing[:0]))
+    monkeypatch.setattr("async_tnt.training.resynthesis.run_counted", lambda *_: None)
     monkeypatch.setattr("async_tnt.training.resynthesis.calibrate", lambda *_: pytest.fail("made again"))
     resynthesize(*windows, CONFIG, SETTINGS, folder)
 
