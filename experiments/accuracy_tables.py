@@ -5,10 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from async_tnt import load_model
 from experiments.page_parts import of_report, percent, results, table
+from experiments.table_numbers import with_range
 from experiments.unseen_motions import share_closed
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
@@ -123,7 +122,7 @@ def _unseen(found: dict[str, Any]) -> str:
     """Means over seeds by what was trained on and tested in, with the range of several."""
     accuracy = found["accuracy"]
     tests = list(next(iter(accuracy.values())))
-    rows = [[mode, *(_with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()]
+    rows = [[mode, *(with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()]
     if closed := share_closed(accuracy):
         rows.append(["*of the gap closed*", *(percent(closed[test]) if test in closed else "" for test in tests)])
     return table(["trained on", *(f"tested in {test}" for test in tests)], rows)
@@ -133,11 +132,6 @@ unseen_hands = of_report("unseen_hands")(_unseen)
 unseen_saccades = of_report("unseen_saccades")(_unseen)
 unseen_volumes = of_report("unseen_volumes")(_unseen)
 unseen_whole = of_report("unseen_whole")(_unseen)
-
-
-def _with_range(values: list[float]) -> str:
-    texts = [f"{value:.3f}".removeprefix("0") for value in (float(np.mean(values)), min(values), max(values))]
-    return texts[0] if len(values) == 1 else f"{texts[0]} ({texts[1]} to {texts[2]})"
 
 
 @of_report("found_paths")

@@ -251,7 +251,7 @@ SECTIONS = (
     Section(
         "Several objects on a large sensor",
         EVERYWHERE,
-        "experiments.everywhere digits-everywhere --json experiments/results/everywhere.json",
+        "experiments.everywhere digits-everywhere MODEL ... --json experiments/results/everywhere.json",
         {
             datasets.everywhere: "Real digits in scenes",
             datasets.car_scenes: "Cars",

@@ -166,6 +166,12 @@ def short(number: float) -> str:
     return f"{number:.3f}".replace("0.", ".", 1)
 
 
+def with_range(numbers: Sequence[float]) -> str:
+    """.957, or of several .957 (.951 to .963)"""
+    mean, least, most = (short(number) for number in (float(np.mean(numbers)), min(numbers), max(numbers)))
+    return mean if len(numbers) == 1 else f"{mean} ({least} to {most})"
+
+
 def signed(number: float) -> str:
     """+.165"""
     return f"{number:+.3f}".replace("0.", ".", 1)
