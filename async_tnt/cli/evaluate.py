@@ -17,7 +17,7 @@ import numpy as np
 from async_tnt.cli.evaluate_objects import evaluate_objects
 from async_tnt.cli.options import MODELS, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.pixel_options import add_pixels, selector_of
+from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Task, job_of, task_of
@@ -89,7 +89,7 @@ def main(args: argparse.Namespace) -> int:
     model = model_of(args.model)
     if model.places is not None:
         return evaluate_objects(args, model)
-    pixels = selector_of(args, model)
+    pixels = selector_of(selection_of(args), model)
     found = labelled_recordings(args.dataset, model)
     fill_cache()
     job = job_of(args.model, model, pixels.selection)
@@ -110,7 +110,7 @@ def main(args: argparse.Namespace) -> int:
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
     for line in skipped:
-        complain(ValueError(f"skipped: {line}"))
+        complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0
 
 

@@ -64,7 +64,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         of_each = ", ".join(f"{name} ({n})" for name, n in sorted(unknown.items()))
         complain(f"objects of classes that the model does not know do not count: {of_each}")
     for line in skipped:
-        complain(ValueError(f"skipped: {line}"))
+        complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0
 
 

@@ -25,14 +25,12 @@ OPTIONS: set[str] = set()
 
 
 def complain(error: BaseException | str) -> None:
-    """One line on stderr. Errors of the package name `parameters`: options of the command are printed as such."""
+    """One line on stderr. The package names `parameters`: options of the command are printed as such."""
     if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC):
         error = f"{error.filename or 'stdout'}: {error.strerror}"  # what we write to files has their name
     if isinstance(error, MemoryError):  # NumPy's says of what, Python's is empty
         error = f"not enough memory. {error}".strip()
-    if isinstance(error, BaseException):
-        error = with_options(str(error), OPTIONS)
-    note(f"async-tnt: {error}")
+    note(f"async-tnt: {with_options(str(error), OPTIONS)}")
 
 
 def with_options(text: str, names: Collection[str]) -> str:

@@ -43,17 +43,16 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--mask", type=Path, metavar="FILE", help="leave out hot pixels, found by `async-tnt mask`")
 
 
-def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSelector:
-    """The pixels that a model sees, by the options of `add_pixels`.
+def selector_of(selection: PixelSelection, model: Model | TNTConfig) -> PixelSelector:
+    """The pixels that a model sees.
 
     Raises
     ------
-    ValueError, OSError : options that exclude each other, a region or a camera of another size than the model's
-        sensor, or a mask that is missing, damaged, or of another sensor.
+    ValueError : a region, a mask or a camera of another size than the model's sensor.
     """
     if isinstance(model, TNTConfig):
-        return PixelSelector(selection_of(args), model.sensor)
-    return PixelSelector(selection_of(args), model.config.sensor, any_size=model.places is not None)
+        return PixelSelector(selection, model.sensor)
+    return PixelSelector(selection, model.config.sensor, any_size=model.places is not None)
 
 
 def selection_of(args: argparse.Namespace) -> PixelSelection:
@@ -67,10 +66,9 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
     return PixelSelection(args.roi, args.crop, mask, args.sensor)
 
 
-def sensor_to_read(args: argparse.Namespace) -> Sensor | None:
+def sensor_to_read(selection: PixelSelection, args: argparse.Namespace) -> Sensor | None:
     """The pixels that a map model is to read: of a region with --crop, of --sensor, of the mask, or of the first file,
     if it states them."""
-    selection = selection_of(args)
     if (given := selection.region or selection.camera) is not None:
         return given
     for path in paths_of(args)[:1]:

@@ -20,7 +20,7 @@ from async_tnt.cli.options import (
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
 from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
-from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
+from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision, class_of_recording
 from async_tnt.networks.engines import Engine, choose_engine
@@ -73,11 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     check_keep_up(args)
-    engine = choose_engine(args.model, sensor_to_read(args), args.config)
+    selection = selection_of(args)
+    engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
     fill_cache(model=engine.model)
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     processor = Processor(engine.model, classes=engine.classes, classifier=engine.classifier, **settings)
-    pixels = selector_of(args, engine.model)
+    pixels = selector_of(selection, engine.model)
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
     failed = stopped = False
@@ -98,7 +99,7 @@ def main(args: argparse.Namespace) -> int:
         except (OSError, ValueError) as error:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output, not of a recording
                 raise
-            complain(error if str(path) in str(error) else ValueError(f"{path}: {error}"))
+            complain(error if str(path) in str(error) else f"{path}: {error}")
             failed = True
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")

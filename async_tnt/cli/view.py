@@ -12,7 +12,7 @@ from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, number, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
-from async_tnt.cli.pixel_options import add_pixels, selector_of, sensor_to_read
+from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
 from async_tnt.networks.engines import choose_engine
@@ -73,8 +73,9 @@ def main(args: argparse.Namespace) -> int:
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
-    engine = choose_engine(args.model, sensor_to_read(args), args.config)
-    pixels = selector_of(args, engine.model)
+    selection = selection_of(args)
+    engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
+    pixels = selector_of(selection, engine.model)
     opened = None if live else pixels.open(path)
     speed = args.speed or (1.0 if args.out is None else math.inf)
     fill_cache(model=engine.model)
