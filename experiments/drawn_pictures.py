@@ -46,7 +46,8 @@ def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> No
 
 
 def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
-    """Fonts beneath a folder, by default matplotlib's, that draw each of these characters, and not as another font."""
+    """Fonts beneath a folder, by default matplotlib's, that draw each of these characters, and each another shape; not
+    those that draw them as another font does."""
     with needs_extra("plot", "fonts are matplotlib's"):
         from matplotlib import get_data_path
         from PIL import ImageFont
@@ -57,6 +58,6 @@ def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
         with contextlib.suppress(OSError):  # a font that FreeType refuses
             font = ImageFont.truetype(str(path), HEIGHT)
             missing, *drawn = (bytes(font.getmask(character)) for character in ("\uffff", *text))
-            if all(any(glyph) and glyph != missing for glyph in drawn):
+            if all(map(any, drawn)) and len({missing, *drawn}) > len(drawn):
                 fonts.setdefault(b"".join(drawn), (path.stem, font))
     return list(fonts.values())

@@ -23,6 +23,8 @@ def test_fonts_draw_the_same_symbols_each_in_its_way(tmp_path):
     assert len(drawn) > 0.9 * sum(map(len, files.values()))
     heart, spade = (read_picture(tmp_path / name / files["he"][0]).cover for name in ("he", "sp"))
     assert heart[: len(heart) // 4].mean() > 0.6 > 0.4 > spade[: len(spade) // 4].mean()  # two lobes, and a tip
+    write_glyphs(tmp_path / "alike", {"a": "a", "also a": "a"}, None)
+    assert not (tmp_path / "alike").exists()
 
 
 def test_made_objects_differ_and_repeat(tmp_path):
