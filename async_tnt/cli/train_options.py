@@ -110,8 +110,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--network",
         metavar="NAME",
-        help="residual (default), conv4, separable, thesis, map (with --everywhere), or FILE.py:FUNCTION, your own, "
-        "of channels, (width, height), n_classes",
+        help="residual (default), wide, conv4, separable, thesis, map (with --everywhere), or FILE.py:FUNCTION, your "
+        "own, of channels, (width, height), n_classes",
     )
     network.add_argument(
         "--teacher",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,20 +58,23 @@ def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
     )
 
 
-def residual(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+def residual(
+    channels: int, grid: tuple[int, int], n_classes: int, widths: tuple[int, int, int, int] = (24, 32, 48, 96)
+) -> nn.Module:
     """A 5x5 convolution with stride 2, two residual blocks, max poolings between: one more on larger grids."""
+    first, second, third, last = widths
     return nn.Sequential(
-        *_conv(channels, 24, 5, stride=2),
+        *_conv(channels, first, 5, stride=2),
         *([nn.MaxPool2d(2)] if min(grid) > LARGE else []),
-        *_conv(24, 32),
+        *_conv(first, second),
         nn.MaxPool2d(2),
-        Residual(32),
-        *_conv(32, 48),
+        Residual(second),
+        *_conv(second, third),
         nn.MaxPool2d(2),
-        Residual(48),
+        Residual(third),
         nn.MaxPool2d(2),
-        *_conv(48, 96),
-        *_head(96, n_classes, nn.Dropout(0.2)),
+        *_conv(third, last),
+        *_head(last, n_classes, nn.Dropout(0.2)),
     )
 
 
@@ -106,6 +110,7 @@ NETWORKS: dict[str, tuple[Build, int]] = {
     "thesis": (thesis, 4),
     "conv4": (conv4, 8),
     "residual": (residual, 16),
+    "wide": (partial(residual, widths=(32, 48, 64, 128)), 16),
     "separable": (separable, 8),
     "map": (object_map, 8),
 }

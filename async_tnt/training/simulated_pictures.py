@@ -39,8 +39,8 @@ from async_tnt.training.run_folder import other_run
 
 MANIFEST, FORMAT = "pictures.json", 3  # of the recordings: a change of what is simulated counts it up
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
-"""Of all pictures together, about; of each at least one, and at most `MOST_TAKES`."""
-MOST_TAKES = 200
+"""Of all pictures together, about; of each at least `LEAST_TAKES`, and at most `MOST_TAKES`."""
+LEAST_TAKES, MOST_TAKES = {"training": 2, "held-out": 1}, 200
 FULL_PIXELS, FOLLOWED, FEWEST = 128 * 128, 6, 0.1
 """Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many times; but at least this
 share."""
@@ -190,7 +190,7 @@ def simulate_pictures(
     """
     pixels = settings.sensor[0] * settings.sensor[1] * (FOLLOWED if settings.follow else 1)
     share = float(np.clip(FULL_PIXELS / pixels, FEWEST, 1))
-    takes = int(np.clip(round(share * RECORDINGS[part] / max(1, len(pictures))), 1, MOST_TAKES))
+    takes = int(np.clip(round(share * RECORDINGS[part] / max(1, len(pictures))), LEAST_TAKES[part], MOST_TAKES))
     folder.mkdir(parents=True, exist_ok=True)
     checksum = 0
     for picture in pictures:
