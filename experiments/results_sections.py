@@ -233,7 +233,7 @@ SECTIONS = (
         "Pictures alone",
         FROM_PICTURES,
         "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters --made --fonts FONTS "
-        "--seeds 1 --json experiments/results/from_pictures.json",
+        "--seeds 5 --json experiments/results/from_pictures.json",
         {
             datasets.from_pictures: "Tested on real recordings, or on those of another renderer",
             datasets.moved_digits: "N-MNIST's networks on simulated test images, in motions and speeds of their own",
