@@ -242,7 +242,8 @@ SECTIONS = (
     Section(
         "Pictures and few recordings",
         "How many real recordings of each class a classifier of N-MNIST needs, with MNIST's 60,000 training images and "
-        "without: one network each, `async-tnt train FOLDER --sensor 34x34`, which reads 1,000 of Test once.",
+        "without: one network each, `async-tnt train FOLDER --sensor 34x34`, which reads 1,000 of Test once. Measured "
+        "when each picture was recorded once.",
         "experiments.few_recordings --json experiments/results/few_recordings.json --picture "
         "docs/images/few_recordings.png",
         {datasets.few_recordings: "Windows and recordings right"},

@@ -74,11 +74,13 @@ def test_bad_pictures_are_named_and_left_out(tmp_path):
         data_of(tmp_path / "p")
 
 
-def test_a_single_picture_is_not_on_both_sides_and_recorded_so_often(tmp_path, monkeypatch):
+@pytest.mark.parametrize("of_all, takes", [(40, 15), (1, 2)])
+def test_a_single_picture_is_not_on_both_sides_and_recorded_so_often(tmp_path, monkeypatch, of_all, takes):
+    monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": of_all, "held-out": 8})
     monkeypatch.setattr(simulated_pictures, "MOST_TAKES", 15)  # of 40 / 2
     data = data_of(write_pictures(tmp_path / "p", n=1))
     assert len(data.validation) == 0 and any("not held out" in note for note in data.notes)
-    assert data.record["pictures"]["takes"] == 15
+    assert data.record["pictures"]["takes"] == takes
 
 
 def test_pictures_and_recordings_mix(tmp_path):
