@@ -9,11 +9,11 @@ import numpy as np
 from . import program as P
 from .changes import FIRST_ROW, LAST_ROW, MAX_ROW, WORDS, forget_changes, mark_all, note_rows
 from .forward import forward
-from .jit import compiled, inlined
+from .jit import inlined
 from .simd import count_bits, trailing_zeros
 
 
-@compiled
+@inlined
 def begin_window(epoch, program, weights, maps, places):
     """Let a network show an empty window, unless it shows the window of this number already.
 
@@ -51,7 +51,7 @@ def _steps(program):
     return range(P.FIRST_STEP, P.FIRST_STEP + program[P.N_STEPS] * P.STEP_SIZE, P.STEP_SIZE)
 
 
-@compiled
+@inlined
 def _empty_input(program, maps, bits):
     """Zero in all pixels that may not be zero, in the planes, too."""
     n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
@@ -77,7 +77,7 @@ def _empty_input(program, maps, bits):
     forget_changes(program, P.INPUT_TOUCHED, bits)
 
 
-@compiled
+@inlined
 def _restore(program, at, maps, bits):
     """The empty window's numbers in all places of a step that may have others."""
     touched, changed = at + P.TOUCHED, at + P.CHANGED
@@ -98,7 +98,7 @@ def _restore(program, at, maps, bits):
     program[touched + FIRST_ROW], program[touched + LAST_ROW] = MAX_ROW, -1
 
 
-@compiled
+@inlined
 def _keep(program, at, maps):
     n_numbers = program[at + P.GROUPS] * program[at + P.OUT_CHANNELS]
     for y in range(program[at + P.ROWS]):

@@ -98,7 +98,7 @@ def _tile_size(n):
     return 4 if n >= 3 else n
 
 
-@compiled
+@inlined
 def _by_channel(program, at, n, weights, maps, places, bits):
     """A sum, maximum or function of each channel, at the n places of the list."""
     noted, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
@@ -108,7 +108,7 @@ def _by_channel(program, at, n, weights, maps, places, bits):
         note_changes(bits, noted + (place >> 16) * words, place & 0xFFFF, np.uint64(changed))
 
 
-@compiled
+@inlined
 def _spread(program, at, n, words_of_maps, places, bits):
     """Numbers of one place side by side in a block of places, at the n places of the list."""
     block, channels = program[at + P.BLOCK], program[at + P.OUT_CHANNELS]

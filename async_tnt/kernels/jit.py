@@ -75,5 +75,8 @@ def can_be_cached(kernel: Any) -> bool:
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A formula that several kernels share: compiled into each of them, never called on its own."""
+    """A formula that kernels share, or a part of one: compiled into each of them, never called on its own.
+
+    A part that is `compiled` instead is compiled once by itself, and again within each kernel around it.
+    """
     return _strict(inline="always")(function)
