@@ -108,11 +108,11 @@ def event_columns(table: Any, order: str) -> Four:
                 raise ValueError(f"the columns are not {order!r}; they look like {''.join(other)!r}")
     for field, column in columns.items():
         if column.dtype.kind == "f":
-            whole = np.rint(column)
-            if not (whole == column).all():  # not a number, too
-                i = int(np.argmin(whole == column))
+            fits = (np.rint(column) == column) & (np.abs(column) < 2**63)
+            if not fits.all():  # not a number, too
+                i = int(np.argmin(fits))
                 raise ValueError(f"`{field}` must be whole numbers, got {column[i]} in row {i}; times are microseconds")
-            columns[field] = whole.astype(np.int64)
+            columns[field] = column.astype(np.int64)
     return columns["t"], columns["x"], columns["y"], columns["p"]
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
+from async_tnt.checks import short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import Late
@@ -123,6 +124,8 @@ def volumes(source: Iterable[Any], config: TNTConfig, **settings: Unpack[Setting
     (5, 34, 34) 108075 1721
     (5, 34, 34) 213075 1344
     """
+    if not isinstance(config, TNTConfig):
+        raise TypeError(f"`config` must be a TNTConfig, got {short(config)}; a model has one as `config`")
     if settings.keys() & {"classifier", "classes", "confidence"}:
         raise TypeError("`classifier`, `classes` and `confidence` are for decisions; volumes have none")
     waiting: list[np.ndarray] = []

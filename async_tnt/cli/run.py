@@ -96,7 +96,7 @@ def main(args: argparse.Namespace) -> int:
             print_decisions(recording, map(select, recording), processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:
             raise
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, ImportError) as error:
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output, not of a recording
                 raise
             complain(error if str(path) in str(error) else f"{path}: {error}")

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from async_tnt.sources.files.numpy_files import map_npy
 from async_tnt.sources.labelled_recordings import is_recording
 
 CSV, BOXES, OF_BOXES = "_objects.csv", "_bbox.npy", "_td"
@@ -104,14 +105,18 @@ def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
         t = np.array([int(row["t"]) for row in rows], np.int64)
         corner = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)
         size = np.array([(float(row.get("w", 0)), float(row.get("h", 0))) for row in rows]).reshape(-1, 2)
+        if any(row["class"] is None for row in rows):
+            raise ValueError("a row ends before its class")
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: t must be whole microseconds, x, y, w and h numbers: {error}") from None
+        raise ValueError(
+            f"{path}: t must be whole microseconds, x, y, w and h numbers, each with a class: {error}"
+        ) from None
     return np.array([str(row["class"]) for row in rows], object), t, corner, size
 
 
 def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
+    boxes = map_npy(path)
     try:
-        boxes: np.ndarray = np.load(path, "r", allow_pickle=False)  # a header may promise more than there is
         columns = boxes["t" if "t" in (boxes.dtype.names or ()) else "ts"].astype(np.int64), boxes["class_id"]
         corner, size = (np.stack([boxes[a], boxes[b]], axis=-1).astype(np.float64) for a, b in ("xy", "wh"))
         numbers = columns[1].astype(np.int64).tolist()

@@ -10,6 +10,8 @@ import numpy as np
 
 from async_tnt.sources.files.recording import open_recording
 
+LONGEST_S = 1e6  # of one sleep: the system refuses some centuries
+
 
 def replay(
     source: Iterable[np.ndarray] | np.ndarray | str | os.PathLike[str],
@@ -69,12 +71,11 @@ def _replay(source: Iterable[np.ndarray], speed: float, packet_us: int) -> Itera
         for first, end in zip([0, *cuts.tolist()], [*cuts.tolist(), len(packet)], strict=True):
             if started_ns is None:  # the clock starts when the first packet is asked for
                 started_ns = time.monotonic_ns()
-            wait_until(started_ns + round((int(due_us[end - 1]) - first_us) * 1000 / speed))
+            wait_until(started_ns + (int(due_us[end - 1]) - first_us) * 1000 / speed)
             yield packet[first:end]
 
 
-def wait_until(deadline_ns: int) -> None:
+def wait_until(deadline_ns: float) -> None:
     """Sleep until `time.monotonic_ns()` reaches this; no core is kept busy, at the price of waking 0.1 ms late."""
-    left_ns = deadline_ns - time.monotonic_ns()
-    if left_ns > 0:
-        time.sleep(left_ns / 1e9)
+    while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
+        time.sleep(min(left_ns / 1e9, LONGEST_S))

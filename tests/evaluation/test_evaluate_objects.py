@@ -95,6 +95,8 @@ def test_what_is_wrong_is_said(folder, saved, program):
         assert "needs the columns t, class, x, y (and w, h of boxes), lacks " in error()
     write_points(folder / "a_td_objects.csv", [(6000, "on", 5)])
     assert "x, y, w and h numbers" in error()
+    write_points(folder / "a_td_objects.csv", [(6000, 5, 5)], "t,x,y,class")
+    assert "a row ends before its class" in error()
     write_points(folder / "a_td_objects.csv", [(6000, "cat", 5, 5)])
     assert "no object of the model's classes, on, off" in error()
     write_points(folder / "a_td_objects.csv", [(5, "on", 5, 5)])
@@ -112,6 +114,16 @@ def test_what_is_wrong_is_said(folder, saved, program):
     write_points(folder / "b_objects.csv")
     assert "the file does not state its sensor; give it with --sensor WxH" in error("--strict")
     assert program("evaluate", saved, folder, "--sensor", "64x40", "--strict")[0] == 0
+
+
+@pytest.mark.parametrize("damage", [slice(0, 4), slice(10, 11)], ids=["another format", "no literal"])
+def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
+    write_boxes(path := tmp_path / "a_bbox.npy")
+    content = bytearray(path.read_bytes())
+    content[damage] = b"PK\x03\x04" if damage.start == 0 else b"\0"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"a_bbox.npy: not a readable NumPy file: [^\n]*$"):
+        read_table(path, ("on", "off"))
 
 
 def test_how_near_is_near_enough(tmp_path):

@@ -196,6 +196,7 @@ def test_plain_arrays_that_are_refused():
         ([[1, 2, 3, 1]], "txy", "`order` must have the letters t, x, y and p, each once, got 'txy'"),
         ([[0.5, 2, 3, 1]], "txyp", "`t` must be whole numbers, got 0.5 in row 0; times are microseconds"),
         ([[float("nan"), 2, 3, 1]], "txyp", "`t` must be whole numbers, got nan in row 0; times are microseconds"),
+        ([[2.0**63, 2, 3, 1]], "txyp", r"`t` must be whole numbers, got 9.22\S+e\+18 in row 0; times are microseconds"),
         ([["a", "b", "c", "d"]], "txyp", r"`table` must be numbers in shape \(N, 4\), got <U1 in shape \(1, 4\)"),
     ):
         with pytest.raises(ValueError, match=f"^{message}$"):

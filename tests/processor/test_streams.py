@@ -112,3 +112,5 @@ def test_volumes_are_those_that_a_decision_would_have_seen(settings):
         np.testing.assert_array_equal(one.volume, opened(config, inside, decision.window_start_us).array)
     with pytest.raises(TypeError, match=r"`classifier`, `classes` and `confidence` are for decisions"):
         volumes([EVENTS], config, confidence=0.9)
+    with pytest.raises(TypeError, match="`config` must be a TNTConfig, got 'digits'; a model has one as `config`"):
+        volumes([EVENTS], "digits")

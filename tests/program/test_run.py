@@ -1,6 +1,7 @@
 """`async-tnt run`: decisions of recordings, and what it reports about them."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -72,6 +73,14 @@ def test_an_unreadable_recording_is_one_line_and_the_next_one_follows(name, cont
         (tmp_path / name).write_bytes(content)
     code, printed, err = program("run", tmp_path / name, SAMPLES[1])
     assert code == 2 and err.count("\n") == 1 and err.startswith("async-tnt: ") and message in err
+    assert "1.bin: 1 " in printed
+
+
+def test_the_next_recording_follows_one_whose_library_is_missing(tmp_path, program, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    code, printed, err = program("run", tmp_path / "a.h5", SAMPLES[1])
+    assert code == 2 and err.count("\n") == 1 and "h5py, which is missing" in err
     assert "1.bin: 1 " in printed
 
 

@@ -102,11 +102,13 @@ class NpySource(Source):
         self._n_events = len(array)
 
     def blocks(self) -> Iterator[np.ndarray]:
-        # mapped again for each block: pages that were read stay in memory as long as their map does
-        return valid_blocks(
-            _columns(map_npy(self.path)[start : start + BLOCK_EVENTS])
-            for start in range(0, self._n_events, BLOCK_EVENTS)
-        )
+        return valid_blocks(map(self._block, range(0, self._n_events, BLOCK_EVENTS)))
+
+    def _block(self, start: int) -> Four:
+        try:  # mapped again for each: pages that were read stay in memory as long as their map does
+            return _columns(map_npy(self.path)[start : start + BLOCK_EVENTS])
+        except ValueError as error:
+            raise CorruptData(f"after {start} events: {one_line(error)}") from None
 
 
 def open_npz(path: Path) -> Source:

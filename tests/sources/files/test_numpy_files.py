@@ -42,6 +42,10 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(tmp
         damaged[14, column] = value
         with pytest.warns(DamagedRecording, match=f"event 14: {problem}"):
             assert open_recording(saved(tmp_path / "a.npy", damaged)).n_events == 14
+    dated = np.zeros(18, [("t", "M8[ms]"), ("x", "<u2"), ("y", "<u2"), ("p", "?")])
+    dated["t"][14] = "NaT"
+    with pytest.warns(DamagedRecording, match="a.npy: .*after 12 events: `t` must be a time, got NaT at event 2"):
+        assert open_recording(saved(tmp_path / "a.npy", dated)).n_events == 12
 
 
 @pytest.mark.parametrize(
