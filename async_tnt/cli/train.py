@@ -21,7 +21,7 @@ from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.picture_scene import SceneSettings
-from async_tnt.sources.labelled_recordings import find_recordings, has_test
+from async_tnt.sources.labelled_recordings import has_test
 from async_tnt.sources.sensor import format_size
 
 if TYPE_CHECKING:
@@ -185,6 +185,11 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
         if pixels.sensor is None:
             raise ValueError("--camera needs --sensor WxH, the camera's pixels")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor)
+        note(
+            f"{args.camera.name}: noise {camera.noise_hz:.2g} events a pixel and second, refractory time up to "
+            f"{camera.refractory_us:.0f} us, thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, "
+            f"after-pulses {camera.after_share:.0%}; 0 is not known"
+        )
     fitted = {"grid", "window_us"} - given.keys()
     fitted |= set() if args.volume or in_bins else {"bins"}
     later = {"sensor", *fitted} | ({"representation"} if "bins" in fitted else set())
@@ -192,7 +197,6 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
     if args.restart:
-        find_recordings(args.dataset, "Train")  # a mistyped DATASET discards nothing
         begin_again(run_folder)
     load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network})
     data = dataset_data(

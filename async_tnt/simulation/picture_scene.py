@@ -164,7 +164,8 @@ def _posed(picture: Picture, side: float, rng: np.random.Generator) -> tuple[np.
 
     size = tuple(max(2, round(side * n / max(picture.light.shape))) for n in picture.light.shape[::-1])
     corners = np.array([(0, 0), (0, size[1]), (size[0], size[1]), (size[0], 0)], float)
-    seen = corners + POSTURE * side * rng.uniform(0, 1, (4, 2)) * np.where(corners > 0, -1, 1)
+    most = np.minimum(POSTURE * side, np.array(size) / 3)  # of a thin object less: its corners shall not cross
+    seen = corners + most * rng.uniform(0, 1, (4, 2)) * np.where(corners > 0, -1, 1)
     coefficients = _perspective(seen, corners)
     faded = _rim(picture.cover) if picture.ground is None and picture.cover.min() == 1 else picture.cover
     layers = []

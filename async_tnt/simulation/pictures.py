@@ -58,7 +58,8 @@ def read_picture(path: Path) -> Picture:
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     light = (linear @ LUMINANCE).astype(np.float32)
     if min(light.shape) < 2:
-        raise ValueError(f"a picture must have sides of at least 2 pixels, got {light.shape[1]}x{light.shape[0]}")
+        size = f"{light.shape[1]}x{light.shape[0]}, if at most {LARGEST_SIDE} are used"
+        raise ValueError(f"a picture must have sides of at least 2 pixels, got {size}")
     if (alpha < 1).any():
         return _cut_out(light, alpha, None, alpha > 0.5)
     border = np.concatenate([light[0], light[-1], light[1:-1, 0], light[1:-1, -1]])

@@ -10,7 +10,8 @@ after-pulses  none in half of the cameras, else of up to a third of the events
 hot pixels    none in half of the cameras, else up to one in 500, of 50 events a second
 
 What a recording of a camera tells of its pixels takes the place of these ranges: ratio of thresholds, noise and
-after-pulses within a quarter, and the bound of the refractory time.
+after-pulses within a quarter, and the bound of the refractory time, if it is shorter. A recording without a quiet pixel
+tells no noise, and one without two events of a pixel no refractory time.
 """
 
 from __future__ import annotations
@@ -42,8 +43,10 @@ def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None
     if camera is not None:
         known = camera.step_on / camera.step_off, camera.after_share
         ratio, after_share = (number * between(1 / NEAR, NEAR) for number in known)
-        noise_hz, noise_on_share, leak_hz = camera.noise_hz * between(1 / NEAR, NEAR), camera.noise_on_share, 0.0
-        refractory_us = rng.uniform(0, 1) * camera.refractory_us
+        if camera.noise_hz:
+            noise_hz, noise_on_share, leak_hz = camera.noise_hz * between(1 / NEAR, NEAR), camera.noise_on_share, 0.0
+        if camera.refractory_us:
+            refractory_us = rng.uniform(0, 1) * min(camera.refractory_us, REFRACTORY_US[1])
     return PixelModel(
         threshold_on=threshold * float(np.sqrt(ratio)),
         threshold_off=threshold / float(np.sqrt(ratio)),

@@ -122,10 +122,10 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
 
 
 def class_folders(folder: Path) -> list[Path]:
-    """The class folders in `Train` or, without it, in the data set itself; none of sessions, or where no folder is."""
+    """The class folders in `Train` or, without it, in the data set itself."""
     inner = folder / "Train"
     of = inner if inner.is_dir() and (_folders(inner) or _sessions(inner)) else folder
-    return _folders(of) if of.is_dir() and not _sessions(of) else []
+    return _folders(of)
 
 
 def has_test(folder: Path) -> bool:

@@ -141,13 +141,13 @@ def dataset_data(
 
     windows = windows_of(recordings, learned), windows_of(recordings, held_out)
     training, validating, ended = _with_ends(*windows, validation, n_real, config.window_us)
+    counts = {name: int((labels == k).sum()) for k, name in enumerate(classes)}
+    _check_windows(training, config, counts)
     if "bins" in fitted:
         events_a_pixel = training.events_a_pixel(config.window_us)
         config = with_bins(config, events_a_pixel)
         if config.representation == "volume":
             notes.append(f"{config.bins} time bins, as an active pixel fires {events_a_pixel:.1f} times in a window")
-    _check_time_unit(training, config)
-    counts = {name: int((labels == k).sum()) for k, name in enumerate(classes)}
     record: dict[str, Any] = {
         "source": f"recordings of own classes, held out by {how}",
         "classes": counts,
@@ -168,7 +168,7 @@ def dataset_data(
         notes.append("the first of them may follow the last learned ones within seconds: such recordings need groups")
     single = [one for k, one in enumerate(classes) if counts[one] and k not in validating.labels]
     if single and validation:
-        notes.append(f"not held out, as there is only one short recording, or one group of them: {', '.join(single)}")
+        notes.append(f"not held out, as there is only one short recording, picture or group: {', '.join(single)}")
     if ended:
         alone = ", ".join(classes[k] for k in ended)
         notes.append(
@@ -196,7 +196,10 @@ def dataset_data(
     )
 
 
-def _check_time_unit(training: Windows, config: TNTConfig) -> None:
+def _check_windows(training: Windows, config: TNTConfig, counts: Mapping[str, int]) -> None:
+    """Refuse a class of which there are recordings or pictures, but no window; warn of times in another unit."""
+    if silent := [name for k, name in enumerate(counts) if counts[name] and k not in training.labels]:
+        raise ValueError(f"no window of class {', '.join(silent)} has an event; `window_us` = {config.window_us}")
     check = TimeUnitCheck(config)
     for i in range(len(training[:N_JUDGED])):
         check.add(len(training.events(i, config.window_us)[0]))

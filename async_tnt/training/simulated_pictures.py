@@ -32,12 +32,12 @@ from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
 from async_tnt.simulation.picture_scene import SceneSettings, record_picture
 from async_tnt.simulation.pictures import SUFFIXES, read_picture
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.labelled_recordings import class_folders
+from async_tnt.sources.labelled_recordings import class_folders, find_recordings
 from async_tnt.training.moved_windows import read_arrays
 from async_tnt.training.recordings import COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
 
-MANIFEST, FORMAT = "pictures.json", 3  # of the recordings: a change of what is simulated counts it up
+MANIFEST, FORMAT = "pictures.json", 4  # of the recordings: a change of what is simulated counts it up
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
 """Of all pictures together, about; of each at least `LEAST_TAKES`, and at most `MOST_TAKES`."""
 LEAST_TAKES, MOST_TAKES = {"training": 2, "held-out": 1}, 200
@@ -45,7 +45,7 @@ FULL_PIXELS, FOLLOWED, FEWEST = 128 * 128, 6, 0.1
 """Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many times; but at least this
 share."""
 CHUNK = 200
-"""Recordings of a file."""
+"""Recordings of a file; of a larger sensor fewer, likewise, as a process has all of a file in memory."""
 PAUSE = 100  # windows without any event
 N_EXAMPLES, N_TAKES = 5, 6
 """Classes of a figure, and recordings of each."""
@@ -65,12 +65,23 @@ class LabelledPicture:
 
 
 def find_pictures(folder: Path) -> dict[str, list[Path]]:
-    """Class name -> its pictures to train on, sorted by name, of the classes that have any."""
-    found = {
-        c.name: [p for p in sorted(c.glob("[!.]*")) if p.suffix.lower() in SUFFIXES and p.is_file()]
-        for c in class_folders(folder)
-    }
-    return {name: paths for name, paths in found.items() if paths}
+    """Class name -> its pictures to train on, sorted by name, of the classes that have any.
+
+    Raises
+    ------
+    ValueError, OSError : as `find_recordings`; pictures of a class beside sessions.
+    """
+    recordings = find_recordings(folder, "Train")
+    found = {}
+    for c in class_folders(folder):
+        paths = [path for path in sorted(c.glob("[!.]*")) if path.suffix.lower() in SUFFIXES]
+        if pictures := [path for path in paths if path.is_file() or path.is_symlink()]:  # broken links are told later
+            found[c.name] = pictures
+    sessions = [one.path.name for some in recordings.values() for one in some if one.between_us]
+    if sessions and (both := recordings.keys() & found):  # folders of other names may hold figures
+        picture = found[min(both)][0].relative_to(folder)
+        raise ValueError(f"{folder}: expected pictures or sessions, got both: {picture} and {sessions[0]}")
+    return {} if sessions else found
 
 
 def check_pictures(
@@ -202,13 +213,13 @@ def simulate_pictures(
         f"{part} pictures": [len(pictures), takes, checksum],
     }
     _check_manifest(folder / MANIFEST, json.loads(json.dumps(made_from)))
-    n_all = takes * len(pictures)
+    n_all, size = takes * len(pictures), round(share * CHUNK)
     chunks = [
         _Chunk(
             folder / f"{part}_{first:06}.npz",
-            [(pictures[i // takes], i // takes, i % takes) for i in range(first, min(first + CHUNK, n_all))],
+            [(pictures[i // takes], i // takes, i % takes) for i in range(first, min(first + size, n_all))],
         )
-        for first in range(0, n_all, CHUNK)
+        for first in range(0, n_all, size)
     ]
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     job = partial(_record, settings=settings, seed=(seed, list(RECORDINGS).index(part)))
@@ -240,8 +251,9 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
         takes = list(of_one)
         picture = read_picture(takes[0][0].path)
         recordings += [record_picture(picture, settings, np.random.default_rng((*seed, i, k))) for _, i, k in takes]
-    events = np.concatenate(recordings)
-    columns: dict[str, Any] = {name: events[name].astype(dtype) for name, dtype in COLUMNS.items()}
+    columns: dict[str, Any] = {
+        name: np.concatenate([one[name].astype(dtype) for one in recordings]) for name, dtype in COLUMNS.items()
+    }
     with replacing(chunk.file) as part, part.open("wb") as file:
         np.savez(file, sizes=np.array([len(one) for one in recordings]), **columns)
     return len(recordings)
@@ -251,7 +263,7 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
     """Refuse a folder of other pictures; note what is made."""
     there: dict[str, Any] = {}
     if not path.exists() and any(path.parent.glob("*.npz")):
-        raise other_run(path.parent, f"pictures (without {path.name})")
+        raise ValueError(f"{path.parent}: recordings of pictures without their {path.name}; remove this folder")
     if path.exists():
         try:
             there = dict(json.loads(path.read_text(encoding="utf-8")))

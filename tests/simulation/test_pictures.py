@@ -11,7 +11,7 @@ from PIL import Image
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.simulation.measured_pixels import MeasuredPixels
-from async_tnt.simulation.picture_scene import SceneSettings, _crop, _frames_of, record_picture
+from async_tnt.simulation.picture_scene import SceneSettings, _crop, _frames_of, _posed, record_picture
 from async_tnt.simulation.pictures import read_picture
 from async_tnt.simulation.random_pixels import random_pixels
 
@@ -126,6 +126,14 @@ def test_a_crop_follows_the_object(tmp_path):
         assert len(extents) > 40 and 9 < np.median(extents) < 17
 
 
+@pytest.mark.parametrize("height", [4, 8, 40, 96])
+def test_a_plane_seen_from_aside_keeps_its_area(tmp_path, height):
+    """Of a bar, too: its corners do not cross."""
+    picture = read_picture(saved(tmp_path / "a.png", np.pad(np.full((height, 96), 255, np.uint8), 8)))
+    kept = [_posed(picture, 96, np.random.default_rng(i))[1].sum() / (96 * height) for i in range(50)]
+    assert min(kept) > 0.35 and 0.6 < np.median(kept) < 0.9
+
+
 def test_frames_are_closer_together_where_the_motion_is_faster():
     shares = np.linspace(0, 1, 4_001)
     motion = np.stack([30 * np.where(shares < 0.1, 10 * shares, 1.0), 0 * shares], axis=1)
@@ -138,9 +146,9 @@ def test_frames_are_closer_together_where_the_motion_is_faster():
 def test_the_object_has_the_stated_size(tmp_path):
     """Active pixels reach as far as the object does, and its motion."""
     picture = read_picture(saved(tmp_path / "a.png", bar(rows=slice(2, 18), columns=slice(4, 20))))
-    reaches = []
+    reaches, camera = [], MeasuredPixels(refractory_us=1e-9, noise_hz=1e-9)
     for size in (0.2, 0.6):
-        found = recordings(picture, 60, SceneSettings((64, 64), 105_000, size=(size, size), camera=MeasuredPixels()))
+        found = recordings(picture, 60, SceneSettings((64, 64), 105_000, size=(size, size), camera=camera))
         reaches.append(np.median([np.ptp(np.quantile(one["x"], (0.1, 0.9))) for one in found if len(one) > 200]))
     assert 8 < reaches[0] < 20 and 25 < reaches[1] < 45
     for wrong in ((0, 0.5), (0.6, 0.4), (0.5, 1.2)):
@@ -154,5 +162,9 @@ def test_a_known_camera_keeps_to_what_is_known():
     ratios = np.array([one.threshold_on / one.threshold_off for one in drawn])
     assert 1.44 / 1.26 < ratios.min() < 1.2 and 1.7 < ratios.max() < 1.44 * 1.26
     assert all(0.2 / 1.26 < one.noise_hz < 0.2 * 1.26 and one.refractory_us <= 800 for one in drawn)
+    slow = MeasuredPixels(refractory_us=60_000.0)  # of a few events; and no pixel was quiet
+    unknown = [random_pixels(np.random.default_rng(i), slow) for i in range(200)]
+    assert 2_000 < max(one.refractory_us for one in unknown) <= 3_000 and min(one.noise_hz for one in unknown) >= 0.01
     anything = [random_pixels(np.random.default_rng(i)) for i in range(200)]
+    assert [one.noise_hz for one in unknown] == [one.noise_hz for one in anything]
     assert max(one.noise_hz for one in anything) > 1 and min(one.noise_hz for one in anything) < 0.05

@@ -81,7 +81,7 @@ def test_windows_counts_and_the_held_out(tmp_path):
     # one of five is held out of each class: 4 x 5 windows of 105 ms and 4 partial ones, and the single one
     assert (len(data.training), len(data.validation), data.config.sensor) == (25, 6, (128, 128))
     assert data.record["classes"] == {"flat": 5, "single": 1, "upright": 5}
-    assert "not held out, as there is only one short recording, or one group of them: single" in data.notes
+    assert "not held out, as there is only one short recording, picture or group: single" in data.notes
 
 
 def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_sets import write_pictures
 
+from async_tnt.events import EVENT_DTYPE
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training import settings, simulated_pictures
@@ -57,8 +58,11 @@ def test_bad_pictures_are_named_and_left_out(tmp_path):
         data_of(tmp_path / "p", store=tmp_path)
         (tmp_path / os.fsdecode(b"p/bar/bar00\xff.png")).rename(tmp_path / "p/bar/bar00.png")
         (tmp_path / "p/bar/pipe.png").unlink()
+    (tmp_path / "p/bar/gone.png").symlink_to("nowhere.png")
     data = data_of(tmp_path / "p")
-    assert len(data.left_out) == 1 and data.left_out[0].startswith("bar/bar07.jpg: not a picture")
+    assert len(data.left_out) == 2 and data.left_out[0].startswith("bar/bar07.jpg: not a picture")
+    assert "bar/gone.png: [Errno 2] No such file" in data.left_out[1]
+    (tmp_path / "p/bar/gone.png").unlink()
     for name, match in (("bar", "bar/zzz.png: the same picture as bar/bar00.png"), ("disc", "in two classes")):
         copy = tmp_path / "p" / name / "zzz.png"
         copy.write_bytes((tmp_path / "p/bar/bar00.png").read_bytes())
@@ -132,14 +136,35 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
     manifest.write_text(manifest.read_text()[:-9])
     with pytest.raises(ValueError, match=r"pictures.json: damaged .*; remove"):
         simulated(tmp_path / "a")
+    manifest.unlink()
+    with pytest.raises(ValueError, match=r"a: recordings of pictures without their pictures.json; remove this folder"):
+        simulated(tmp_path / "a")
 
 
-def test_without_a_sensor_or_pictures(tmp_path, program):
+def test_a_file_of_a_large_sensor_has_fewer_recordings(tmp_path):
+    picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p"))["bar"][0], 0)
+    with RecordingsWriter() as writer:
+        simulate_pictures(writer, "training", [picture], SceneSettings((256, 192), 20_000), tmp_path)
+    assert sorted(path.name for path in tmp_path.glob("*.npz"))[1] == "training_000004.npz"
+
+
+def test_without_a_sensor_or_pictures(tmp_path, program, monkeypatch):
     write_pictures(tmp_path / "p")
     code, _, err = program("train", tmp_path / "p", "--out", tmp_path / "m.safetensors")
     assert code == 2 and "pictures have no sensor; give --sensor" in err
     code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--motions", "resynthesized")
     assert code == 2 and "--motions resynthesized is for recordings" in err
+    code, _, err = program("train", tmp_path / "q", "--sensor", "24x20", "--size", "0.2-0.4")
+    assert code == 2 and f"no folder {tmp_path / 'q'}" in err
+    np.savez(tmp_path / "p/day.npz", t=[1], x=[1], y=[1], p=[1])
+    (tmp_path / "p/day_labels.csv").write_text("class,start,end\nbar,0,5\n")
+    code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors")
+    assert code == 2 and "expected pictures or sessions, got both: bar/bar00.png and day.npz" in err
+    (tmp_path / "p/day.npz").unlink()
+    (tmp_path / "p/day_labels.csv").unlink()
+    monkeypatch.setattr(simulated_pictures, "record_picture", lambda *_: np.zeros(0, EVENT_DTYPE))
+    with pytest.raises(ValueError, match="no window of class bar, disc has an event; `window_us` = 105000"):
+        data_of(tmp_path / "p")
     (tmp_path / "p/none").mkdir()
     code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors")
     assert code == 2 and "no recordings in the class folder none" in err
