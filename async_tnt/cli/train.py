@@ -304,6 +304,8 @@ def _print_summary(
             by_recording = ""
             if "recordings" in found:
                 by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"
+            if name == "validation" and (pictures := summary["data"].get("pictures")):
+                by_recording += f" (simulated ones: of {pictures['held_out']} pictures)"
             say(f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} right")
     network = f"{summary['network']}, {summary['multiplications']:,} multiplications a complete window"
     say(f"network {network}; temperature {summary.get('temperature', 1):.3f}")

@@ -164,7 +164,7 @@ def with_pictures(
             takes = simulate_pictures(
                 writer, part, some, settings, folder, seed=seed, workers=workers, progress=progress
             )
-            about.setdefault("takes", takes)
+            about |= {"takes": takes} if part == "training" else {"held_out": len(some)}
             which[k] = np.concatenate([which[k], first + np.arange(takes * len(some))])
             first += takes * len(some)
         about["settings"] = asdict(settings)

@@ -210,6 +210,7 @@ def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):
     assert record["data"]["pictures"]["pictures"] == 16 and record["data"]["pictures"]["settings"]["size"] == [0.4, 0.8]
     repeated = program("train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out)
     assert repeated[0] == 0, repeated[2]  # what is finished is not done again
+    assert "recordings (simulated ones: of 4 pictures) right" in repeated[1]
     again, _, err = program(
         "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--size", ".5"
     )
