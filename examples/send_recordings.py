@@ -24,6 +24,8 @@ def one_after_the_other():
     start_us = 0
     for path in paths:
         events = open_recording(path).read()
+        if not len(events):
+            continue
         events["t"] += start_us - events["t"].min()
         yield events
         start_us = -(-(int(events["t"].max()) + 1) // WINDOW_US) * WINDOW_US

@@ -8,6 +8,7 @@ from pathlib import Path
 from async_tnt.cli.options import MODELS, READABLE, add_volume, model_of, positive_int, size_of, volume_of
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
+from async_tnt.files import check_ours
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
@@ -71,6 +72,8 @@ def main(args: argparse.Namespace) -> int:
     path = samples[int(args.file)] if is_digit else Path(args.file)
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
+    if args.out is None:
+        check_ours([out], ("async_tnt",))
     subject = subject_of(path, args)
     with styled():
         if subject.model is not None and subject.model.places is not None:

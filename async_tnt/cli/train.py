@@ -6,6 +6,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +51,7 @@ def main(args: argparse.Namespace) -> int:
     run_folder = args.out.parent / "runs" / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
     beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, CURVES)]
-    check_ours(beside, ('"held_out"', '"summary"', '"history"'))
+    check_ours([*beside, args.out], ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
     if run_folder.is_dir() and not (run_folder / CHECKPOINT).exists():
         check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
@@ -196,9 +197,8 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     volume = {name: value for name, value in config.to_dict().items() if name not in later}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
-    if args.restart:
-        begin_again(run_folder)
-    load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network})
+    if not args.restart:
+        load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network})
     data = dataset_data(
         args.dataset,
         config,
@@ -211,6 +211,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
         test=args.test,
         seed=args.seed,
         store=run_folder,
+        begin=partial(begin_again, run_folder) if args.restart else None,
         scenes={"size": args.size, "light": args.light, "follow": args.follow, "camera": camera},
         workers=available_cores(),
         progress=progress,

@@ -203,7 +203,10 @@ def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
     """The sessions that a list names; None without the list."""
     if not file.is_file():
         return None
-    wanted = {name for line in file.read_text(encoding="utf-8-sig").splitlines() if (name := line.strip())}
+    try:
+        wanted = {name for line in file.read_text(encoding="utf-8-sig").splitlines() if (name := line.strip())}
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: not a text in UTF-8: {error}") from None
     if missing := sorted(wanted - {path.name for path in sessions}):
         raise ValueError(f"{file} names {missing[0]}, which is not there, or has no table")
     return {path for path in sessions if path.name in wanted}

@@ -7,6 +7,7 @@ C), of layers that have a compiled form.
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
@@ -192,10 +193,10 @@ def _own(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.
     path = Path(file)
     if not path.is_file():
         raise ValueError(f"{name}: no file {path}")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    spec = importlib.util.spec_from_file_location(f"async_tnt network {path.stem}", path)
     if spec is None or spec.loader is None:
         raise ValueError(f"{name}: {path} is not a Python file")
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where dataclasses look for their types
     try:
         spec.loader.exec_module(module)
         build: Any = getattr(module, function, None)

@@ -106,7 +106,7 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
     """
     kind = path.suffix.lower().removeprefix(".")
     # no dates and versions: the same figure gives the same bytes
-    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    metadata = {"png": {"Software": "async_tnt"}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     with replacing(path) as part:
         figure.savefig(part, format=kind, dpi=dpi, metadata=metadata)
 

@@ -116,6 +116,9 @@ def test_the_files_of_dvs128_gesture(tmp_path):
     (tmp_path / "gesture_mapping.csv").write_text("action,label\nhand_clapping,2\nair_guitar,010\n")
     with pytest.raises(ValueError, match=r"line 3: gesture_mapping.csv does not name class 10"):
         find_recordings(tmp_path)
+    (tmp_path / "trials_to_test.txt").write_bytes(b"user\xff")
+    with pytest.raises(ValueError, match=r"trials_to_test.txt: not a text in UTF-8: "):
+        find_recordings(tmp_path, "Test")
     (tmp_path / "trials_to_test.txt").write_text("\ufeffuser02_lab.aedat\r\n user 07.aedat \r\n")
     with pytest.raises(
         ValueError, match=r"trials_to_test.txt names user 07.aedat, which is not there, or has no table"

@@ -60,11 +60,19 @@ def test_a_run_with_other_options_is_refused_before_recordings_are_read(tmp_path
     for name, is_ours in (("motions", True), ("pictures", False)):
         (tmp_path / "runs" / "m" / name).mkdir()
         (tmp_path / "runs" / "m" / name / (f"{name}.json" if is_ours else "cat.png")).write_text("{}")
-    assert train("nowhere", "--restart")[0] == 2 and (tmp_path / "runs" / "m" / "checkpoint.pt").exists()
+    for words in (("nowhere",), (folder, "--groups", "zzz")):
+        assert train(*words, "--restart")[0] == 2 and (tmp_path / "runs" / "m" / "checkpoint.pt").exists()
     code, err, out = train(folder, "--seed", "1", "--restart")
     assert code == 0 and "epoch 1/1" in err
     assert load_model(out).record["command"].endswith("--seed 1")
     assert not (tmp_path / "runs" / "m" / "motions").exists() and (tmp_path / "runs" / "m" / "pictures").exists()
+
+
+def test_a_model_of_another_program_is_not_replaced(gestures, train, tmp_path):
+    (tmp_path / "m.safetensors").write_bytes(b"weights")
+    code, err, _ = train(gestures)
+    assert code == 2 and "m.safetensors is of another program" in err
+    assert (tmp_path / "m.safetensors").read_bytes() == b"weights"
 
 
 def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(gestures, train, tmp_path):

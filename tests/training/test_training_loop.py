@@ -67,9 +67,18 @@ def test_it_learns_what_is_easy(precision, windows, tmp_path):
 
 
 OWN = """
+from __future__ import annotations
+
+from dataclasses import dataclass
+
 from torch import nn
 
+@dataclass
+class Settings:
+    width: int = 4
+
 def build(channels, grid, n_classes):
+    assert Settings().width == 4
     layers = [nn.Conv2d(channels, 4, 3), nn.AdaptiveAvgPool2d(1), nn.BatchNorm2d(4), nn.Dropout(0.5), nn.Flatten()]
     return nn.Sequential(*layers, nn.Linear(4, n_classes))
 """

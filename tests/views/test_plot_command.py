@@ -50,6 +50,11 @@ def test_a_page_as_png_and_svg(plot):
     assert not [label for label in labels if label not in text_of("a.svg")]
     assert Path("a.svg").stat().st_size < 1_000_000  # a cloud of dots is one picture
     assert sorted(os.listdir()) == ["3.png", "a.svg", "r.safetensors"]
+    assert plot()[0] == 0  # once more
+    Path("3.png").write_bytes(b"a photograph")
+    code, _, err = plot()
+    assert (code, Path("3.png").read_bytes()) == (2, b"a photograph") and "3.png is of another program" in err
+    assert plot("--out", "3.png")[0] == 0
 
 
 @pytest.mark.parametrize("name, begin", [("a.pdf", b"%PDF"), ("a.svg", b"<?xml"), ("a.png", b"\x89PNG")])
@@ -95,7 +100,7 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     assert err == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
     np.save("camera.npy", events)
     code, _, err = plot("camera.npy")
-    assert code == 2 and "sensor; the file states none, --sensor or the model does" in err
+    assert code == 2 and "sensor; the file states none, --sensor, the model or another recording does" in err
     assert plot("camera.npy", "--sensor", "120x80")[0] == 0
     code, _, err = plot("camera.npz", "--volume", "transform=none")
     assert code == 2 and "the volume without the transform is drawn anyway" in err

@@ -170,7 +170,9 @@ class Recording:
                     n_events += len(events)
                     yield events
                 if problem and self.stated_sensor is None:
-                    raise ValueError(f"{self.path}: {problem}; the file states none, `sensor` or the model does")
+                    raise ValueError(
+                        f"{self.path}: {problem}; the file states none, `sensor`, the model or another recording does"
+                    )
                 if problem:
                     raise CorruptData(problem)
         except CorruptData as error:
