@@ -90,8 +90,8 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
     yield f"  events     {found.events:,}{rate}; {found.on / found.events:.0%} ON"
     if found.unsorted:
         yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
-    if rates := found.events_a_second:
-        yield f"  rate       {''.join(_bar(rate / max(rates)) for rate in rates)} up to {max(rates):,.0f} a second"
+    most = max(found.events_a_second)
+    yield f"  rate       {''.join(_bar(rate / most) for rate in found.events_a_second)} up to {most:,.0f} a second"
     if found.hot_pixels:
         share = sum(pixel["events"] for pixel in found.hot_pixels) / found.events
         shown = ", ".join(f"({pixel['x']}, {pixel['y']})" for pixel in found.hot_pixels[:N_HOT])

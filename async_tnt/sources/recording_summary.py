@@ -29,7 +29,7 @@ class RecordingSummary:
     extent : the smallest (width, height) that holds all events; (0, 0) without events.
     events, on, unsorted : how many there are, are ON, and are earlier than the one before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
-    events_a_second : in each of N_PARTS equal parts of the recording; empty if it lasts no N_PARTS us.
+    events_a_second : in each of N_PARTS equal parts of the recording; empty without events.
     hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixel_masks`; empty where the sensor is not known.
     """
 
@@ -88,6 +88,6 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         unsorted=n_unsorted,
         first_us=first_us,
         last_us=first_us + duration_us,
-        events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if duration_us >= N_PARTS else [],
+        events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if recording.n_events else [],
         hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if known is not None else [],
     )

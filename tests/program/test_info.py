@@ -40,9 +40,6 @@ def test_a_sensor_that_is_not_stated_is_asked_for(program, tmp_path):
         and "is off the 20 x 20 sensor; the file states none, --sensor, the model or another recording does" in err
         and err.count("\n") == 1
     )
-    np.save(tmp_path / "one.npy", random_events(100)[:1])
-    code, text, _ = program("info", tmp_path / "one.npy")
-    assert code == 0 and "a second" not in text  # of less than a microsecond
 
 
 def test_a_folder_names_its_classes_and_what_cannot_be_read(program, tmp_path):
