@@ -129,9 +129,9 @@ FROM_PICTURES = """\
 One command each, no event recorded: `async-tnt train PICTURES` and its options. N-MNIST: MNIST's 60,000 training
 images; read are all 8,000 official test recordings at hand. POKER-DVS: pips drawn with 164 fonts, of Debian 12's
 packages `fonts-*` of up to 15 MB but `fonts-pc*`, whose fonts are bitmaps; crops that follow one. HOTS' characters:
-1,108 fonts, of those of up to 1 MB; digits and letters are classes of their own, O and 0 and I and 1, too. Made objects:
-ten pictures of each of six, a cup and a glass alike but for a detail. N-MNIST's networks were trained when thin objects
-seen from aside still lost more of their area (of MNIST's images 1 %). Choices were made on simulated recordings of
-held-out pictures, with one exception: that pips are drawn upright, as fonts draw them, and not also upside down, was
-chosen after a look at real ones. The real recordings had been read by other versions: N-MNIST's six times (.983 to .992
-of windows), POKER-DVS' four times (.765, .706, .779, .941), the characters once (.974)."""
+1,108 fonts, of those of up to 1 MB; digits and letters are classes of their own, O and 0 and I and 1, too. Made
+objects: ten pictures of each of six, a cup and a glass alike but for a detail. N-MNIST's networks were trained when
+thin objects seen from aside still lost more of their area (of MNIST's images 1 %). Choices were made on simulated
+recordings of held-out pictures, with one exception: that pips are drawn upright, as fonts draw them, and not also
+upside down, was chosen after a look at real ones. The real recordings had been read by other versions: N-MNIST's six
+times (.983 to .992 of windows), POKER-DVS' four times (.765, .706, .779, .941), the characters once (.974)."""
