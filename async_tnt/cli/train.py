@@ -187,9 +187,9 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
             raise ValueError("--camera needs --sensor WxH, the camera's pixels")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor)
         note(
-            f"{args.camera.name}: noise {camera.noise_hz:.2g} events a pixel and second, refractory time up to "
-            f"{camera.refractory_us:.0f} us, thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, "
-            f"after-pulses {camera.after_share:.0%}; 0 is not known"
+            f"{args.camera.name}: thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, after-pulses "
+            f"{camera.after_share:.0%}, noise {camera.noise_hz:.2g} events a pixel and second, refractory time up to "
+            f"{camera.refractory_us:.0f} us (0 of these two: not known)"
         )
     fitted = {"grid", "window_us"} - given.keys()
     fitted |= set() if args.volume or in_bins else {"bins"}
@@ -211,7 +211,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
         test=args.test,
         seed=args.seed,
         store=run_folder,
-        begin=partial(begin_again, run_folder) if args.restart else None,
+        **({"begin": partial(begin_again, run_folder)} if args.restart else {}),
         scenes={"size": args.size, "light": args.light, "follow": args.follow, "camera": camera},
         workers=available_cores(),
         progress=progress,

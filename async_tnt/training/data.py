@@ -69,7 +69,7 @@ def dataset_data(
     test: bool = False,
     seed: int = 0,
     store: Path | None = None,
-    begin: Callable[[], object] | None = None,
+    begin: Callable[[], None] = lambda: None,
     scenes: Mapping[str, Any] | None = None,
     workers: int = 1,
     progress: Callable[..., Bar] = Bar,
@@ -92,7 +92,7 @@ def dataset_data(
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
     store : a folder for the events, see `read_dataset`; without it, pictures are recorded in a temporary one.
-    begin : called when all there is has been read and fits together, before pictures are recorded.
+    begin : called when what is learned from has been read and split, before pictures are recorded.
     scenes : of `SceneSettings`, what differs from its defaults.
     workers : processes that record pictures.
     progress : makes the progress bar, which counts recordings.
@@ -122,7 +122,7 @@ def dataset_data(
     learned, held_out, how, counted = _split(names, kinds, groups, validation, seed)
     held_out_names = tuple(names[r] for r in held_out)
     about: dict[str, Any] = {}
-    (begin or bool)()
+    begin()
     if of_pictures:
         began = time.monotonic()
         recordings, learned, held_out, about = with_pictures(
