@@ -57,15 +57,15 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
         )
     try:
         layers, weights = layers_from_onnx(proto, config.shape)
-    except NotImplementedError as error:
-        raise NotImplementedError(f"{path}: {error}{WAY_OUT}") from None
+        if classes is None:
+            shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
+            read = logits_shape(list(shapes.values())[-1]) or (0,)
+            classes = [str(k) for k in range(max(1, read[0] - (len(read) == 3)))]
+        model = Model(config, weights, classes, network={CLASSIFIER: layers})  # type: ignore[arg-type]
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    if classes is None:
-        shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
-        read = logits_shape(list(shapes.values())[-1]) or (0,)
-        classes = [str(k) for k in range(read[0] - (len(read) == 3))]
-    model = Model(config, weights, classes, network={CLASSIFIER: layers})  # type: ignore[arg-type]
+    except NotImplementedError as error:
+        raise NotImplementedError(f"{path}: {error}{WAY_OUT}") from None
     try:
         _compare_with_onnxruntime(path, proto, model)
     except ValueError as error:

@@ -14,7 +14,7 @@ from torch import fx, nn
 
 from async_tnt.checks import one_line
 from async_tnt.networks.conversion_check import Function, compare
-from async_tnt.networks.graph import VOLUME
+from async_tnt.networks.graph import VOLUME, layer_shapes
 from async_tnt.networks.torch_layers import Call, LayerList, float_array
 from async_tnt.networks.torch_operations import FUNCTIONS, METHODS, MODULES, Operation
 
@@ -48,7 +48,8 @@ def layers_from_torch(
         advice = ": load it into its module (load_state_dict)" if isinstance(module, Mapping) else ""
         raise TypeError(f"`module` must be a torch.nn.Module, got {type(module).__name__}{advice}")
     if type(module) is LayerNetwork:
-        return [dict(layer) for layer in module.layers], {name: float_array(w) for name, w in module.tensors.items()}
+        layers = [_with_prefix(layer, prefix) for layer in module.layers]
+        return layers, {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
     module = own_copy(module)
     if type(module) in MODULES:  # which a trace would look into
         module = nn.Sequential(module)
@@ -56,7 +57,23 @@ def layers_from_torch(
         graph = _Tracer().trace(module)
     except Exception as error:  # whatever the module's own code raises
         raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}") from None
-    return _Conversion(module, LayerList(shape, prefix)).run(graph)
+    try:
+        layers, weights = _Conversion(module, LayerList(shape, prefix)).run(graph)
+        layer_shapes(layers, shape, {name: w.shape for name, w in weights.items()})
+    except ValueError as error:
+        try:
+            _function_of(module)(np.zeros(shape, np.float32))
+        except Exception:  # of any type: the module does not take such volumes either
+            raise error from None
+        raise NotImplementedError(f"the module cannot be read as layers: {error}") from None
+    return layers, weights
+
+
+def _with_prefix(layer: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """The layer, with the prefix before its weights' names."""
+    if "weights" not in layer:
+        return dict(layer)
+    return {**layer, "weights": {role: f"{prefix}{name}" for role, name in layer["weights"].items()}}
 
 
 def check_torch_layers(
@@ -73,20 +90,21 @@ def check_torch_layers(
     ------
     NotImplementedError : see `compare`.
     """
-
-    def function_of(network: nn.Module) -> Function:
-        network = network.cpu().double()
-
-        def logits(volume: np.ndarray) -> np.ndarray:
-            with torch.no_grad():
-                return np.asarray(network(torch.tensor(volume, dtype=torch.float64)[None]))
-
-        return logits
-
     try:
-        compare(function_of(own_copy(module)), function_of(LayerNetwork(layers, weights).eval()), shape)
+        compare(_function_of(own_copy(module)), _function_of(LayerNetwork(layers, weights).eval()), shape)
     except ValueError as error:
         raise NotImplementedError(f"the module cannot be read as layers: {error}") from None
+
+
+def _function_of(network: nn.Module) -> Function:
+    """Of a network that nothing else uses, in float64."""
+    network = network.cpu().double()
+
+    def logits(volume: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return np.asarray(network(torch.tensor(volume, dtype=torch.float64)[None]))
+
+    return logits
 
 
 def own_copy(module: nn.Module) -> nn.Module:

@@ -38,6 +38,7 @@ from collections.abc import Mapping, Sequence
 
 from async_tnt.checks import short
 from async_tnt.networks.layer_operations import ELEMENTWISE, MAX_SIDE, OPERATIONS, Layer, Operation, Shape
+from async_tnt.networks.uneven_windows import adaptive_spans
 
 VOLUME = "volume"
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
@@ -103,15 +104,21 @@ def layer_shapes(
 
 def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> tuple[int, int]:
     """What counts for MAX_NUMBERS and for MAX_PRODUCTS."""
-    source, n_output = shapes[layer["inputs"][0]], math.prod(shapes[layer["name"]])
+    source, output = shapes[layer["inputs"][0]], shapes[layer["name"]]
     weights = {role: tensors[name] for role, name in layer.get("weights", {}).items()}
-    n_numbers, n_each = n_output + sum(map(math.prod, weights.values())), len(layer["inputs"])
+    n_output, n_each, kernel = math.prod(output), len(layer["inputs"]), layer.get("kernel", ())
+    n_numbers = n_output + sum(map(math.prod, weights.values()))
     if "padding" in layer:
         top, left, bottom, right = layer["padding"]
-        n_taps = math.prod(layer["kernel"])
-        n_each = 16 * n_taps
         n_numbers += source[0] * (source[1] + top + bottom) * (source[2] + left + right) - math.prod(source)
+    if layer["op"] == "adaptive_average_pool":
+        kernel = [adaptive_spans(*axis)[-1] for axis in zip(output[1:], source[1:], strict=True)]
+    if kernel:
+        n_taps = math.prod(kernel)
+        n_each = 16 * n_taps
         n_numbers += 100 * n_taps  # measured: Python's lists of them, while a program is made
+        if layer["op"] in ("adaptive_average_pool", "inside_average_pool"):
+            n_numbers += n_taps * math.prod(output[1:]) * (output[0] + 16)  # each place has its own weights
     if "weight" in weights and layer["op"] != "batch_norm":
         n_each = math.prod(weights["weight"][1:])
     return n_numbers, max(n_output * n_each, math.prod(source))

@@ -139,7 +139,8 @@ class Model:
         """The same network for another sensor, (width, height), at the scale that it was trained at.
 
         A pixel of the sensor stays as many pixels of the grid. Meant for map models, and other networks of convolutions
-        and poolings alone; a pooling with torch's `ceil_mode` is padded as for the size that the model was made of.
+        and poolings alone; what a pooling with torch's `ceil_mode`, or with one side None, made of the first size
+        stays.
 
         Raises
         ------

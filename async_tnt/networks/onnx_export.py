@@ -101,6 +101,8 @@ class _Nodes:
         self.weights = {name: model.weights[name] for name in sorted(tensors_of(layers))}
         self._shapes = layer_shapes(layers, model.config.shape, {name: w.shape for name, w in model.weights.items()})
         self._names = {VOLUME: VOLUME}
+        if taken := {VOLUME, "logits"}.intersection(self.weights):
+            raise ValueError(f"a weight is named {min(taken)!r}, as ONNX's input or output: it needs another name")
         taken = {VOLUME, "logits", *self.weights}
         for layer in layers:
             name = layer["name"]

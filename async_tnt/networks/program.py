@@ -237,21 +237,25 @@ def _packed(step: Step) -> tuple[int, int, np.ndarray]:
     """Groups, numbers from one place's weights to the next one's, and the weights as `kernels.program` describes."""
     if step.own_weights:
         of_places = step.weights[: step.rows, : step.columns].reshape(-1, *step.weights.shape[2:])
-        pack = _blocks if step.kind == P.MIX else _rows
-        packed = [pack(w, step) for w in of_places]
-        return 1, packed[0].size, np.concatenate(packed)
+        packed = np.stack([_blocks(w, step) for w in of_places]) if step.kind == P.MIX else _rows(of_places, step)
+        return 1, packed.shape[1], packed.reshape(-1)
     if step.kind != P.MIX:
-        return 1, 0, _rows(step.weights, step)
+        return 1, 0, _rows(step.weights.reshape(1, -1, len(step.bias)), step)[0]
     per_group = len(step.bias) // step.groups
     parts = [_blocks(step.weights[k : k + per_group], step, k) for k in range(0, len(step.bias), per_group)]
     return step.groups, 0, np.concatenate(parts)
 
 
 def _rows(w: np.ndarray, step: Step) -> np.ndarray:
-    """Of a step that computes each channel by itself."""
-    size = _up(len(step.bias), LANES)
-    rows = [_padded(row, size) for row in (*w.reshape(-1, len(step.bias)), step.bias, step.slopes)]
-    return np.concatenate([*rows, _limits(step)])
+    """(places, numbers): of a step that computes each channel by itself, from (places, taps, C)."""
+    n_places, n_taps, channels = w.shape
+    size = _up(channels, LANES)
+    packed = np.zeros((n_places, (n_taps + 2) * size + LANES), np.float32)
+    rows = packed[:, :-LANES].reshape(n_places, -1, size)  # a view
+    rows[:, :n_taps, :channels] = w
+    rows[:, n_taps, :channels], rows[:, n_taps + 1, :channels] = step.bias, step.slopes
+    packed[:, -LANES:] = _limits(step)
+    return packed
 
 
 def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
@@ -270,13 +274,7 @@ def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
 
 
 def _limits(step: Step) -> np.ndarray:
-    return _padded(np.array([step.low, step.high], np.float32), LANES)
-
-
-def _padded(row: np.ndarray, size: int) -> np.ndarray:
-    padded = np.zeros(size, np.float32)
-    padded[: len(row)] = row
-    return padded
+    return np.pad(np.array([step.low, step.high], np.float32), (0, LANES - 2))
 
 
 def _up(n: int, step: int) -> int:

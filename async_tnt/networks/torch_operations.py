@@ -125,6 +125,8 @@ def _adaptive_pool(made: LayerList, call: Call) -> str:
     sizes = size if isinstance(size, (tuple, list)) else (size, size)
     sides = made.shape(call["input"])[1:]
     expect_form(len(sides) == len(sizes) == 2, f"an output size of {size} here")
+    if sizes[0] is sizes[1] is None:
+        return _same(made, call)
     return made.add("adaptive_average_pool", call, size=[s or side for s, side in zip(sizes, sides, strict=True)])
 
 

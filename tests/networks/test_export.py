@@ -15,7 +15,11 @@ from async_tnt.networks import onnx_export, to_onnx
 from async_tnt.networks.conversion_check import compare
 
 
-def test_a_file_of_two_gigabytes_is_refused(monkeypatch):
+def test_what_an_onnx_file_cannot_hold_is_refused(monkeypatch):
+    named = json.loads(json.dumps(random_model().network).replace("fc2.bias", "logits"))
+    weights = {name.replace("fc2.bias", "logits"): w for name, w in random_model().weights.items()}
+    with pytest.raises(ValueError, match="a weight is named 'logits', as ONNX's input"):
+        to_onnx(replace(random_model(), network=named, weights=weights))
     monkeypatch.setattr(onnx_export, "MAX_BYTES", 1000)
     with pytest.raises(ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"):
         to_onnx(random_model())

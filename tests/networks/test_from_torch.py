@@ -145,6 +145,10 @@ REFUSED = [  # what makes it, the beginning of the message
     (of_layer(nn.Flatten(), nn.Softmax(1)), f"layer '1' (Softmax) {FORM}: a decision has the softmax of its logits"),
     (of_layer(nn.AvgPool2d(3, 2, 1, True)), "layer '0' (AvgPool2d): ceil_mode with padding that counts"),
     (of_body(lambda m, x: 1 / m.conv(x)), "operation 'truediv' (truediv): a quotient other than a map by a constant"),
+    (
+        of_body(lambda m, x: x + x.mean((2, 3), keepdim=True)),
+        "the module cannot be read as layers: layer 'add' (add): ",
+    ),
     (of_body(lambda m, x: m.conv(x) * m.dense.bias), "operation 'mul' (mul): a constant of shape [4] here has"),
     (Two, "the module must take one volume, got 2 arguments"),
     (of_body(lambda m, x: x if x.sum() > 0 else -x), "torch.fx cannot trace this module: symbolically traced variable"),

@@ -123,6 +123,8 @@ def chain(*layers, source="volume"):
         ([conv(padding=8013)], "MAX_NUMBERS", "conv 0"),  # a large map
         ([conv(weight="shared")] * 17, "MAX_NUMBERS", "conv 15"),  # a megabyte of weights, many times
         ([("max_pool", window(1700, 1699, 1700))], "MAX_NUMBERS", "max_pool 0"),  # tables of places
+        ([("inside_average_pool", window(200, 199))], "MAX_NUMBERS", "inside_average_pool 0"),  # weights of each place
+        ([("adaptive_average_pool", {"size": [300, 300]})], "MAX_NUMBERS", "adaptive_average_pool 0"),
         ([("average_pool", window(99, 98))] * 9, "MAX_PRODUCTS", "average_pool 5"),
     ],
 )

@@ -270,8 +270,11 @@ def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
 def test_a_map_of_another_program_has_numbers_as_classes(tmp_path):
     proto = to_onnx(map_model())
     del proto.metadata_props[:]
-    (tmp_path / "map.onnx").write_bytes(proto.SerializeToString())
-    assert load_model(tmp_path / "map.onnx", config=CONFIG).classes == ("0", "1", "2")
+    path = tmp_path / "map.onnx"
+    path.write_bytes(proto.SerializeToString())
+    assert load_model(path, config=CONFIG).classes == ("0", "1", "2")
+    with pytest.raises(ValueError, match=f"^{path}: the network must compute 2 logits"):
+        load_model(path, config=CONFIG, classes=["0", "1"])
 
 
 def test_the_same_network_for_another_sensor():
@@ -290,6 +293,8 @@ def test_the_same_network_for_another_sensor():
     assert maps[0][:, 2:17, 10:25].tobytes() == maps[1][:, 22:37, 40:55].tobytes()
     with pytest.raises(ValueError, match=r"layer 'fc1' \(dense\): its weight must have shape"):
         random_model(CONFIG).for_sensor((64, 64))
+    as_large = Model.from_torch(nn.Sequential(nn.ReLU(), nn.AdaptiveAvgPool2d((None, None))), CONFIG, ["a", "b", "c"])
+    assert as_large.for_sensor((140, 90)).logits_shape == (4, 90, 140)
 
 
 def test_what_a_map_model_refuses():

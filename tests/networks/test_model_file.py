@@ -128,20 +128,12 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
 @pytest.mark.parametrize(
     "changes, error, message",
     [
-        (
-            {"classes": ("a", "b")},
-            ValueError,
-            "the network must compute 2 logits, one for each class, or a map",
-        ),
+        ({"classes": ("a", "b")}, ValueError, "the network must compute 2 logits, one for each class, or a map"),
         ({"classes": ()}, ValueError, "`classes` must hold at least one name"),
         ({"classes": ("a", "b", "a")}, ValueError, "`classes` must have different names, got ('a', 'b', 'a')"),
         ({"classes": "abc"}, TypeError, "`classes` must be a tuple or list of names, got 'abc'"),
         ({"record": None}, TypeError, "`record` must be a mapping, got None"),
-        (
-            {"weights": changed(fc1__bias=np.zeros(4, complex))},
-            TypeError,
-            "`fc1.bias` must be an array of numbers, ",
-        ),
+        ({"weights": changed(fc1__bias=np.zeros(4, complex))}, TypeError, "`fc1.bias` must be an array of numbers, "),
     ],
 )
 def test_wrong_classes_records_and_weights(changes, error, message):

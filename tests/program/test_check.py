@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 from made import random_events, random_model
+from tnt_reference import LayerNetwork
 from torch import nn
 
 from async_tnt import Model, TNTConfig, TNTVolume, load_model
 from async_tnt.checking.equality import Comparison, check_recording
+from async_tnt.networks.from_torch import layers_from_torch
 from async_tnt.networks.torch_operations import HeatmapCentroid
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.recording import sample_recordings
@@ -42,14 +44,16 @@ def test_it_says_no_when_a_landmark_is_wrong_by_a_millionth_of_a_pixel(monkeypat
     assert code == 1 and "FAILS" in printed and "NOT equal" in printed and "landmark" in message
 
 
-def test_a_landmark_network_of_any_layers_holds():
+@pytest.mark.parametrize("read", [lambda module, _: module, lambda *given: LayerNetwork(*layers_from_torch(*given))])
+def test_a_landmark_network_of_any_layers_holds(read):
     """Batch norm among them, which takes the second of four axes for channels."""
     torch.manual_seed(0)
     config, batch_norm = TNTConfig(bins=3, landmark="regressor", t_max=2.0), nn.BatchNorm2d(6)
     batch_norm.running_mean.normal_()
-    layers = nn.Conv2d(3, 6, 3, padding=1), batch_norm, nn.ReLU(), nn.Conv2d(6, 1, 1), HeatmapCentroid()
+    finds = nn.Sequential(nn.Conv2d(3, 6, 3, padding=1), batch_norm, nn.ReLU(), nn.Conv2d(6, 1, 1), HeatmapCentroid())
     decides = nn.Sequential(nn.Conv2d(3, 2, 3), nn.AdaptiveAvgPool2d(1))  # logits (2, 1, 1)
-    model = Model.from_torch(decides, config, ["a", "b"], regressor=nn.Sequential(*layers))
+    decides, finds = (read(module.eval(), config.shape) for module in (decides, finds))
+    model = Model.from_torch(decides, config, ["a", "b"], regressor=finds)
     assert all(one.holds for one in check_recording(random_events(150, duration_us=90_000), model, prefixes=2))
 
 
