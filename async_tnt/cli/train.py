@@ -116,9 +116,9 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     def save() -> list[Path]:
         """The model with its record so far, and the numbers beside it."""
         about = {"held_out": list(data.held_out), "summary": fitted.model.record, "history": fitted.history}
-        path = fitted.model.save(args.out)
-        write_text(args.out.with_suffix(NUMBERS), json.dumps((fitted.scores or {}) | about, indent=1))
-        return [path, args.out.with_suffix(NUMBERS)]
+        numbers = args.out.with_suffix(NUMBERS)
+        write_text(numbers, json.dumps((fitted.scores or {}) | about, indent=1))  # first: it tells whose the model is
+        return [fitted.model.save(args.out), numbers]
 
     written = save()  # before Test, which may take long; once more with its accuracy
     if plot_curves(fitted.history, args.out.with_suffix(CURVES)):
@@ -143,7 +143,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.data import dataset_data
     from async_tnt.training.groups import groups_by_pattern
-    from async_tnt.training.networks import build_network
+    from async_tnt.training.networks import find_network
     from async_tnt.training.pipeline import check_network
     from async_tnt.training.run_folder import begin_again, load_checkpoint
     from async_tnt.training.scenes import SceneMaker
@@ -172,8 +172,8 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     def seen(config: TNTConfig) -> TNTConfig:
         return SceneMaker(config).config if args.everywhere else config
 
-    if ":" in settings.network and "grid" not in given:  # it may suit no other grid than the data's
-        build_network(settings.network, config.channels, config.grid, 2)
+    if ":" in settings.network:  # it may suit the data alone
+        find_network(settings.network)
     else:
         check_network(settings.network, seen(config), everywhere=args.everywhere)
     groups_by_pattern((), args.groups or "")
@@ -216,7 +216,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
         workers=available_cores(),
         progress=progress,
     )
-    check_network(settings.network, seen(data.config), everywhere=args.everywhere)
+    check_network(settings.network, seen(data.config), len(data.classes), everywhere=args.everywhere)
     return data, settings_for(data.config, len(data.training), **wanted)
 
 

@@ -137,6 +137,8 @@ def train(
                 n_right, n_counted = n_right + found.n_right, n_counted + found.n
                 n_seen += len(windows)
                 bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
+            if not math.isfinite(total_loss):
+                raise ValueError(f"the loss of epoch {epoch + 1} is not finite: the network's numbers grow too large")
             del windows, draws, batches  # the events of an epoch, before those of the next are read
             history.append(
                 {
@@ -251,7 +253,7 @@ def _average(share: float, before: torch.Tensor, now: torch.Tensor, n: int | tor
 
 def _optimizer(pipeline: torch.nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
     weights = [w for w in pipeline.parameters() if w.ndim > 1]
-    biases = [w for w in pipeline.parameters() if w.ndim == 1]
+    biases = [w for w in pipeline.parameters() if w.ndim <= 1]
     groups: list[dict[str, Any]] = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]
     return torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
 

@@ -167,28 +167,40 @@ def landmark_network(channels: int) -> nn.Module:
 
 
 def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A network by its name, or one's own.
+    """A network by its name, or one's own, see `find_network`.
+
+    Raises
+    ------
+    ValueError : as `find_network`; the grid is too small; or one's own function fails, or returns no module.
+    """
+    build, smallest = find_network(name)
+    if min(grid) < smallest:
+        raise ValueError(f"network {name!r} needs a grid of at least {smallest}x{smallest}, got {grid}")
+    try:
+        network = build(channels, grid, n_classes)
+    except Exception as error:  # anything that the user's own code raises
+        raise ValueError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
+    if not isinstance(network, nn.Module):
+        raise ValueError(f"{name} must return a torch module, got {type(network).__name__}")
+    return network
+
+
+def find_network(name: str) -> tuple[Build, int]:
+    """What builds a network, and the least side of a grid for it.
 
     Parameters
     ----------
-    name : of `NETWORKS`, or "module.py:build": a Python file and a function in it, which gets the three arguments below
+    name : of `NETWORKS`, or "module.py:build": a Python file and a function in it, which gets the arguments of `Build`
         and returns a module.
 
     Raises
     ------
-    ValueError : no such network, file or function; the grid is too small; or the function fails, or returns no module.
+    ValueError : no such network, file or function; or the file fails.
     """
-    if ":" in name:
-        return _own(name, channels, grid, n_classes)
-    if name not in NETWORKS:
-        raise ValueError(f"a network must be one of {', '.join(NETWORKS)}, or FILE.py:FUNCTION; got {name!r}")
-    build, smallest = NETWORKS[name]
-    if min(grid) < smallest:
-        raise ValueError(f"network {name!r} needs a grid of at least {smallest}x{smallest}, got {grid}")
-    return build(channels, grid, n_classes)
-
-
-def _own(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    if ":" not in name:
+        if name not in NETWORKS:
+            raise ValueError(f"a network must be one of {', '.join(NETWORKS)}, or FILE.py:FUNCTION; got {name!r}")
+        return NETWORKS[name]
     file, function = name.rsplit(":", 1)
     path = Path(file)
     if not path.is_file():
@@ -199,12 +211,9 @@ def _own(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where dataclasses look for their types
     try:
         spec.loader.exec_module(module)
-        build: Any = getattr(module, function, None)
-        if not callable(build):
-            raise ValueError(f"it has no function {function!r}")
-        network = build(channels, grid, n_classes)
-    except Exception as error:  # anything that the user's own code raises
+    except Exception as error:  # likewise
         raise ValueError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
-    if not isinstance(network, nn.Module):
-        raise ValueError(f"{name} must return a torch module, got {type(network).__name__}")
-    return network
+    build: Any = getattr(module, function, None)
+    if not callable(build):
+        raise ValueError(f"{name}: it has no function {function!r}")
+    return build, 1

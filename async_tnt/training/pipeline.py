@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME
 from async_tnt.networks.layer_operations import Layer
@@ -149,25 +150,24 @@ def new_pipeline(
     return Pipeline(config, classifier, regressor, **scales)
 
 
-def check_network(name: str, config: TNTConfig, *, everywhere: bool = False) -> None:
-    """Refuse a network that cannot be built for this configuration, has no compiled form, or computes a map where there
-    is none to learn, or none where there is, before it is trained.
+def check_network(name: str, config: TNTConfig, n_classes: int = 2, *, everywhere: bool = False) -> None:
+    """Refuse a network that cannot be built for this configuration, has no compiled form, takes no batch, or computes a
+    map where there is none to learn, or none where there is, before it is trained.
 
     Raises
     ------
     ValueError : what is wrong with it.
     """
+    network = build_network(name, config.channels, config.grid, n_classes)
+    of_volumes = config.replace(landmark="center", remove_flow=False)
     try:
-        model = Model.from_torch(
-            build_network(name, config.channels, config.grid, 2),
-            config.replace(landmark="center", remove_flow=False),
-            ("a", "b"),
-        )
-    except NotImplementedError as error:
-        raise ValueError(f"`network` {name}: {error}") from None
+        model = Model.from_torch(network, of_volumes, [str(k) for k in range(n_classes)])
+        network.train()(torch.zeros(2, *config.shape))
+    except (NotImplementedError, RuntimeError) as error:
+        raise ValueError(f"`network` {name}: {one_line(error)}") from None
     if everywhere != (model.places is not None):
         wanted = "a map of a channel for each class and one for nothing" if everywhere else "one logit for each class"
-        raise ValueError(f"`network` {name} must compute {wanted}, got {model.logits_shape} for two classes")
+        raise ValueError(f"`network` {name} must compute {wanted}, got {model.logits_shape} for {n_classes} classes")
 
 
 def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.events import as_events
 from async_tnt.files import naming
 
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
@@ -69,19 +70,19 @@ class Recordings:
     def from_events(
         cls, events: Iterable[np.ndarray], labels: Sequence[int] | np.ndarray, names: Sequence[str] | None = None
     ) -> Recordings:
-        """From structured arrays `events` with fields t, x, y, p; `labels`, and `names` (by default numbers), have one
+        """From `events` in any accepted form, see `event_forms`; `labels`, and `names` (by default numbers), have one
         entry for each.
 
         Raises
         ------
-        ValueError : see `RecordingsWriter.add`, or the lengths differ.
+        TypeError, ValueError : not such events; see `RecordingsWriter.add`; or the lengths differ.
         """
         names = tuple(str(i) for i in range(len(labels))) if names is None else tuple(names)
         if len(labels) != len(names):
             raise ValueError(f"`labels` must have one per recording, got {len(labels)} for {len(names)}")
         with RecordingsWriter() as writer:
             for recording, label, name in zip(events, labels, names, strict=True):
-                writer.add(recording, int(label), name)
+                writer.add(as_events(recording, (1 << 16, 1 << 16)), int(label), name)
             return writer.finish()
 
 
@@ -110,7 +111,7 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
                 file.close()
 
     def add(self, events: np.ndarray, label: int, name: str) -> None:
-        """Append a recording: a structured array with fields t, x, y, p.
+        """Append a recording: a structured array of `events.EVENT_DTYPE`.
 
         Raises
         ------

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
+from pathlib import Path
 
 import torch
 from torch.utils.data import Dataset
 
 from async_tnt.config import TNTConfig
+from async_tnt.sources.labelled_recordings import has_test
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.dataset import read_dataset
@@ -17,23 +20,25 @@ from async_tnt.training.windows import make_windows
 class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     """Item i: the volume of window i, float32, shape (C, H, W), and the index of its class.
 
-    Volumes are computed when they are asked for, bit for bit those of a stream; the events are in memory.
+    Volumes are computed when they are asked for, bit for bit those of a stream of the recording's
+    events in order; they are in memory. A UserWarning tells how many recordings cannot be read and are left out.
 
     Parameters
     ----------
     folder : with a folder of recordings for each class, or sessions, as for `async-tnt train`.
     config : how events become volumes; not of landmark `regressor`, nor of `window_events`.
-    part : the folder in it that is read, where there is one: "Train" or "Test".
+    part : "Train", which may be the folder itself, or "Test".
     classes : names, by index; by default those of this part, sorted. For "Test" give those of "Train".
 
     Attributes
     ----------
     classes : names, by index.
     windows : all of them, end to end from each recording's first event on.
+    left_out : the recordings that are left out, with the reasons.
 
     Raises
     ------
-    ValueError, OSError : as `read_dataset`; recordings of another sensor than `config` has.
+    ValueError, OSError : as `read_dataset`; recordings of another sensor than `config` has; no recordings for "Test".
 
     Examples
     --------
@@ -52,10 +57,14 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     ) -> None:
         if config.needs_regressor:
             raise ValueError("landmark 'regressor' needs a network; volumes of a data set have none")
+        if part == "Test" and not has_test(Path(folder)):
+            raise FileNotFoundError(f"{folder} has neither a folder Test nor lists of what belongs to it")
         self._volumes = BatchVolumes(config)
         pixels = PixelSelection(sensor=config.sensor)
         data = read_dataset(folder, part=part, pixels=pixels, sensor_source="`config`", classes=classes)
-        self.classes = data.classes
+        self.classes, self.left_out = data.classes, data.left_out
+        if self.left_out:
+            warnings.warn(f"{len(self.left_out)} recordings left out, first {self.left_out[0]}", stacklevel=2)
         self.windows = make_windows(data.recordings, config.window_us)
 
     def __len__(self) -> int:

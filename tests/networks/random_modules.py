@@ -155,11 +155,7 @@ class _Builder:
                 lambda: lambda m, x: scale_(x),
             ]
         if self.chance(0.12):
-            choices = [
-                lambda: self.part(ReLU(inplace)),
-                lambda: self.part(Plain()),
-                lambda: lambda m, x: relu(x),
-            ]
+            choices = [lambda: self.part(ReLU(inplace)), lambda: self.part(Plain()), lambda: lambda m, x: relu(x)]
         return self.pick(*choices)()
 
     def layer(self, shape):

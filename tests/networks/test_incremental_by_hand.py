@@ -106,11 +106,7 @@ def overflowing(**settings) -> list[Processor]:
 
 @pytest.mark.parametrize(
     "settings, size",  # `late="drop"` has seen all times of a packet, also of one that is absorbed in part
-    [
-        ({"every_events": 1}, 1500),
-        ({"confidence": 1.0}, 7),
-        ({"every_events": 1, "late": "drop"}, 1),
-    ],
+    [({"every_events": 1}, 1500), ({"confidence": 1.0}, 7), ({"every_events": 1, "late": "drop"}, 1)],
 )
 def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size):
     """Its later events are not: pushed again, the stream continues there. After the next event, which cancels it, the

@@ -114,11 +114,7 @@ def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_pat
             ValueError,
             "the module must return logits (1, n_classes), or a map (1, n_classes + 1, R, C), got shape (1, 1, 2,",
         ),
-        (
-            lambda: TorchClassifier(lambda v: (v, 1))(VOLUME),
-            TypeError,
-            "the module must return a tensor of logits, ",
-        ),
+        (lambda: TorchClassifier(lambda v: (v, 1))(VOLUME), TypeError, "the module must return a tensor of logits, "),
     ],
 )
 def test_what_is_no_network_no_volume_and_no_logits(call, error, message):

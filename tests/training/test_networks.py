@@ -35,6 +35,9 @@ def normed(channels, grid, n_classes):
 def mish(channels, grid, n_classes):
     return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.Mish(), nn.Flatten(), nn.Linear(4096, n_classes))
 
+def double(channels, grid, n_classes):
+    return linear(channels, grid, n_classes).double()
+
 def broken(channels, grid, n_classes):
     return 1 / 0
 
@@ -112,14 +115,15 @@ def test_the_smallest_grid(name):
     "function, message",
     [
         ("mish", "layer '1' (Mish) has no compiled form; TorchClassifier"),
+        ("double", "must have the same dtype"),
         ("broken", "ZeroDivisionError: division by zero"),
-        ("absent", "ValueError: it has no function 'absent'"),
+        ("absent", ": it has no function 'absent'"),
     ],
 )
 def test_what_is_wrong_with_ones_own_is_said_before_training(function, message, own, tmp_path, program):
-    folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1})
-    out = tmp_path / "m.safetensors"
-    code, _, err = program("train", folder, "--network", f"{own}:{function}", "--grid", "34x34", "--out", out)
+    folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1}, side=34)
+    words = "--network", f"{own}:{function}", "--sensor", "34x34", "--out", tmp_path / "m.safetensors"
+    code, _, err = program("train", folder, *words)
     assert code == 2 and f"{own}:{function}" in err and message in err and "windows" not in err
     assert os.listdir(tmp_path) == ["set"]
 

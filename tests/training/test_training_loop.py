@@ -15,7 +15,7 @@ from async_tnt.progress import Bar  # noqa: E402
 from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
-from async_tnt.training.loop import batches_of  # noqa: E402
+from async_tnt.training.loop import _optimizer, batches_of  # noqa: E402
 from async_tnt.training.objectives import ClassOfWindows  # noqa: E402
 from async_tnt.training.pipeline import Pipeline  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
@@ -116,6 +116,15 @@ def test_evaluation_by_hand():
     objectives = [ClassOfWindows(CONFIG, some, TrainSettings(balance=balance), 2) for balance in (True, False)]
     losses = [objective.validate(pipeline)["validation_loss"] for objective in objectives]
     assert losses == pytest.approx([(3.2089 + 0.0486) / 2, (3 * 3.2089 + 0.0486) / 4], abs=1e-3)
+
+
+def test_every_parameter_is_trained_and_an_infinite_loss_ends_the_training(windows, tmp_path):
+    module = torch.nn.BatchNorm1d(2)
+    module.scale = torch.nn.Parameter(torch.tensor(1.0))
+    groups = _optimizer(module, TrainSettings()).param_groups
+    assert {id(w) for group in groups for w in group["params"]} == {id(w) for w in module.parameters()}
+    with pytest.raises(ValueError, match=r"^the loss of epoch 1 is not finite"):
+        train(CONFIG, windows, windows[:0], TrainSettings(epochs=1, batch=8, learning_rate=1e30), tmp_path)
 
 
 def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_path):

@@ -15,12 +15,7 @@ from async_tnt.training import settings, simulated_pictures
 from async_tnt.training.data import dataset_data
 from async_tnt.training.recordings import RecordingsWriter
 from async_tnt.training.settings import default_config, settings_for
-from async_tnt.training.simulated_pictures import (
-    LabelledPicture,
-    find_pictures,
-    measure_camera,
-    simulate_pictures,
-)
+from async_tnt.training.simulated_pictures import LabelledPicture, find_pictures, measure_camera, simulate_pictures
 
 SENSOR = (24, 20)
 

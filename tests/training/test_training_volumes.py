@@ -229,8 +229,12 @@ def test_a_folder_is_a_data_set_of_volumes_for_torch(tmp_path):
     assert [tuple(v.shape) for v, _ in batches] == [(5, 5, 34, 34), (5, 5, 34, 34), (2, 5, 34, 34)]
     assert torch.cat([labels for _, labels in batches]).tolist() == [0] * 6 + [1] * 6
     assert torch.equal(data[-1][0], data[11][0])
-    known = VolumeDataset(tmp_path, config, classes=("no", "wave", "clap"))  # in this order
+    (tmp_path / "wave" / "damaged.npy").write_bytes(b"no events")
+    with pytest.warns(UserWarning, match="^1 recordings left out, first wave/damaged.npy: "):
+        known = VolumeDataset(tmp_path, config, classes=("no", "wave", "clap"))  # in this order
     assert [label for _, label in known] == [1] * 6 + [2] * 6
+    with pytest.raises(FileNotFoundError, match="has neither a folder Test nor lists"):
+        VolumeDataset(tmp_path, config, part="Test")
     with pytest.raises(IndexError, match=r"^`index` must be below 12, the number of windows, got 12$"):
         data[12]
     with pytest.raises(ValueError, match="landmark 'regressor' needs a network"):

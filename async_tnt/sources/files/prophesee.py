@@ -19,22 +19,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt.events import empty_columns, structured
-from async_tnt.kernels.evt import (
-    INITIAL,
-    ODD,
-    UNPLACED,
-    decode_evt2,
-    decode_evt3,
-    decode_evt21,
-    unwrap_times,
-)
-from async_tnt.sources.files.source import (
-    BLOCK_EVENTS,
-    CorruptData,
-    Source,
-    is_text,
-    valid_events,
-)
+from async_tnt.kernels.evt import INITIAL, ODD, UNPLACED, decode_evt2, decode_evt3, decode_evt21, unwrap_times
+from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, is_text, valid_events
 from async_tnt.sources.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
