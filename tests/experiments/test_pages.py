@@ -189,5 +189,5 @@ def test_statements_of_the_results_page_hold():
     assert not differences["regressor-translated", "raw-translated", "1/all"]["holm"] < 0.05
     finder = tables.results("map_times")["models"]["digits-everywhere"]
     us = {case: of["median"] for case, of in finder["times_us"]["640x480"].items()}
-    assert [round(us[case], -2) for case in ("1,000 events", "dense", "onnxruntime_run")] == [1200, 46_700, 37_800]
-    assert round(us["one event"]) == 167 and [round(of, 2) for of in finder["load"].values()] == [0.52, 0.87, 0.98]
+    assert [round(us[case], -2) for case in ("1,000 events", "dense", "onnxruntime_run")] == [600, 26_600, 20_100]
+    assert round(us["one event"]) == 60 and [round(of, 2) for of in finder["load"].values()] == [0.22, 0.38, 0.43]
