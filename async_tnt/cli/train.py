@@ -56,11 +56,14 @@ def main(args: argparse.Namespace) -> int:
     if run_folder.is_dir() and not (run_folder / CHECKPOINT).exists():
         check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
     _check_options(args, run_folder)
+    restart = args.restart
     try:
         with locked_folder(run_folder, "command.lock"):
             return _train(args, run_folder)
     except KeyboardInterrupt:
-        again = f"again{', without --restart,' * args.restart} to resume"
+        if args.restart:
+            raise KeyboardInterrupt(f"interrupted before anything learned in {run_folder} was discarded") from None
+        again = f"again{', without --restart,' * restart} to resume"
         kept = f"what is finished is kept in {run_folder}. Give the same command {again}."
         raise KeyboardInterrupt(f"interrupted; {kept}") from None
 
@@ -92,10 +95,13 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.fitting import fit
-    from async_tnt.training.run_folder import plot_curves
+    from async_tnt.training.run_folder import begin_again, plot_curves
 
     teachers = [of_windows(model_of(name), name) for name in args.teacher]
     data, settings = _read(args, teachers, run_folder)
+    if args.restart:  # not before everything has been read and tried
+        begin_again(run_folder)
+        args.restart = False
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         note(line)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
@@ -145,7 +151,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     from async_tnt.training.groups import groups_by_pattern
     from async_tnt.training.networks import find_network
     from async_tnt.training.pipeline import check_network
-    from async_tnt.training.run_folder import begin_again, load_checkpoint
+    from async_tnt.training.run_folder import discard_made, load_checkpoint
     from async_tnt.training.scenes import SceneMaker
     from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
@@ -211,7 +217,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
         test=args.test,
         seed=args.seed,
         store=run_folder,
-        **({"begin": partial(begin_again, run_folder)} if args.restart else {}),
+        begin=partial(discard_made, run_folder, "pictures") if args.restart else lambda: None,
         scenes={"size": args.size, "light": args.light, "follow": args.follow, "camera": camera},
         workers=available_cores(),
         progress=progress,

@@ -92,7 +92,7 @@ def dataset_data(
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
     store : a folder for the events, see `read_dataset`; without it, pictures are recorded in a temporary one.
-    begin : called when what is learned from has been read and split, before pictures are recorded.
+    begin : called before pictures are recorded, when what is learned from has been read and split.
     scenes : of `SceneSettings`, what differs from its defaults.
     workers : processes that record pictures.
     progress : makes the progress bar, which counts recordings.

@@ -24,8 +24,6 @@ from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-MADE = "motions", "pictures"
-"""Folders of what was made from the data; motions.json and pictures.json in them say what."""
 FORMAT = 8  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 
@@ -48,12 +46,19 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
 
 
 def begin_again(run_folder: Path) -> None:
-    """Delete what trainings have left there: what was learned so far, and the motions and pictures that were made."""
+    """Delete what was learned there so far, and the motions that were made."""
     for name in RUN_FILES:
         (run_folder / name).unlink(missing_ok=True)
-    for name in MADE:
-        if (run_folder / name / f"{name}.json").is_file():
-            shutil.rmtree(run_folder / name)
+    discard_made(run_folder, "motions")
+
+
+def discard_made(run_folder: Path, name: str) -> None:
+    """Delete what was made from the data for a training.
+
+    name : of its folder, "motions" or "pictures"; motions.json or pictures.json in it says what it was made from.
+    """
+    if (run_folder / name / f"{name}.json").is_file():
+        shutil.rmtree(run_folder / name)
 
 
 def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any] | None:
