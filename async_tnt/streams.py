@@ -11,13 +11,15 @@ import numpy as np
 from async_tnt.checks import short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
-from async_tnt.events import Late
+from async_tnt.events import LARGER_CAMERA, EventDecoder, Late
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import Classifier
 from async_tnt.windows import TimeUnitCheck
+
+PIECE = 256  # events
 
 
 class Settings(TypedDict, total=False):
@@ -56,11 +58,15 @@ def stream(
     >>> [decision.label for decision in stream(open_recording(sample_recordings()[3]), "digits")]
     ['3', '3', '3']
     """
+    _check_source(source)
+    return _stream(source, as_processor(model, **settings))  # here: errors are raised before the first event
+
+
+def _check_source(source: Any) -> None:
     if isinstance(source, (str, Path)):
         raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
     if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
         raise TypeError(f"`source` must be an iterable of packets or of events, got {type(source).__name__}")
-    return _stream(source, as_processor(model, **settings))  # here: errors are raised before the first event
 
 
 def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
@@ -128,14 +134,27 @@ def volumes(source: Iterable[Any], config: TNTConfig, **settings: Unpack[Setting
         raise TypeError(f"`config` must be a TNTConfig, got {short(config)}; a model has one as `config`")
     if settings.keys() & {"classifier", "classes", "confidence"}:
         raise TypeError("`classifier`, `classes` and `confidence` are for decisions; volumes have none")
+    _check_source(source)
+    late = settings.pop("late", "accept")
+    decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
     waiting: list[np.ndarray] = []
+
+    def pieces() -> Iterator[tuple[np.ndarray, ...]]:
+        """Few events at once, which close few windows: all volumes of a long packet might not fit into the memory."""
+        for packet in source:
+            if late == "accept" and type(packet) is tuple and len(packet) == 4 and type(packet[0]) is int:
+                yield packet  # quick for Python integers
+                continue
+            columns = decoder.decode(packet)
+            for first in range(0, columns.n, PIECE):
+                yield tuple(column[first : min(first + PIECE, columns.n)] for column in columns[:4])
 
     def keep(volume: np.ndarray) -> list[float]:
         waiting.append(volume.copy())
         return [0.0]
 
     settings["classifier"] = keep
-    decisions = stream(source, config, **settings)  # here: errors are raised before the first event
+    decisions = stream(pieces(), config, **settings)  # here: errors are raised before the first event
     return (WindowVolume(waiting.pop(0), decision.window_start_us, decision.events) for decision in decisions)
 
 

@@ -105,7 +105,7 @@ def test_other_small_windows_are_no_reason_to_warn():  # warnings are errors in 
 def test_volumes_are_those_that_a_decision_would_have_seen(settings):
     config = TNTConfig(window_us=1000, bins=3)
     decisions = list(stream([EVENTS], config, classifier=lambda volume: [0.0], **settings))
-    found = list(volumes(packets(70), config, **settings))
+    found = list(volumes([*EVENTS[:90].tolist(), EVENTS[90:]], config, **settings))
     assert [(one.start_us, one.events) for one in found] == [(d.window_start_us, d.events) for d in decisions]
     for one, decision in zip(found, decisions, strict=True):
         inside = EVENTS[EVENTS["t"] >= decision.window_start_us][: decision.events]
