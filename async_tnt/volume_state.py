@@ -140,8 +140,7 @@ class ReplayBuffer:
     def _estimate(self, buffer: np.ndarray) -> tuple[float, float]:
         if self._regressor is not None:
             return checked_landmark(self._regressor(self._raw_volume(buffer)))
-        ints, n = buffer.view(np.int64), _n_events(buffer)
-        return self._config.to_grid(int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n)
+        return self._config.to_grid(*_centroid(buffer))
 
     def _raw_volume(self, buffer: np.ndarray) -> np.ndarray:
         """The volume of the stored events without the transform, read-only."""
@@ -169,7 +168,8 @@ class ReplayBuffer:
         config, ints = self._config, buffer.view(np.int64)
         if config.defers_landmark:
             self._landmark = self._landmark or self._estimate(buffer)
-            buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*self._landmark)
+            in_sensor = config.to_sensor(*self._landmark) if self._regressor else _centroid(buffer)
+            buffer[S.FIXED_X], buffer[S.FIXED_Y] = in_sensor
         if config.window_events is not None:
             set_duration(buffer, config, _duration_us(buffer))
         saved, n = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}, _n_events(buffer)
@@ -230,6 +230,12 @@ def check_regressor(config: TNTConfig, regressor: Any) -> None:
 
 def _n_events(buffer: np.ndarray) -> int:
     return int(buffer.view(np.int64)[S.N])
+
+
+def _centroid(buffer: np.ndarray) -> tuple[float, float]:
+    """Of the window's events, in sensor pixels."""
+    ints, n = buffer.view(np.int64), _n_events(buffer)
+    return int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n
 
 
 def _duration_us(buffer: np.ndarray) -> int:

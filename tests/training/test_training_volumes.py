@@ -35,7 +35,7 @@ def streamed(config, windows, k, until_us):
         {"landmark": "running", "t_max": 2.0},
         {"landmark": "line", "polarity": "split"},
         {"landmark": "line", "remove_flow": True, "polarity": "unsigned"},
-        {"landmark": "window"},
+        {"landmark": "window", "sensor": (67, 41)},
         {"transform": "none", "sensor": (64, 40)},
         {"representation": "count", "landmark": "line"},
         {"representation": "count_time", "transform": "none", "polarity": "split", "sensor": (64, 40)},
