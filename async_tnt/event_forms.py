@@ -88,7 +88,7 @@ def event_columns(table: Any, order: str) -> Four:
     Raises
     ------
     ValueError : another shape or `order`; a column that cannot be what `order` says. The message names the order that
-        fits, if there is one.
+        fits, if there is one. Floats of 2**24 (float32) or 2**53 (float64) and more, which may have been rounded.
 
     Examples
     --------
@@ -108,10 +108,14 @@ def event_columns(table: Any, order: str) -> Four:
                 raise ValueError(f"the columns are not {order!r}; they look like {''.join(other)!r}")
     for field, column in columns.items():
         if column.dtype.kind == "f":
-            fits = (np.rint(column) == column) & (np.abs(column) < 2**63)
+            exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)  # from here on floats may have been rounded
+            fits = (np.rint(column) == column) & (np.abs(column) < exact)
             if not fits.all():  # not a number, too
                 i = int(np.argmin(fits))
-                raise ValueError(f"`{field}` must be whole numbers, got {column[i]} in row {i}; times are microseconds")
+                raise ValueError(
+                    f"`{field}` must be whole numbers, as {column.dtype} below {exact}, got {column[i]} in row {i}; "
+                    "times are microseconds"
+                )
             columns[field] = column.astype(np.int64)
     return columns["t"], columns["x"], columns["y"], columns["p"]
 

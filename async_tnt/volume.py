@@ -52,13 +52,7 @@ class TNTVolume:
     (1.0, (16.5, 16.5))
     """
 
-    def __init__(
-        self,
-        config: TNTConfig,
-        *,
-        late: Late = "accept",
-        regressor: Regressor | None = None,
-    ) -> None:
+    def __init__(self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None) -> None:
         check_regressor(config, regressor)
         self.config = config
         self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)

@@ -65,11 +65,7 @@ class WindowClassifier:
     """
 
     def __init__(
-        self,
-        config: TNTConfig,
-        classifier: Classifier,
-        classes: Sequence[str] | None,
-        confidence: float | None = None,
+        self, config: TNTConfig, classifier: Classifier, classes: Sequence[str] | None, confidence: float | None = None
     ) -> None:
         if isinstance(classes, str):
             raise TypeError(f"`classes` must be a sequence of names, got the single string {short(classes)}")
@@ -182,12 +178,7 @@ class WindowClassifier:
         return self._reader
 
     def _decision_of_map(
-        self,
-        n: int,
-        logits: np.ndarray,
-        window: tuple[int, int, int],
-        trigger: Trigger,
-        complete: bool,
+        self, n: int, logits: np.ndarray, window: tuple[int, int, int], trigger: Trigger, complete: bool
     ) -> Decision:
         """The decision of a map on which the reader has found n objects; window: start, newest time, events."""
         if n < 0:

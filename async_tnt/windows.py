@@ -34,11 +34,7 @@ class WindowScheduler:
     """
 
     def __init__(
-        self,
-        config: TNTConfig,
-        hop_us: int | None,
-        start_us: int | None,
-        regressor: Regressor | None,
+        self, config: TNTConfig, hop_us: int | None, start_us: int | None, regressor: Regressor | None
     ) -> None:
         self._window_us = window_us = config.window_us
         self._window_events = config.window_events

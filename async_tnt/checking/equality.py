@@ -104,12 +104,7 @@ def check_recording(
 
 
 def _check_config(
-    events: np.ndarray,
-    name: str,
-    config: TNTConfig,
-    model: Model,
-    prefixes: int | None,
-    start_us: int | None,
+    events: np.ndarray, name: str, config: TNTConfig, model: Model, prefixes: int | None, start_us: int | None
 ) -> list[Comparison]:
     """Promises (a) and (b) for one configuration."""
     from async_tnt.checking.reference import reference_landmark, reference_volume, reference_windows

@@ -37,11 +37,7 @@ then leaves nothing out.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({READABLE})")
     parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        required=True,
-        help="the mask, a .npy file, overwritten if it exists",
+        "--out", type=Path, metavar="FILE", required=True, help="the mask, a .npy file, overwritten if it exists"
     )
     parser.add_argument(
         "--sensor",

@@ -43,12 +43,7 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         type=(lambda text: text if is_live(text) else Path(text)) if live else Path,
         help=f"{sources}recordings ({READABLE}); {bundled}",
     )
-    parser.add_argument(
-        "--model",
-        default="digits",
-        metavar="NAME|FILE",
-        help=f"{MODELS}{onnx} (default: %(default)s)",
-    )
+    parser.add_argument("--model", default="digits", metavar="NAME|FILE", help=f"{MODELS}{onnx} (default: %(default)s)")
     if live:
         parser.add_argument(
             "--config",

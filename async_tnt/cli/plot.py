@@ -51,9 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{', '.join(FORMATS)} (default: <recording>.png in the current folder)",
     )
     parser.add_argument(
-        "--model",
-        metavar="NAME|FILE",
-        help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)",
+        "--model", metavar="NAME|FILE", help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)"
     )
     what = parser.add_argument_group("what is drawn")
     what.add_argument(

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.cli.options import (
-    add_files,
-    add_start,
-    add_triggers,
-    paths_of,
-    positive_int,
-    triggers_of,
-)
+from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_int, triggers_of
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
 from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read

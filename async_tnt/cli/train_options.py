@@ -36,12 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DATASET",
         help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...)",
     )
-    parser.add_argument(
-        "--sensor",
-        type=size_of,
-        metavar="WxH",
-        help="the camera's, where recordings do not state it",
-    )
+    parser.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's, where recordings do not state it")
     parser.add_argument(
         "--out",
         type=Path,
@@ -67,11 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     held_out.add_argument("--test", action="store_true", help="at the end, classify the folder Test")
     seen = parser.add_argument_group("what is learned from")
     add_selection(seen)
-    seen.add_argument(
-        "--mirror",
-        action="store_true",
-        help="mirror half of the windows, if that keeps the class",
-    )
+    seen.add_argument("--mirror", action="store_true", help="mirror half of the windows, if that keeps the class")
     seen.add_argument(
         "--motions",
         choices=("recorded", "resynthesized"),
@@ -87,11 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="longer side / sensor's shorter side (default: 0.4-0.8)",
     )
     pictures.add_argument(
-        "--light",
-        choices=LIGHTS,
-        default="both",
-        metavar="LIGHT",
-        help="positive, negative, or both (default)",
+        "--light", choices=LIGHTS, default="both", metavar="LIGHT", help="positive, negative, or both (default)"
     )
     pictures.add_argument(
         "--camera", type=Path, metavar="RECORDING", help="a minute of anything from your camera, to measure it"
@@ -99,10 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pictures.add_argument("--follow", action="store_true", help="as crops that follow the object")
     network = parser.add_argument_group("volume and network")
     network.add_argument(
-        "--window-us",
-        type=positive_int,
-        metavar="US",
-        help="length (default: 105000, or the longest recording)",
+        "--window-us", type=positive_int, metavar="US", help="length (default: 105000, or the longest recording)"
     )
     network.add_argument("--grid", type=size_of, metavar="WxH", help="of the volume (default: at most 120 pixels long)")
     add_volume(network, "ON and OFF counts, or 5 bins, by the data")
@@ -114,11 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "own, of channels, (width, height), n_classes",
     )
     network.add_argument(
-        "--teacher",
-        nargs="+",
-        default=[],
-        metavar="MODEL",
-        help="half of the target is what these models say",
+        "--teacher", nargs="+", default=[], metavar="MODEL", help="half of the target is what these models say"
     )
     network.add_argument(
         "--epochs",

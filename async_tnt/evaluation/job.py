@@ -72,11 +72,7 @@ def job_of(name_or_path: str, model: Model, pixels: PixelSelection) -> Job:
 
 
 def task_of(
-    recording: str,
-    path: Path,
-    job: Job,
-    label: str | None = None,
-    between_us: tuple[int, int] | None = None,
+    recording: str, path: Path, job: Job, label: str | None = None, between_us: tuple[int, int] | None = None
 ) -> Task:
     """The task of a file, or a part of it, with its current size and time."""
     name = recording.encode("utf-8", "backslashreplace").decode()  # file names need not be valid text

@@ -75,10 +75,7 @@ def run_counted(function: Callable[[Task], int], tasks: Sequence[Task], workers:
 
 
 def run_on_dask(
-    function: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    address: str,
-    lost: Callable[[Task], Result],
+    function: Callable[[Task], Result], tasks: Sequence[Task], address: str, lost: Callable[[Task], Result]
 ) -> Generator[Result]:
     """As `run_all`, on the workers of the cluster whose scheduler has this address.
 

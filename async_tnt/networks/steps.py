@@ -309,8 +309,4 @@ class _Lowering:
 
 
 def _window(layer: Layer) -> dict[str, Any]:
-    return {
-        "kernel": tuple(layer["kernel"]),
-        "stride": tuple(layer["stride"]),
-        "padding": tuple(layer["padding"][:2]),
-    }
+    return {"kernel": tuple(layer["kernel"]), "stride": tuple(layer["stride"]), "padding": tuple(layer["padding"][:2])}

@@ -77,11 +77,7 @@ class TorchClassifier:
     """
 
     def __init__(
-        self,
-        module: Callable[[torch.Tensor], torch.Tensor],
-        *,
-        threads: int | None = 1,
-        places: Places | None = None,
+        self, module: Callable[[torch.Tensor], torch.Tensor], *, threads: int | None = 1, places: Places | None = None
     ) -> None:
         with needs_extra("reference", "torch modules need torch"):
             import torch

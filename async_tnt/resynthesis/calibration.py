@@ -47,11 +47,7 @@ class Calibration:
     match: dict[str, Any]
 
 
-def calibrate(
-    reconstruction: Reconstruction,
-    windows: Sequence[Columns],
-    seed: int,
-) -> Calibration:
+def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: int) -> Calibration:
     """Calibrate on some windows.
 
     Parameters

@@ -97,10 +97,7 @@ class Decoder:
     """
 
     def __init__(
-        self,
-        format: str = "t64_x16_y16_on8",
-        sensor: tuple[int, int] | None = None,
-        max_jump_s: float | None = None,
+        self, format: str = "t64_x16_y16_on8", sensor: tuple[int, int] | None = None, max_jump_s: float | None = None
     ) -> None:
         self.format = checked_format(format)
         self.clock = Clock(max_jump_s)

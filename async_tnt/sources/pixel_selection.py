@@ -135,12 +135,7 @@ class PixelSelector:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
     def open(
-        self,
-        path: Path,
-        *,
-        name: str | None = None,
-        strict: bool = False,
-        between_us: tuple[int, int] | None = None,
+        self, path: Path, *, name: str | None = None, strict: bool = False, between_us: tuple[int, int] | None = None
     ) -> tuple[Recording, Callable[[Any], Any]]:
         """A recording, or its part between two times, and the filter for its packets.
 

@@ -14,10 +14,7 @@ LONGEST_S = 1e6  # of one sleep: the system refuses some centuries
 
 
 def replay(
-    source: Iterable[np.ndarray] | np.ndarray | str | os.PathLike[str],
-    speed: float = 1.0,
-    *,
-    packet_us: int = 1000,
+    source: Iterable[np.ndarray] | np.ndarray | str | os.PathLike[str], speed: float = 1.0, *, packet_us: int = 1000
 ) -> Iterator[np.ndarray]:
     """Yield the events of a recording in real time, counted from the first event.
 

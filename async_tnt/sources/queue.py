@@ -70,12 +70,7 @@ class PacketQueue:
     """
 
     def __init__(
-        self,
-        *,
-        max_packets: int = 64,
-        latest: bool = False,
-        max_delay_us: int | None = None,
-        copy: bool = True,
+        self, *, max_packets: int = 64, latest: bool = False, max_delay_us: int | None = None, copy: bool = True
     ) -> None:
         self.max_packets = positive_int("max_packets", max_packets)
         self.max_delay_us = math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)

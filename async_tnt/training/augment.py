@@ -183,9 +183,7 @@ class Augmentation:
         larger = (min(config.sensor) - 1) / 33
         longer = config.window_us / 105_000
         scaled = cls(
-            start_ms=cls.start_ms * longer,
-            shift_px=cls.shift_px * larger,
-            partial_from_ms=cls.partial_from_ms * longer,
+            start_ms=cls.start_ms * longer, shift_px=cls.shift_px * larger, partial_from_ms=cls.partial_from_ms * longer
         )
         return replace(scaled, **changes)
 

@@ -148,13 +148,7 @@ def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variat
 
 
 def _move(
-    chunk: _Chunk,
-    *,
-    config: TNTConfig,
-    cell: int,
-    calibration: Calibration,
-    masked: np.ndarray | None,
-    seed: int,
+    chunk: _Chunk, *, config: TNTConfig, cell: int, calibration: Calibration, masked: np.ndarray | None, seed: int
 ) -> int:
     """Find the paths and images of a chunk's windows, and write its file. Returns how many windows it has."""
     windows = chunk.windows

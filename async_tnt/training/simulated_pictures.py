@@ -85,10 +85,7 @@ def find_pictures(folder: Path) -> dict[str, list[Path]]:
 
 
 def check_pictures(
-    found: Mapping[str, Sequence[Path]],
-    classes: Sequence[str],
-    others: np.ndarray,
-    progress: Callable[..., Bar] = Bar,
+    found: Mapping[str, Sequence[Path]], classes: Sequence[str], others: np.ndarray, progress: Callable[..., Bar] = Bar
 ) -> tuple[list[LabelledPicture], list[str]]:
     """The pictures that can be read, and why the others are left out, one line each.
 

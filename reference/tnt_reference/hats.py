@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from .window import Column, check_polarity, check_size, signs, window_events
+from .window import Column, check_polarity, check_size, signs, whole_pixels, window_events
 
 RADIUS = 3
 
@@ -61,7 +61,7 @@ def hats(
     total = torch.zeros(polarities, side, side, rows, columns, dtype=torch.float64)
     size = torch.zeros(rows, columns, dtype=torch.float64)
     earlier: list[tuple[int, int, int]] = []
-    for inside, (u, v), q in zip(events.inside.tolist(), events.pixels.long().tolist(), of.tolist(), strict=True):
+    for inside, (u, v), q in zip(events.inside.tolist(), whole_pixels(events).tolist(), of.tolist(), strict=True):
         if not inside:
             continue
         cell = v * rows // sensor[1], u * columns // sensor[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from .coordinates import to_grid, window_fraction
-from .window import Column, check_polarity, check_size, signs, window_events
+from .window import Column, check_polarity, check_size, signs, whole_pixels, window_events
 
 WEIGHT_TOLERANCE = 1e-9
 
@@ -169,8 +169,6 @@ def events_at(
     """Channel, row, column (int64) and window fraction (float64) of all N events, checked; four of (N,)."""
     check_size("sensor", sensor)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
-    if len(events.dt) and events.pixels.is_floating_point():
-        raise TypeError("`x` and `y` must be whole pixels: an image counts events per pixel, and does not splat them")
     channel = (signs(p, len(events.dt)) < 0).long()  # (N,)
-    column, row = events.pixels.long().unbind(1)
+    column, row = whole_pixels(events).unbind(1)
     return channel, row, column, window_fraction(events.dt, window_us)

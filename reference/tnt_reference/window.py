@@ -54,6 +54,13 @@ def window_events(
     return WindowEvents(dt.double(), pixels, inside)
 
 
+def whole_pixels(events: WindowEvents) -> torch.Tensor:
+    """(N, 2) int64, for what counts events per pixel and does not splat them; floats are refused."""
+    if len(events.dt) and events.pixels.is_floating_point():
+        raise TypeError("`x` and `y` must be whole pixels: events are counted per pixel, and not splatted")
+    return events.pixels.long()
+
+
 def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[torch.Tensor]:
     """A stream in windows of n events.
 

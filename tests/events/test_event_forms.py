@@ -191,12 +191,13 @@ def test_unsorted_times_and_small_ones_are_not_taken_for_another_order():
 
 
 def test_plain_arrays_that_are_refused():
+    whole = "`t` must be whole numbers, as float64 below 9007199254740992, got"
     for table, order, message in (
         ([[1, 2, 3]], "txyp", r"`table` must be numbers in shape \(N, 4\), got int64 in shape \(1, 3\)"),
         ([[1, 2, 3, 1]], "txy", "`order` must have the letters t, x, y and p, each once, got 'txy'"),
-        ([[0.5, 2, 3, 1]], "txyp", "`t` must be whole numbers, got 0.5 in row 0; times are microseconds"),
-        ([[float("nan"), 2, 3, 1]], "txyp", "`t` must be whole numbers, got nan in row 0; times are microseconds"),
-        ([[2.0**63, 2, 3, 1]], "txyp", r"`t` must be whole numbers, got 9.22\S+e\+18 in row 0; times are microseconds"),
+        ([[0.5, 2, 3, 1]], "txyp", f"{whole} 0.5 in row 0; times are microseconds"),
+        ([[float("nan"), 2, 3, 1]], "txyp", f"{whole} nan in row 0; times are microseconds"),
+        (np.float32([[2**24, 2, 3, 1]]), "txyp", "`t` must be whole numbers, as float32 below 16777216, got 1.*"),
         ([["a", "b", "c", "d"]], "txyp", r"`table` must be numbers in shape \(N, 4\), got <U1 in shape \(1, 4\)"),
     ):
         with pytest.raises(ValueError, match=f"^{message}$"):
