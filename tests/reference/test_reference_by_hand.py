@@ -94,3 +94,5 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
     expected[0, 3, 1, 0, 0] = 2 / 5  # the OFF event finds both ON events
     expected[0, 2, 3, 0, 0] = 1 / 5  # and is found
     torch.testing.assert_close(hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2))
+    with pytest.raises(TypeError, match="`x` and `y` must be whole pixels"):
+        hats(t, x + 0.5, y, p, **at)
