@@ -13,7 +13,7 @@ from typing import Any
 
 from async_tnt.checks import short
 from async_tnt.config import TNTConfig
-from async_tnt.kernels.entry_points import ENTRY_POINTS
+from async_tnt.kernels.entry_points import ENTRY_POINTS, MAP_PARTS, PARTS
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
@@ -118,12 +118,15 @@ def fill_cache(names: Iterable[str] | None = None, model: object = None) -> None
         return
     print("async_tnt: compiling kernels, once on this machine (10 to 20 s) ...", file=sys.stderr, flush=True)
     # the network's kernels and those for events have nothing in common; `absorb_and_decide` has both
-    network = _in_order((CLASSIFIER | LOCATOR | REGRESSOR).intersection(names))
-    child = _start_child(network) if network else None
+    network = (CLASSIFIER | LOCATOR | REGRESSOR).intersection(names)
+    child = _start_child(_in_order(network | {"forward"})) if network else None
     if child is None:
         return
     try:
-        compile_kernels(set(names) - {*network, "absorb_and_decide"})
+        # the child has more to do, and finds these in the cache when it needs them
+        for kernel, types in PARTS + (MAP_PARTS if LOCATOR & network else ()):
+            compile_for_types(kernel, types)
+        compile_kernels(set(names) - network - {"forward", "absorb_and_decide"})
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(CHILD_S)
     finally:

@@ -6,12 +6,12 @@ from numba import boolean, float32, float64, int64, types, uint32, uint64
 
 from .absorb import absorb, absorb_one, absorb_without_gil, store_events
 from .classify import absorb_and_decide, classify_cells, softmax
-from .forward import forward
+from .forward import forward, mix
 from .heatmap import centroid
-from .objects import locate_cells, locate_on_map, score_map
+from .objects import list_objects, locate_cells, locate_on_map, score_map
 from .readout import cells_to_float32, empty_volume
 from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
-from .sync_input import set_input
+from .sync_input import set_input, sync_input
 from .trigger import schedule, until_due, why_due
 
 _STATE = _TRIGGER = float64[::1]
@@ -49,3 +49,9 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     )
 }
 """Name -> (kernel, types of its arguments). What is built of others comes after them."""
+PARTS = (
+    (mix, (int64[::1], int64, int64, *_NETWORK[1:], uint64[::1])),
+    (sync_input, (_STATE, int64[::1], float32[::1], uint32[::1])),
+)
+MAP_PARTS = ((list_objects, (float32[::1], *_OBJECTS, *_TRACKS)),)
+"""Of `classify_cells` and `locate_cells`, and of the latter alone: may be compiled elsewhere before they need them."""

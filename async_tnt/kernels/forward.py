@@ -46,7 +46,7 @@ def forward(program, weights, maps, places):
         first, last = program[P.LIST], program[P.LIST] + n - 1
         note_rows(program, at + P.CHANGED, np.int64(places[first]) >> 16, np.int64(places[last]) >> 16)
         if program[at + P.KIND] == P.MIX:
-            _mix(program, at, n, weights, maps, places, bits)
+            mix(program, at, n, weights, maps, places, bits)
         elif program[at + P.KIND] == P.SPREAD:
             _spread(program, at, n, maps.view(np.uint32), places, bits)
         else:
@@ -56,7 +56,7 @@ def forward(program, weights, maps, places):
 
 
 @compiled
-def _mix(program, at, n, weights, maps, places, bits):
+def mix(program, at, n, weights, maps, places, bits):
     """A convolution at the n places of the list."""
     first_group, n_groups = program[at + P.WEIGHTS], program[at + P.GROUPS]
     channels, columns = program[at + P.OUT_CHANNELS], program[at + P.COLUMNS]

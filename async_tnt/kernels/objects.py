@@ -73,7 +73,7 @@ def locate_cells(
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
     _follow_changes(program, places.view(np.uint64), maps, about, scores, peaks)
-    return _list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep)
+    return list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep)
 
 
 @compiled_without_gil
@@ -97,7 +97,7 @@ def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time
     int : objects; -1 if a logit is not finite.
     """
     score_map(maps, about, scores, peaks)
-    return _list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep)
+    return list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep)
 
 
 @compiled
@@ -193,10 +193,10 @@ def _is_peak(scores, y, x):
 
 
 @compiled
-def _list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep):
+def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep):
     if about[NOT_FINITE] > 0:
         return -1
-    n = 0
+    n = np.int64(0)  # a literal 0 would have `_number` compiled twice
     for y in range(peaks.shape[0]):
         for word in range(peaks.shape[1]):
             left = peaks[y, word]
