@@ -30,7 +30,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
     scores: dict[float, ObjectScores] = {}
     skipped: list[str] = []
     unknown: Counter[str] = Counter()
-    n_moments = 0
+    n_moments = n_off = 0
     tables = find_tables(args.dataset)
     fill_cache(model=model)
     with progress(len(tables), "recordings") as bar:
@@ -46,6 +46,7 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
                 skipped.append(str(error))
             else:
                 n_moments += len(np.unique(table.t))
+                n_off += int(((table.middle < 0) | (table.middle >= recording.sensor)).any(axis=1).sum())
                 scores = {share: one + scores[share] if scores else one for share, one in found.items()}
                 unknown.update(table.unknown)
             bar.update()
@@ -57,12 +58,15 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         "recordings": len(tables) - len(skipped),
         "moments": n_moments,
         "unknown_classes": unknown,
+        "off_sensor": n_off,
         "skipped": skipped,
     }
     say(*([json.dumps(report)] if args.json else _lines(report)))
     if unknown:
         of_each = ", ".join(f"{name} ({n})" for name, n in sorted(unknown.items()))
         complain(f"objects of classes that the model does not know do not count: {of_each}")
+    if n_off:
+        complain(f"objects whose middle is off the sensor cannot be found: {n_off}; is the table in its pixels?")
     for line in skipped:
         complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0

@@ -70,6 +70,8 @@ def test_counts_by_hand(folder, saved, program, write, name):
     assert report["precision"] == report["recall"] == report["f1"] == 0.75
     assert report["f1_against_time_ms"] == {"0.3": round(4 / 6, 5), "0.5": round(4 / 6, 5), "1": 0.75}
     assert "F1 0.7500: 0.7500 of 4 objects found are right" in program("evaluate", saved, folder)[1]
+    write_points(folder / "a_td_objects.csv", [(6000, "on", -1, 5)])
+    assert "off the sensor cannot be found: 1; is the table in" in program("evaluate", saved, folder)[2]
 
 
 def test_prophesees_names(folder, saved, program):
