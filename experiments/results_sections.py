@@ -242,8 +242,9 @@ SECTIONS = (
     Section(
         "Pictures and few recordings",
         "How many real recordings of each class a classifier of N-MNIST needs, with MNIST's 60,000 training images and "
-        "without: one network each, `async-tnt train FOLDER --sensor 34x34`, which reads 1,000 of Test once. Measured "
-        "when each picture was recorded once.",
+        "without: one network each, `async-tnt train FOLDER --sensor 34x34`, which reads 1,000 of Test once, as "
+        "did networks of an earlier version that recorded each picture once (pictures alone .985). Differences below "
+        ".005 may be chance.",
         "experiments.few_recordings --json experiments/results/few_recordings.json --picture "
         "docs/images/few_recordings.png",
         {datasets.few_recordings: "Windows and recordings right"},
