@@ -146,9 +146,12 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
     yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"
     grid = f"{format_size(config.sensor)}, grid {format_size(config.grid)}"
     told = {
-        key: value for key, value in config.to_dict().items() if value and key not in ("sensor", "grid", "window_us")
+        key: value
+        for key, value in config.to_dict().items()
+        if value and key not in ("sensor", "grid", "window_us", "window_events")
     }
-    yield f"  sensor     {grid}, windows of {config.window_us:,} us"
+    long = f"{config.window_us:,} us" if config.window_events is None else f"{config.window_events:,} events"
+    yield f"  sensor     {grid}, windows of {long}"
     yield f"  volume     {'x'.join(map(str, config.shape))}: " + ", ".join(f"{key} {told[key]}" for key in told)
     layers = "; ".join(f"{part}: {', '.join(ops)}" for part, ops in found["layers"].items())
     yield f"  network    {layers}"

@@ -155,7 +155,7 @@ def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
     Parameters
     ----------
-    source : packets, in any form that `async_tnt.event_forms` lists.
+    source : packets, in any form that `async_tnt.event_forms` lists; read to its end.
     sensor : (width, height) in pixels.
 
     Returns

@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
+from async_tnt.config import MAX_SIDE
+from async_tnt.events import as_events
 from async_tnt.sources.files.recording import open_recording
 
 LONGEST_S = 1e6  # of one sleep: the system refuses some centuries
 
 
 def replay(
-    source: Iterable[np.ndarray] | np.ndarray | str | os.PathLike[str], speed: float = 1.0, *, packet_us: int = 1000
+    source: Iterable[Any] | np.ndarray | str | os.PathLike[str], speed: float = 1.0, *, packet_us: int = 1000
 ) -> Iterator[np.ndarray]:
     """Yield the events of a recording in real time, counted from the first event.
 
@@ -24,8 +27,8 @@ def replay(
 
     Parameters
     ----------
-    source : a recording, its path, one structured array of events, or an iterable of such (fields t, x, y, p; t in
-        microseconds).
+    source : a recording, its path, an array of events, or an iterable of packets in any form that
+        `async_tnt.event_forms` lists.
     speed : recorded time per time on the clock: 2 is twice as fast, `math.inf` never sleeps.
     packet_us : the longest recorded time of one packet, in microseconds.
 
@@ -51,9 +54,11 @@ def replay(
     return _replay([source] if isinstance(source, np.ndarray) else source, speed, int(packet_us))
 
 
-def _replay(source: Iterable[np.ndarray], speed: float, packet_us: int) -> Iterator[np.ndarray]:
+def _replay(source: Iterable[Any], speed: float, packet_us: int) -> Iterator[np.ndarray]:
     started_ns = first_us = newest_us = None
-    for packet in source:
+    for given in source:
+        fields = isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.names
+        packet = given if fields and {*"txyp"} <= {*fields} else as_events(given, (MAX_SIDE, MAX_SIDE))
         if len(packet) == 0:
             continue
         # an event out of order is due together with the newest before it

@@ -63,7 +63,7 @@ def test_an_event_out_of_order_is_due_with_the_newest_before(clock, packets, pla
 def test_no_pause_is_too_long_for_the_system(clock):
     """It refuses to sleep for three centuries; a speed may make more of any pause, even infinitely much."""
     clock.sleep = lambda seconds, sleep=clock.sleep: sleep(seconds) if seconds <= 9e9 else pytest.fail("too long")
-    assert [len(packet) for packet in replay([at(0, 10**15)], 0.1)] == [1, 1]
+    assert [len(packet) for packet in replay([([0, 10**15], [1, 1], [1, 1], [1, 1])], 0.1)] == [1, 1]
     next(packets := replay([at(0, 1000)], 1e-320))
     clock.sleep = lambda seconds: (_ for _ in ()).throw(TimeoutError)
     with pytest.raises(TimeoutError):

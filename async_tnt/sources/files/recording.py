@@ -236,14 +236,14 @@ def open_recording(
         sensor = checked_sensor(sensor)
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder, expected a recording; `async-tnt info` says what is in it")
-    if suffix not in READERS:
+    if suffix not in READERS and path.exists():  # else it is missing, whatever its suffix
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
     if suffix == ".bin" and sensor not in (None, NMNIST_SENSOR):
         source: Source = ArraySource(read_nmnist(path, sensor=None), None, NMNIST)
     else:
-        source = READERS[suffix](path)
+        source = READERS.get(suffix, _open_by_content)(path)
     return Recording(path, source, source.sensor or sensor, packet_events, strict=strict, between_us=between_us)
 
 

@@ -196,7 +196,7 @@ def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
 @pytest.mark.parametrize(
     ("name", "how", "message"),
     [
-        ("a.mp4", {}, r"a\.mp4: unknown suffix '\.mp4', expected one of \.aedat, \.aedat4, \.bin, .*\.txt$"),
+        (__file__, {}, r"\.py: unknown suffix '\.py', expected one of \.aedat, \.aedat4, \.bin, .*\.txt$"),
         ("a.bin", {"packet_events": 0}, "`packet_events` must be at least 1, got 0"),
         ("a.bin", {"sensor": (0, 5)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(0, 5\)"),
     ],
