@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from async_tnt.checks import is_whole, real_number, short, whole_number
 
 Landmark = Literal["center", "running", "line", "window", "regressor"]
@@ -215,9 +217,9 @@ def _t_max(name: str, value: Any) -> float:
 
 
 def _flag(name: str, value: Any) -> bool:
-    if not isinstance(value, bool):
+    if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"`{name}` must be True or False, got {short(value)}")
-    return value
+    return bool(value)
 
 
 _FIELDS: dict[str, Callable[[str, Any], object]] = {

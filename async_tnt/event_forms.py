@@ -6,7 +6,7 @@
     a tuple of four numbers (t, x, y, p): a single event
     a table                 with columns of these names: a dict of columns, pandas, polars, pyarrow
     an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets), or with .numpy()
-    None, or anything empty no events
+    None, or an empty list, tuple or array: no events
 
 Times are integer microseconds, or NumPy's datetime64 and timedelta64; polarity is bool, 0/1 or -1/+1. A field under two
 names and masked arrays are rejected. Plain arrays do not say what their columns are: see `event_columns`.
@@ -87,8 +87,8 @@ def event_columns(table: Any, order: str) -> Four:
 
     Raises
     ------
-    ValueError : another shape or `order`; a column that cannot be what `order` says. The message names the order that
-        fits, if there is one. Floats of 2**24 (float32) or 2**53 (float64) and more, which may have been rounded.
+    ValueError : another shape or `order`; columns that look like another order, which the message names; floats of
+        2**24 (float32) or 2**53 (float64) and more, which may have been rounded. All else is checked by a push.
 
     Examples
     --------

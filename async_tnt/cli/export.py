@@ -14,9 +14,10 @@ from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.conversion_check import compare
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
-(1, C, H, W); output `logits`, float32, (1, n_classes). The file also holds configuration, classes and training
-record, so that `async-tnt run --model FILE.onnx` and `async_tnt.networks.OnnxClassifier` know how events become its
-volume. A landmark network (landmark "regressor") has no such form: those models are not exported.
+(1, C, H, W); output `logits`, float32, (1, n_classes), of a map model (1, n_classes + 1, R, C). The file also holds
+configuration, classes and training record, so that `async-tnt run --model FILE.onnx` and
+`async_tnt.networks.OnnxClassifier` know how events become its volume. A landmark network (landmark "regressor") has no
+such form: those models are not exported.
 
 Before the file gets its name, onnxruntime runs it on volumes of several kinds, sparse, dense and empty: all logits must
 agree with the compiled network's to 1e-4 of the largest.

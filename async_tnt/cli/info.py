@@ -123,7 +123,7 @@ def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], lis
                 reports.append({"recording": str(path), "error": str(error)})
                 lines.append(with_options(f"{name} cannot be read: {error}", OPTIONS))
             bar.update()
-    counts = ", ".join(f"{name} {n}" for name, n in folders.items()) if len(folders) > 1 else "no folders in it"
+    counts = ", ".join(f"{name} {n}" for name, n in folders.items()) if {*folders} != {"."} else "no folders in it"
     head = f"{folder}: {len(paths)} recordings, {n_events:,} events; {counts}"
     return {"folder": str(folder), "folders": folders, "recordings": reports}, [head, *lines]
 

@@ -93,14 +93,14 @@ def of_windows(model: Model, name: str | Path) -> Model:
     """The model, if it has one answer for a window; a ValueError for a map model, whose answers are objects."""
     if model.places is not None:
         raise ValueError(
-            f"{name} finds objects, and has no class for a window; run, view, plot, evaluate, check and bench take it"
+            f"{name} finds objects, not the class of a window; run, view, plot, evaluate, check, bench, export take it"
         )
     return model
 
 
 def model_of(name: str) -> Model:
     if Path(name).suffix.lower() == ".onnx":
-        raise ValueError(f"{name}: an .onnx file can only be run (async-tnt run --model); here {MODELS} is needed")
+        raise ValueError(f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed")
     return load_model(name)
 
 

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what.add_argument("--start-us", type=int, metavar="US", help="start of the first window (default: the first event)")
     volume = parser.add_argument_group("the volume, if other than the model's")
-    add_volume(volume, "the model's")
+    add_volume(volume, "the model's; volume and count are drawn, and without the transform in any case")
     volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
     volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file")
 

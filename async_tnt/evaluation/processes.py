@@ -136,9 +136,11 @@ def _result(future: Any, address: str) -> Any:
 def _connected(address: str) -> Iterator[Any]:
     with needs_extra("cluster", "a cluster needs Dask"):
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
     logging.disable()  # errors become a one-line message; Dask would log them too, with their tracebacks
     try:
         try:
+            get_address_host_port(address)  # first: a client that cannot read it says so once more when Python ends
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
         except Exception as error:  # of many types, depending on what is wrong with the address
             raise ConnectionError(

@@ -15,6 +15,8 @@ from async_tnt.sources.sensor import Sensor
 PACKET_EVENTS = 1 << 16
 N_PARTS = 60
 """Of a recording, whose events are counted apart."""
+MOST_PIXELS = 1 << 24
+"""Of a sensor whose hot pixels are searched for: a file may state any."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,8 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
     """
     recording = open_recording(path, PACKET_EVENTS, sensor=sensor)
     known = recording.sensor
-    pixels = np.zeros((0, 0) if known is None else known[::-1], np.int64)
+    counted = known is not None and known[0] * known[1] <= MOST_PIXELS
+    pixels = np.zeros(known[::-1] if known and counted else (0, 0), np.int64)
     first_us, duration_us = recording.earliest_us, recording.duration_us
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
     counts = np.zeros(N_PARTS, np.int64)
@@ -70,7 +73,7 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
     for packet in recording:
         t, x, y = (np.ascontiguousarray(packet[name]) for name in "txy")
         extent = max(extent[0], int(x.max()) + 1), max(extent[1], int(y.max()) + 1)
-        if known is not None:
+        if counted:
             count_events(x, y, len(t), pixels)
         n_on += int((packet["p"] > 0).sum())
         n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())
@@ -89,5 +92,5 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         first_us=first_us,
         last_us=first_us + duration_us,
         events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if recording.n_events else [],
-        hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if known is not None else [],
+        hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if counted else [],
     )
