@@ -88,7 +88,7 @@ def test_files_that_do_not_belong_here_give_one_line(program, exported, tmp_path
     no_config = f"{foreign}: an ONNX network without a configuration of this package, "
     assert_one_line(program, no_config, "--model", foreign)
     assert_one_line(program, "no file no.onnx", "--model", "no.onnx")
-    assert_one_line(program, f"{m}: an .onnx file can only be run", "--model", m, command="check")
+    assert_one_line(program, f"{m}: an .onnx file is for run and view", "--model", m, command="check")
 
 
 @pytest.mark.parametrize(
