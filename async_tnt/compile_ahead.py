@@ -116,7 +116,7 @@ def fill_cache(names: Iterable[str] | None = None, model: object = None) -> None
         told = "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can"
         print(f"async_tnt: compiling kernels, {told} ...", file=sys.stderr, flush=True)
         return
-    print("async_tnt: compiling kernels, once on this machine (10 to 20 s) ...", file=sys.stderr, flush=True)
+    print("async_tnt: compiling kernels, once on this machine (8 to 20 s) ...", file=sys.stderr, flush=True)
     # the network's kernels and those for events have nothing in common; `absorb_and_decide` has both
     network = (CLASSIFIER | LOCATOR | REGRESSOR).intersection(names)
     child = _start_child(_in_order(network | {"forward"})) if network else None

@@ -28,6 +28,8 @@ from async_tnt.kernels.records import (
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
+ANY_SENSOR = (1 << 16, 1 << 16)
+"""Every pixel that uint16 can hold."""
 
 LARGER_CAMERA = "; `PixelFilter` cuts a part out of a larger camera's image"
 Late = Literal["accept", "drop", "raise"]

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import MAX_SIDE
-from async_tnt.events import as_events
+from async_tnt.events import ANY_SENSOR, as_events
 from async_tnt.sources.files.recording import open_recording
 
 LONGEST_S = 1e6  # of one sleep: the system refuses some centuries
@@ -58,7 +57,7 @@ def _replay(source: Iterable[Any], speed: float, packet_us: int) -> Iterator[np.
     started_ns = first_us = newest_us = None
     for given in source:
         fields = isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.names
-        packet = given if fields and {*"txyp"} <= {*fields} else as_events(given, (MAX_SIDE, MAX_SIDE))
+        packet = given if fields and {*"txyp"} <= {*fields} else as_events(given, ANY_SENSOR)
         if len(packet) == 0:
             continue
         # an event out of order is due together with the newest before it

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import as_events
+from async_tnt.events import ANY_SENSOR, as_events
 from async_tnt.files import naming
 
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
@@ -82,7 +82,7 @@ class Recordings:
             raise ValueError(f"`labels` must have one per recording, got {len(labels)} for {len(names)}")
         with RecordingsWriter() as writer:
             for recording, label, name in zip(events, labels, names, strict=True):
-                writer.add(as_events(recording, (1 << 16, 1 << 16)), int(label), name)
+                writer.add(as_events(recording, ANY_SENSOR), int(label), name)
             return writer.finish()
 
 

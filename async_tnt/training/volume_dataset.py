@@ -20,8 +20,8 @@ from async_tnt.training.windows import make_windows
 class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     """Item i: the volume of window i, float32, shape (C, H, W), and the index of its class.
 
-    Volumes are computed when they are asked for, bit for bit those of a stream of the recording's
-    events in order; they are in memory. A UserWarning tells how many recordings cannot be read and are left out.
+    Volumes are computed when they are asked for, bit for bit those of a stream of the recording's events in order;
+    the events are in memory. A UserWarning tells how many recordings cannot be read and are left out.
 
     Parameters
     ----------

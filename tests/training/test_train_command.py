@@ -60,8 +60,7 @@ def test_a_run_with_other_options_is_refused_before_recordings_are_read(tmp_path
     for name, is_ours in (("motions", True), ("pictures", False)):
         (tmp_path / "runs" / "m" / name).mkdir()
         (tmp_path / "runs" / "m" / name / (f"{name}.json" if is_ours else "cat.png")).write_text("{}")
-    (tmp_path / "own.py").write_text("import torch\ndef fixed(*_): return torch.nn.LazyLinear(7)")
-    for words in (("nowhere",), (folder, "--groups", "zzz"), (folder, "--network", f"{tmp_path / 'own.py'}:fixed")):
+    for words in (("nowhere",), (folder, "--groups", "zzz"), (folder, "--network", f"{__file__}:bar")):
         assert train(*words, "--restart")[0] == 2 and (tmp_path / "runs" / "m" / "checkpoint.pt").exists()
     code, err, out = train(folder, "--seed", "1", "--restart")
     assert code == 0 and "epoch 1/1" in err

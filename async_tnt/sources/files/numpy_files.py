@@ -25,7 +25,7 @@ import numpy as np
 
 from async_tnt.checks import one_line
 from async_tnt.event_forms import NAMES, Four, event_columns, named_columns, the_name
-from async_tnt.events import checked_columns
+from async_tnt.events import ANY_SENSOR, checked_columns
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
@@ -39,7 +39,6 @@ from async_tnt.sources.sensor import Sensor
 MAGIC = b"\x93NUMPY"  # the first bytes of every .npy file
 MAX_HEADER_BYTES = 1 << 16  # NumPy reads what a header claims, up to 4 GiB
 MAX_NPZ_BYTES = 1 << 31  # of one array: a small archive may unpack to any size
-ANY_SENSOR = (1 << 16, 1 << 16)  # every pixel that uint16 can hold
 
 
 def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
@@ -160,9 +159,9 @@ def _event_members(members: dict[str, zipfile.ZipInfo]) -> list[zipfile.ZipInfo]
 
 def _sensor(array: np.ndarray) -> Sensor:
     sides = array.tolist() if array.shape == (2,) and array.dtype.kind in "iu" else None
-    if sides is None or min(sides) < 1:
+    if sides is None or not 1 <= min(sides) <= max(sides) <= max(ANY_SENSOR):
         got = sides or f"shape {array.shape} of {array.dtype}"
-        raise ValueError(f"`sensor` must be two positive integers (width, height), got {got}")
+        raise ValueError(f"`sensor` must be two integers (width, height) in [1, {max(ANY_SENSOR)}], got {got}")
     return sides[0], sides[1]
 
 

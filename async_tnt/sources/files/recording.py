@@ -25,7 +25,7 @@ from async_tnt.sources.files.prophesee import DatSource, EvtSource
 from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, events_on_sensor
 from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
-from async_tnt.sources.sensor import Sensor, checked_sensor, format_size
+from async_tnt.sources.sensor import Sensor, checked_sensor
 
 NMNIST = "N-MNIST"
 BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
@@ -244,9 +244,6 @@ def open_recording(
         source: Source = ArraySource(read_nmnist(path, sensor=None), None, NMNIST)
     else:
         source = READERS.get(suffix, _open_by_content)(path)
-    if source.sensor is not None and not 1 <= min(source.sensor) <= max(source.sensor) <= 1 << 16:
-        states = f"the sensor that it states must have sides in [1, {1 << 16}] pixels"
-        raise ValueError(f"{path}: {states}, got {format_size(source.sensor)}")
     return Recording(path, source, source.sensor or sensor, packet_events, strict=strict, between_us=between_us)
 
 
