@@ -100,6 +100,8 @@ class WindowScheduler:
     def absorb(self, columns: Columns, first: int, last: int) -> int:
         """Add events to all open windows, up to the limit; returns the first one not added."""
         oldest = self._open[0]
+        if not self.overlap:  # the counts below are not needed
+            return oldest.absorb(columns, first, last)
         before = oldest.n_late, oldest.n_dropped_decided
         absorbed = oldest.absorb(columns, first, last)
         self.absorb_into_younger(columns, first, absorbed, before)

@@ -3,8 +3,8 @@
     python -m experiments.threads [--quick] [--json FILE]
 
 Each thread has its own volume or Processor and its own packets of random events on the sensor of `digits`, a million a
-second. By the wall clock, both ways interleaved, so that only a quiet machine tells. Packets of 400,000 events need
-Python's lock once in milliseconds: what two cores reach there is the machine's limit.
+second. By the wall clock, both ways interleaved, so that only a quiet machine tells; each for a tenth of a second and
+more, as the system starts both threads on one core and needs tens of milliseconds until it gives them one each.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from experiments.script_options import exit_with, run_script, script_parser
 
 MODEL = "digits"
 PACKETS = 100, 1_000, 10_000, 400_000
-N_EVENTS, PASSES, ROUNDS = 400_000, 10, 15
+N_EVENTS, PASSES, ROUNDS = 400_000, 50, 9
 Work = Callable[[], object]
 
 
-def works(model: Any, events: np.ndarray, packet: int) -> dict[str, Work]:
+def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[str, Work]:
     """One stream through each."""
     packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
     takers: dict[str, Any] = {
@@ -41,7 +41,7 @@ def works(model: Any, events: np.ndarray, packet: int) -> dict[str, Work]:
         take = taker.update if isinstance(taker, TNTVolume) else taker.push
 
         def run() -> None:
-            for _ in range(PASSES):
+            for _ in range(n_passes):
                 taker.reset()
                 for some in packets:
                     take(some)
@@ -76,11 +76,16 @@ def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
 def measure(quick: bool) -> dict[str, Any]:
     """The whole report."""
     model = load_model(MODEL)
-    n, rounds = (20_000, 2) if quick else (N_EVENTS, ROUNDS)
+    n, n_passes, rounds = (20_000, 10, 2) if quick else (N_EVENTS, PASSES, ROUNDS)
     report: dict[str, Any] = {"model": MODEL, "machine": machine()}
     for packet in PACKETS:
         one, other = (
-            works(model, structured(made_columns(np.random.default_rng(seed), model.config.sensor, n, n)), packet)
+            works(
+                model,
+                structured(made_columns(np.random.default_rng(seed), model.config.sensor, n, n)),
+                packet,
+                n_passes,
+            )
             for seed in (0, 1)
         )
         for case in one:

@@ -10,7 +10,15 @@ from .forward import forward, mix
 from .heatmap import centroid
 from .objects import list_objects, locate_cells, locate_on_map, score_map
 from .readout import cells_to_float32, empty_volume
-from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
+from .records import (
+    CHECK_TYPES,
+    COLUMN_TYPES,
+    LOAD_TYPES,
+    check_columns,
+    find_late,
+    load_records,
+    load_records_without_gil,
+)
 from .sync_input import set_input, sync_input
 from .trigger import schedule, until_due, why_due
 
@@ -26,6 +34,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     kernel.__name__: (kernel, arguments)
     for kernel, arguments in (
         (load_records, LOAD_TYPES),
+        (load_records_without_gil, LOAD_TYPES),
         (check_columns, CHECK_TYPES),
         (find_late, (int64[::1], int64, boolean[::1])),
         (empty_volume, (_STATE, _ARRAY, int64, int64, int64)),

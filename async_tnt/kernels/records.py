@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from .jit import compiled, inlined
+from .jit import compiled, compiled_without_gil, inlined
 
 # how a number is stored (rows of a layout: offset, kind for t, x, y, p)
 I8, U8, I16, U16, I32, U32, I64 = range(7)
@@ -109,6 +109,12 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     elif not _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p) or not _unsign(p, n):
         return BAD
     return _in_range(t, x, y, p, n, sensor_w, sensor_h)
+
+
+@compiled_without_gil
+def load_records_without_gil(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
+    """`load_records`, see `jit.LARGE`."""
+    return load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p)
 
 
 @inlined
