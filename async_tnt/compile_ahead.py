@@ -23,7 +23,7 @@ from async_tnt.triggers import TriggerSettings
 CHILD_S = 120.0  # a second process that takes longer is not waited for
 
 SMALL = {"check_columns", "empty_volume"}
-EVENTS = SMALL | {"load_records", "load_records_without_gil", "absorb", "absorb_without_gil", "absorb_one", "schedule"}
+EVENTS = SMALL | {"load_records", "absorb", "absorb_one", "schedule"}
 LATE = {"find_late"}
 REPLAY = {"store_events", "cells_to_float32"}
 CLASSIFIER = {"classify_cells"}

@@ -14,7 +14,8 @@ from numba import NumbaError
 
 from async_tnt.checks import short
 from async_tnt.event_forms import NAMES, named_columns
-from async_tnt.kernels.jit import LARGE, compile_only
+from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.lock import LARGE
 from async_tnt.kernels.records import (
     CHECK_TYPES,
     FINE,
@@ -24,7 +25,6 @@ from async_tnt.kernels.records import (
     check_columns,
     find_late,
     load_records,
-    load_records_without_gil,
 )
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
@@ -79,7 +79,6 @@ class EventDecoder:
             raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {short(late)}")
         compile_only(check_columns, *CHECK_TYPES)
         compile_only(load_records, *LOAD_TYPES)
-        compile_only(load_records_without_gil, *LOAD_TYPES)
         self.sensor = sensor
         self.late, self._advice = late, advice
         self.reset()
@@ -149,8 +148,7 @@ class EventDecoder:
             raw = np.frombuffer(events, np.uint8)
         except ValueError:  # not contiguous
             return None
-        load = load_records if n < LARGE else load_records_without_gil
-        if load(raw, self._layout, n, width, height, t, x, y, p) != FINE:
+        if load_records(raw, self._layout, n, width, height, t, x, y, p, n >= LARGE) != FINE:
             return None
         return _new_tuple(Columns, (t, x, y, p, n))
 

@@ -91,17 +91,13 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
     if found.unsorted:
         yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
     most = max(found.events_a_second)
-    yield f"  rate       {''.join(_bar(rate / most) for rate in found.events_a_second)} up to {most:,.0f} a second"
+    heights = (max(int(rate > 0), round(rate / most * (len(BARS) - 1))) for rate in found.events_a_second)
+    yield f"  rate       {''.join(BARS[height] for height in heights)} up to {most:,.0f} a second"
     if found.hot_pixels:
         share = sum(pixel["events"] for pixel in found.hot_pixels) / found.events
         shown = ", ".join(f"({pixel['x']}, {pixel['y']})" for pixel in found.hot_pixels[:N_HOT])
         more = ", ..." if len(found.hot_pixels) > N_HOT else ""
         yield f"  hot pixels {len(found.hot_pixels)} make {share:.1%} of the events: {shown}{more}; see async-tnt mask"
-
-
-def _bar(share: float) -> str:
-    """Of 0 to 1; what is not 0 shows."""
-    return BARS[min(len(BARS) - 1, max(int(share > 0), round(share * (len(BARS) - 1))))]
 
 
 def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], list[str]]:

@@ -9,6 +9,7 @@ from .absorb import absorb
 from .empty_window import begin_window
 from .forward import forward
 from .jit import compiled, compiled_without_gil
+from .lock import release_gil, take_gil
 from .sync_input import sync_input
 
 DONE, FULL, CLOSE, NOT_FINITE = range(4)  # why absorb_and_decide returned
@@ -16,20 +17,24 @@ DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, c
 
 
 @compiled
-def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
+def classify_cells(buffer, program, weights, maps, places, logits, probabilities, without_gil):
     """Logits and probabilities of a volume's `state`; only what has changed since the last call is computed.
+    `without_gil` : bool, see `lock`.
 
     Returns
     -------
     int : the class, as `softmax` returns it.
     """
+    lock = release_gil(without_gil)
     begin_window(buffer.view(np.int64)[S.EPOCH], program, weights, maps, places)
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
     at = np.uint64(program[P.OUTPUT])
     for k in range(logits.size):
         logits[k] = maps[at + np.uint64(k)]
-    return softmax(logits, probabilities)
+    best = softmax(logits, probabilities)
+    take_gil(lock)
+    return best
 
 
 @compiled_without_gil
@@ -68,10 +73,10 @@ def absorb_and_decide(
             why = T.BY_TIME if n_before > times[T.N_AT_DECISION] else T.NOT_DUE
         else:
             stop = T.until_due(trigger, n_before, first, last)
-            first = absorb(buffer, t, x, y, p, first, stop)
+            first = absorb(buffer, t, x, y, p, first, stop, False)
             why = T.why_due(trigger, n_before, ints[S.N])
         if why != T.NOT_DUE:
-            best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n])
+            best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n], False)
             if best < 0:
                 return first, n, NOT_FINITE
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:

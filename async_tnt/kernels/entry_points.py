@@ -4,21 +4,13 @@ from typing import Any
 
 from numba import boolean, float32, float64, int64, types, uint32, uint64
 
-from .absorb import absorb, absorb_one, absorb_without_gil, store_events
+from .absorb import absorb, absorb_one, store_events
 from .classify import absorb_and_decide, classify_cells, softmax
 from .forward import forward, mix
 from .heatmap import centroid
 from .objects import list_objects, locate_cells, locate_on_map, score_map
 from .readout import cells_to_float32, empty_volume
-from .records import (
-    CHECK_TYPES,
-    COLUMN_TYPES,
-    LOAD_TYPES,
-    check_columns,
-    find_late,
-    load_records,
-    load_records_without_gil,
-)
+from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
 from .sync_input import set_input, sync_input
 from .trigger import schedule, until_due, why_due
 
@@ -34,12 +26,10 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     kernel.__name__: (kernel, arguments)
     for kernel, arguments in (
         (load_records, LOAD_TYPES),
-        (load_records_without_gil, LOAD_TYPES),
         (check_columns, CHECK_TYPES),
         (find_late, (int64[::1], int64, boolean[::1])),
         (empty_volume, (_STATE, _ARRAY, int64, int64, int64)),
-        (absorb, (_STATE, *COLUMN_TYPES, int64, int64)),
-        (absorb_without_gil, (_STATE, *COLUMN_TYPES, int64, int64)),
+        (absorb, (_STATE, *COLUMN_TYPES, int64, int64, boolean)),
         (absorb_one, (_STATE, int64, int64, int64, int64)),
         (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64)),
         (cells_to_float32, (_STATE, _ARRAY)),
@@ -53,7 +43,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (score_map, (float32[::1], *_OBJECTS[:3])),
         (locate_on_map, (float32[::1], *_OBJECTS, *_TRACKS)),
         (locate_cells, (_STATE, *_NETWORK, *_OBJECTS, *_TRACKS)),
-        (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
+        (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1], boolean)),
         (absorb_and_decide, (_STATE, *COLUMN_TYPES, int64, int64, _TRIGGER, *_NETWORK, *_DECISIONS)),
     )
 }

@@ -41,10 +41,7 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
 
 
 compiled_without_gil = partial(compiled, nogil=True)
-"""`compiled`, and other Python threads run meanwhile: for work that takes longer than releasing the lock."""
-LARGE = 4_000
-"""Events from which on decoding or adding them takes so long: taking the lock back may wait for another thread to wake
-this one."""
+"""`compiled`, and other Python threads run meanwhile: for work that always takes longer than releasing the lock."""
 
 
 def compile_only(kernel: Any, *types: Any) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from .jit import compiled, compiled_without_gil, inlined
+from .jit import compiled, inlined
+from .lock import release_gil, take_gil
 
 # how a number is stored (rows of a layout: offset, kind for t, x, y, p)
 I8, U8, I16, U16, I32, U32, I64 = range(7)
@@ -19,7 +20,7 @@ RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)  # writeable ones pas
 COLUMN_TYPES = (types.int64[::1], types.uint16[::1], types.uint16[::1], types.uint8[::1])
 # the arguments of `check_columns` and `load_records`
 CHECK_TYPES = (*COLUMN_TYPES, types.int64, types.int64)
-LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES)
+LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES, types.boolean)
 
 
 @intrinsic
@@ -74,7 +75,7 @@ def _load_kind(raw, offset, kind):
 
 
 @compiled
-def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
+def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p, without_gil):
     """Copy n records into columns and check them.
 
     Parameters
@@ -82,14 +83,25 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     raw : uint8, shape (n * layout[8],). The records' bytes; only read.
     layout : int64, shape (9,). Byte offset and kind of t, of x, of y, of p, then the record's size.
     t, x, y, p : int64, uint16, uint16, uint8, shape (at least n,). Overwritten; p becomes 0 or 1.
+    without_gil : bool. See `lock`.
 
     Returns
     -------
     int : FINE, or BAD if any number breaks its rule (the caller finds out which).
     """
-    size = layout[8]
-    if raw.size != n * size:  # more than one dimension
+    if raw.size != n * layout[8]:  # more than one dimension
         return BAD
+    lock = release_gil(without_gil)
+    is_loaded = _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p)
+    answer = _in_range(t, x, y, p, n, sensor_w, sensor_h) if is_loaded else BAD
+    take_gil(lock)
+    return answer
+
+
+@inlined
+def _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
+    """The columns, unchecked; False if a number does not fit its column."""
+    size = layout[8]
     kind_t, kind_x, kind_y, kind_p = layout[1], layout[3], layout[5], layout[7]
     if kind_t == I64 and kind_x in (U16, I16) and kind_y in (U16, I16) and kind_p in (U8, I8, U16, I16):
         # What most libraries deliver, without branches inside the loops. Read as unsigned, a negative pixel is
@@ -104,17 +116,8 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
                 t[i], x[i], y[i] = _load_time_and_place(raw, i * size, at_t, at_x, at_y)
                 polarity = load(raw, i * size + at_p, np.uint16)
                 p[i] = polarity if polarity <= 2 else (255 if polarity == 0xFFFF else 2)
-        if kind_p in (I8, I16) and not _unsign(p, n):
-            return BAD
-    elif not _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p) or not _unsign(p, n):
-        return BAD
-    return _in_range(t, x, y, p, n, sensor_w, sensor_h)
-
-
-@compiled_without_gil
-def load_records_without_gil(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
-    """`load_records`, see `jit.LARGE`."""
-    return load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p)
+        return kind_p in (U8, U16) or _unsign(p, n)
+    return _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p) and _unsign(p, n)
 
 
 @inlined

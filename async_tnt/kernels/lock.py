@@ -1,0 +1,42 @@
+"""Release Python's lock inside a kernel, where only its caller knows whether the work takes longer than that.
+
+Between `release_gil(True)` and `take_gil` other threads run; no return, and nothing that raises, may stand there. What
+is called by compiled code is given False: that code may have released the lock already.
+"""
+
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from .jit import BOUNDS_CHECKED
+
+LARGE = 4_000
+"""Events from which on decoding or adding them takes so long: taking the lock back may wait for another thread to wake
+this one."""
+
+
+@intrinsic
+def release_gil(typingctx, when):
+    """Release the lock if `when` is true; never where indices are checked, as that may raise. Returns what `take_gil`
+    needs."""
+
+    def codegen(context, builder, signature, args):
+        thread = cgutils.alloca_once_value(builder, cgutils.get_null_value(cgutils.voidptr_t))
+        if not BOUNDS_CHECKED:
+            with builder.if_then(args[0], likely=False):
+                builder.store(context.get_python_api(builder).save_thread(), thread)
+        return builder.load(thread)
+
+    return types.voidptr(types.boolean), codegen
+
+
+@intrinsic
+def take_gil(typingctx, released):
+    """Take the lock back, if it was released."""
+
+    def codegen(context, builder, signature, args):
+        with builder.if_then(cgutils.is_not_null(builder, args[0]), likely=False):
+            context.get_python_api(builder).restore_thread(args[0])
+        return context.get_dummy_value()
+
+    return types.void(types.voidptr), codegen
