@@ -22,8 +22,7 @@ from async_tnt.triggers import TriggerSettings
 
 CHILD_S = 120.0  # a second process that takes longer is not waited for
 
-SMALL = {"check_columns", "empty_volume"}
-EVENTS = SMALL | {"load_records", "absorb", "absorb_one", "schedule"}
+EVENTS = {"load_records", "check_columns", "empty_volume", "absorb", "absorb_one", "schedule"}
 LATE = {"find_late"}
 REPLAY = {"store_events", "cells_to_float32"}
 CLASSIFIER = {"classify_cells"}
@@ -120,15 +119,14 @@ def fill_cache(names: Iterable[str] | None = None, model: object = None) -> None
     print("async_tnt: compiling kernels, once on this machine (8 to 20 s) ...", file=sys.stderr, flush=True)
     # the network's kernels and those for events have nothing in common; `absorb_and_decide` has both
     network = (CLASSIFIER | LOCATOR | REGRESSOR).intersection(names)
-    elsewhere = network | {"forward"} | SMALL  # so that both take as long
-    child = _start_child(_in_order(elsewhere)) if network else None
+    child = _start_child(_in_order(network | {"forward"})) if network else None
     if child is None:
         return
     try:
         # the child finds these in the cache when it needs them
         for kernel, types in PARTS + (MAP_PARTS if LOCATOR & network else ()):
             compile_for_types(kernel, types)
-        compile_kernels(set(names) - elsewhere - {"absorb_and_decide"})
+        compile_kernels(set(names) - network - {"forward", "absorb_and_decide"})
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(CHILD_S)
     finally:
@@ -161,7 +159,7 @@ def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
     # -P, and our own path: it shall find the same modules as this process, and nothing in the current folder
     path = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)
     nothing: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    # `_exit`: to take everything down properly would take another half second
+    # without taking down what the compiler has built, which takes half a second
     code = f"import os; from async_tnt.compile_ahead import compile_kernels; compile_kernels({names}); os._exit(0)"
     try:
         return subprocess.Popen([sys.executable, "-P", "-c", code], env=os.environ | {"PYTHONPATH": path}, **nothing)

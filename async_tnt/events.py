@@ -15,7 +15,6 @@ from numba import NumbaError
 from async_tnt.checks import short
 from async_tnt.event_forms import NAMES, named_columns
 from async_tnt.kernels.jit import compile_only
-from async_tnt.kernels.lock import LARGE
 from async_tnt.kernels.records import (
     CHECK_TYPES,
     FINE,
@@ -148,7 +147,7 @@ class EventDecoder:
             raw = np.frombuffer(events, np.uint8)
         except ValueError:  # not contiguous
             return None
-        if load_records(raw, self._layout, n, width, height, t, x, y, p, n >= LARGE) != FINE:
+        if load_records(raw, self._layout, n, width, height, t, x, y, p) != FINE:
             return None
         return _new_tuple(Columns, (t, x, y, p, n))
 

@@ -13,7 +13,6 @@ from async_tnt.decision import Counts
 from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
-from async_tnt.kernels.lock import LARGE
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
 from async_tnt.volume_state import Regressor, ReplayBuffer, check_regressor, new_state, next_epoch
 
@@ -171,8 +170,7 @@ class TNTVolume:
         added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
-        without_gil = last - first >= LARGE
-        absorbed: int = absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last, without_gil)
+        absorbed: int = absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
         return absorbed
 
     def _open_next(self, t_us: int) -> int:

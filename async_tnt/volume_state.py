@@ -150,7 +150,7 @@ class ReplayBuffer:
         if config.window_events is not None:
             set_duration(raw, config, _duration_us(buffer))
         empty_volume(raw, array, int(ints[S.START_US]), int(ints[S.LIMIT_US]), next_epoch())
-        absorb(raw, *self._columns[:4], 0, _n_events(buffer), False)
+        absorb(raw, *self._columns[:4], 0, _n_events(buffer))
         cells_to_float32(raw, array)
         array.flags.writeable = False
         return array
@@ -175,7 +175,7 @@ class ReplayBuffer:
         saved, n = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}, _n_events(buffer)
         empty_volume(buffer, array, int(ints[S.START_US]), S.NEVER_US, next_epoch())
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
-        absorb(buffer, *self._columns[:4], 0, n, False)
+        absorb(buffer, *self._columns[:4], 0, n)
         for slot, value in saved.items():
             ints[slot] = value
         self._is_replayed = True

@@ -136,7 +136,7 @@ class WindowClassifier:
             n = self._compiled.locate(volume, self._tracks, time_us, trigger != "fire")
             return self._decision_of_map(n, self._compiled.map, window, trigger, complete)
         if self._compiled is not None:
-            index, logits, probabilities = self._compiled.answer(volume, complete)
+            index, logits, probabilities = self._compiled.answer(volume)
         else:
             logits = self._call(volume)
             shape = logits_shape(logits.shape)

@@ -267,8 +267,7 @@ SECTIONS = (
     Section(
         "Two threads",
         "Two streams in two threads of one process: the time of one after the other, divided by that of both at once; "
-        "quartiles lie up to .26 away. Packets of 400,000 need Python's lock once in milliseconds, and show what the "
-        "machine's two cores can do.",
+        "quartiles lie up to .1 away.",
         "experiments.threads --json experiments/results/threads.json",
         {streams.threads: "How much faster", streams.threads_machine: "Machine"},
     ),

@@ -105,7 +105,8 @@ def threads(found: dict[str, Any]) -> str:
     words = {"volume": "`TNTVolume`", "windows": "`Processor`", "every_us": "`Processor`, a decision every millisecond"}
     head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
     rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
-    return table(head, rows)
+    woken = f"A thread that waits for Python's lock runs on {found['wake_us']:.0f} us after it is released."
+    return f"{table(head, rows)}\n\n{woken}"
 
 
 @of_report("sustained")

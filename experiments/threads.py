@@ -4,7 +4,8 @@
 
 Each thread has its own volume or Processor and its own packets of random events on the sensor of `digits`, a million a
 second. By the wall clock, both ways interleaved, so that only a quiet machine tells; each for a tenth of a second and
-more, as the system starts both threads on one core and needs tens of milliseconds until it gives them one each.
+more, as the system starts both threads on one core and needs tens of milliseconds until it gives them one each. A
+thread that finds Python's lock taken sleeps, and is woken: how long that takes is measured, too.
 """
 
 from __future__ import annotations
@@ -73,11 +74,33 @@ def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
     return spread(measured["False"] / measured["True"])
 
 
+def wake_us(n: int = 2_000) -> float:
+    """Median microseconds until a thread that waits for a lock runs on: what it costs to wait for Python's lock."""
+    there, back, took = threading.Lock(), threading.Lock(), []
+
+    def answer() -> None:
+        for _ in range(n):
+            there.acquire()
+            back.release()
+
+    there.acquire()
+    back.acquire()
+    other = threading.Thread(target=answer)
+    other.start()
+    for _ in range(n):
+        started = time.perf_counter()
+        there.release()
+        back.acquire()
+        took.append(time.perf_counter() - started)
+    other.join()
+    return float(np.median(took)) / 2 * 1e6
+
+
 def measure(quick: bool) -> dict[str, Any]:
     """The whole report."""
     model = load_model(MODEL)
     n, n_passes, rounds = (20_000, 10, 2) if quick else (N_EVENTS, PASSES, ROUNDS)
-    report: dict[str, Any] = {"model": MODEL, "machine": machine()}
+    report: dict[str, Any] = {"model": MODEL, "machine": machine(), "wake_us": wake_us()}
     for packet in PACKETS:
         one, other = (
             works(

@@ -17,7 +17,7 @@ import numpy as np
 from . import state as S
 from .jit import compiled, inlined
 from .landmark import block_of, displace, displace_fixed, displace_line, displace_raw, displace_running
-from .lock import release_gil, take_gil
+from .lock import LARGE, release_gil, take_gil
 from .records import MAX_TIME_US
 from .splat import add_event, combine_time, grid_of, place_event
 
@@ -25,20 +25,19 @@ ABSORBED, AT_LIMIT, REFUSED = range(3)  # what absorb_one returns
 
 
 @compiled
-def absorb(buffer, t, x, y, p, first, last, without_gil):
+def absorb(buffer, t, x, y, p, first, last):
     """Add the events `first <= i < last` to the open window, up to the first at or after LIMIT_US.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
     t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not checked here.
-    without_gil : bool. See `lock`.
 
     Returns
     -------
     int : the first event not absorbed.
     """
-    lock = release_gil(without_gil)
+    lock = release_gil(last - first >= LARGE)
     ints = buffer.view(np.int64)
     while first < last:
         m = min(S.BLOCK, last - first)

@@ -9,7 +9,7 @@ from .absorb import absorb
 from .empty_window import begin_window
 from .forward import forward
 from .jit import compiled, compiled_without_gil
-from .lock import release_gil, take_gil
+from .lock import LARGE, release_gil, take_gil
 from .sync_input import sync_input
 
 DONE, FULL, CLOSE, NOT_FINITE = range(4)  # why absorb_and_decide returned
@@ -17,16 +17,17 @@ DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, c
 
 
 @compiled
-def classify_cells(buffer, program, weights, maps, places, logits, probabilities, without_gil):
+def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
     """Logits and probabilities of a volume's `state`; only what has changed since the last call is computed.
-    `without_gil` : bool, see `lock`.
 
     Returns
     -------
     int : the class, as `softmax` returns it.
     """
-    lock = release_gil(without_gil)
-    begin_window(buffer.view(np.int64)[S.EPOCH], program, weights, maps, places)
+    ints = buffer.view(np.int64)
+    n_seen = program[P.N_SEEN] if program[P.EPOCH] == ints[S.EPOCH] else 0
+    lock = release_gil(ints[S.N_LOG] - n_seen >= LARGE)
+    begin_window(ints[S.EPOCH], program, weights, maps, places)
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
     at = np.uint64(program[P.OUTPUT])
@@ -73,10 +74,10 @@ def absorb_and_decide(
             why = T.BY_TIME if n_before > times[T.N_AT_DECISION] else T.NOT_DUE
         else:
             stop = T.until_due(trigger, n_before, first, last)
-            first = absorb(buffer, t, x, y, p, first, stop, False)
+            first = absorb(buffer, t, x, y, p, first, stop)
             why = T.why_due(trigger, n_before, ints[S.N])
         if why != T.NOT_DUE:
-            best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n], False)
+            best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n])
             if best < 0:
                 return first, n, NOT_FINITE
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:

@@ -29,7 +29,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (check_columns, CHECK_TYPES),
         (find_late, (int64[::1], int64, boolean[::1])),
         (empty_volume, (_STATE, _ARRAY, int64, int64, int64)),
-        (absorb, (_STATE, *COLUMN_TYPES, int64, int64, boolean)),
+        (absorb, (_STATE, *COLUMN_TYPES, int64, int64)),
         (absorb_one, (_STATE, int64, int64, int64, int64)),
         (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64)),
         (cells_to_float32, (_STATE, _ARRAY)),
@@ -43,7 +43,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (score_map, (float32[::1], *_OBJECTS[:3])),
         (locate_on_map, (float32[::1], *_OBJECTS, *_TRACKS)),
         (locate_cells, (_STATE, *_NETWORK, *_OBJECTS, *_TRACKS)),
-        (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1], boolean)),
+        (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
         (absorb_and_decide, (_STATE, *COLUMN_TYPES, int64, int64, _TRIGGER, *_NETWORK, *_DECISIONS)),
     )
 }

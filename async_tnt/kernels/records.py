@@ -9,7 +9,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from .jit import compiled, inlined
-from .lock import release_gil, take_gil
+from .lock import LARGE, release_gil, take_gil
 
 # how a number is stored (rows of a layout: offset, kind for t, x, y, p)
 I8, U8, I16, U16, I32, U32, I64 = range(7)
@@ -20,7 +20,7 @@ RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)  # writeable ones pas
 COLUMN_TYPES = (types.int64[::1], types.uint16[::1], types.uint16[::1], types.uint8[::1])
 # the arguments of `check_columns` and `load_records`
 CHECK_TYPES = (*COLUMN_TYPES, types.int64, types.int64)
-LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES, types.boolean)
+LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES)
 
 
 @intrinsic
@@ -75,7 +75,7 @@ def _load_kind(raw, offset, kind):
 
 
 @compiled
-def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p, without_gil):
+def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     """Copy n records into columns and check them.
 
     Parameters
@@ -83,7 +83,6 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p, without_gil):
     raw : uint8, shape (n * layout[8],). The records' bytes; only read.
     layout : int64, shape (9,). Byte offset and kind of t, of x, of y, of p, then the record's size.
     t, x, y, p : int64, uint16, uint16, uint8, shape (at least n,). Overwritten; p becomes 0 or 1.
-    without_gil : bool. See `lock`.
 
     Returns
     -------
@@ -91,7 +90,7 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p, without_gil):
     """
     if raw.size != n * layout[8]:  # more than one dimension
         return BAD
-    lock = release_gil(without_gil)
+    lock = release_gil(n >= LARGE)
     is_loaded = _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p)
     answer = _in_range(t, x, y, p, n, sensor_w, sensor_h) if is_loaded else BAD
     take_gil(lock)

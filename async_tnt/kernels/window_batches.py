@@ -54,7 +54,7 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
                 sum_y += np.int64(scratch_y[k])
             buffer[S.FIXED_X] = sum_x / n
             buffer[S.FIXED_Y] = sum_y / n
-        absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n, False)
+        absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n)
         cells_to_float32(buffer, out[i])
 
 

@@ -112,14 +112,13 @@ class CompiledClassifier:
         view.flags.writeable = False
         return view
 
-    def answer(self, volume: TNTVolume, is_whole: bool = False) -> tuple[int, np.ndarray, np.ndarray]:
+    def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
         """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not finite), logits, and
-        probabilities (float64, shape (n_classes,)). Of a whole window without the GIL: there is much to compute."""
+        probabilities (float64, shape (n_classes,))."""
         logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
         self._running.begin()
         try:
-            best = classify_cells(volume.state(), *self.network, logits, probabilities, is_whole)
-            return best, logits, probabilities
+            return classify_cells(volume.state(), *self.network, logits, probabilities), logits, probabilities
         finally:
             self._running.now = False
 

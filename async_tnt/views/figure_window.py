@@ -93,6 +93,12 @@ def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:
     return [Layer(volume, name, config.polarity)]
 
 
+def layers_of_window(window: Window) -> list[Layer]:
+    """Its raw and its transformed volume as pictures."""
+    raw, tnt = window.volumes()
+    return layers_of(raw, window.subject.config, "raw") + layers_of(tnt, window.subject.config, "TNT")
+
+
 def layers_height(config: TNTConfig, n_shown: int) -> float:
     """Inches that `draw_layers` takes."""
     n_layers = 4 if config.polarity == "split" else 2
@@ -101,8 +107,7 @@ def layers_height(config: TNTConfig, n_shown: int) -> float:
 
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
     """Rows of pictures over the figure's width, from `top` inches below its upper edge on, and their colour bars."""
-    config, (raw, tnt) = window.subject.config, window.volumes()
-    layers = layers_of(raw, config, "raw") + layers_of(tnt, config, "TNT")
+    config, layers = window.subject.config, layers_of_window(window)
     width, height = _picture(config, len(shown))
     titles = [f"bin {k}\n{bin_ms(config, k)}" for k in shown]
     images = draw_rows(figure, layers, shown, titles, (LEFT, top + HEAD), (width, height))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made import random_events, random_model
 
-from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
+from async_tnt import CompiledClassifier, Processor, TNTConfig
 from async_tnt.events import structured
 from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
@@ -16,7 +16,6 @@ from experiments.bench_timing import spread
 
 WINDOW_US = 1000
 SMALL = random_model(TNTConfig(sensor=(20, 16), grid=(20, 16), bins=3, window_us=WINDOW_US), widths=(4, 6, 8))
-DIGITS = load_model("digits")
 LOGITS = np.array([1.0, -20.0], np.float32)
 
 
@@ -99,10 +98,7 @@ def test_ours_sees_exactly_the_new_events(n_new):
     assert len(seen) >= 15 and set(seen) == {n_new}
 
 
-TWINS = [{}, {"bins": 1}, {"t_max": 2.0}]
-
-
-@pytest.mark.parametrize("settings", TWINS, ids=str)
+@pytest.mark.parametrize("settings", [{}, {"bins": 1}, {"t_max": 2.0}], ids=str)
 def test_batch_processing_equals_the_reference(settings):
     """A figure beside a wrong batch computation would mean nothing."""
     torch = pytest.importorskip("torch")

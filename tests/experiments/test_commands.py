@@ -13,16 +13,12 @@ import pytest
 from small_sets import write_small_mnist
 
 import experiments
-from async_tnt import load_model
 from async_tnt.cli.options import volume_of
 from experiments import decisions, edges
 from experiments.mnist import load_mnist
 from experiments.nmnist_files import write_nmnist
 from experiments.page_parts import RESULTS
 from experiments.simulated_digits import simulate_digit
-
-DIGITS = load_model("digits")
-
 
 COMMANDS = [path for path in Path(experiments.__file__).parent.glob("*.py") if "exit_with(main)" in path.read_text()]
 

@@ -43,5 +43,5 @@ def test_others_run_while_large_packets_are_added_and_whole_windows_classified(n
         volumes[-1].update(events)
     columns, is_large = EventDecoder(model.config.sensor).decode(events), n >= LARGE
     assert others_run_during(lambda: decoder.decode(events)) == is_large
+    assert others_run_during(lambda: [classifier.answer(volume) for volume in volumes]) == is_large
     assert others_run_during(lambda: volumes[0].absorb(columns, 0, n)) == is_large
-    assert others_run_during(lambda: [classifier.answer(volume, is_large) for volume in volumes]) == is_large

@@ -61,9 +61,6 @@ def words_for(command, folder, model, tmp_path):
     }[command]
 
 
-of_all_commands = pytest.mark.parametrize("command", ["run", "evaluate", "view"])
-
-
 def result_of(command, folder, tmp_path, program, *options):
     """What a command decides, without what differs from file to file and from run to run."""
     code, printed, message = program(*words_for(command, folder, "digits", tmp_path), *options)
@@ -93,7 +90,7 @@ def test_counts_and_report_say_what_was_left_out(sets, program):
     assert json.loads(program(*words)[1])["pixels"] == {"roi": "40,20,34,34", "crop": True, "mask": mask}
 
 
-@of_all_commands
+@pytest.mark.parametrize("command", ["run", "evaluate", "view"])
 def test_a_recording_of_which_nothing_is_left_says_why(command, tmp_path, program):
     events = np.array([(1, 3, 3, 1), (2, 30, 30, 1), (3, 4, 3, 1)], EVENTS.dtype)
     path = write(tmp_path / "set" / "0" / "a.npz", events, sensor=SIZE)

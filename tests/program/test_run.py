@@ -13,12 +13,6 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 SAMPLES = sample_recordings()
 
 
-def decisions_of(program, *words):
-    code, printed, message = program("run", "--json", *words)
-    assert code == 0, message
-    return [json.loads(line) for line in printed.splitlines()]
-
-
 def test_it_classifies_the_bundled_samples(program, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words in ((), ("samples",)):
@@ -37,7 +31,9 @@ def test_it_classifies_the_bundled_samples(program, tmp_path, monkeypatch):
     ],
 )
 def test_options_are_the_settings_of_the_processor(program, options, settings):
-    got = decisions_of(program, *options.split(), SAMPLES[7])
+    code, lines, message = program("run", "--json", *options.split(), SAMPLES[7])
+    assert code == 0, message
+    got = [json.loads(line) for line in lines.splitlines()]
     processor = Processor(load_model("digits"), **settings)
     expected = processor.push(open_recording(SAMPLES[7]).read()) + processor.finish()
     for printed, decision in zip(got, expected, strict=True):

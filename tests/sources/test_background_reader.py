@@ -19,14 +19,10 @@ PACKETS = np.split(EVENTS, np.sort(np.random.default_rng(2).integers(0, 10_001, 
 EQUAL = [EVENTS[k : k + 250] for k in range(0, 10_000, 250)]
 
 
-def threads():
-    return [thread for thread in threading.enumerate() if thread.name == "async_tnt.BackgroundReader"]
-
-
 @pytest.fixture(autouse=True)
 def no_thread_is_left():
     yield
-    until(lambda: not threads())
+    until(lambda: not any(thread.name == "async_tnt.BackgroundReader" for thread in threading.enumerate()))
 
 
 class Source:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, nasty_streams
+from made import nasty_streams
 
 import async_tnt
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
@@ -80,14 +80,6 @@ def test_filter_equals_numpy(data, settings):
 def test_wrong_arguments(settings, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         PixelFilter(**({"sensor": (30, 20)} | settings))
-
-
-def test_the_borders_of_a_region_by_hand():
-    x, y = np.meshgrid(np.arange(10), np.arange(8))
-    events = events_of(np.arange(80), x.ravel(), y.ravel(), np.ones(80))
-    kept = PixelFilter((10, 8), roi=(2, 3, 4, 2))(events)
-    assert {(int(x), int(y)) for _, x, y, _ in kept} == {(x, y) for x in (2, 3, 4, 5) for y in (3, 4)}
-    assert PixelFilter((10, 8), roi=(9, 7, 1, 1), crop=True)(events).tolist() == [(79, 0, 0, 1)]
 
 
 # -- selections of pixels ---------------------------------------------------------------------------------

@@ -58,10 +58,6 @@ class Rrd:
         """(microseconds, value) of a component that changes."""
         return [(t, row[component]) for t, row in self.rows.get(entity, []) if t is not None and component in row]
 
-    def static(self, entity: str, component: str) -> Any:
-        """The last of the values that are for all times."""
-        return [row[component] for t, row in self.rows[entity] if t is None and component in row][-1]
-
     def images(self, entity: str, archetype: str = "Image") -> list[tuple[int, np.ndarray]]:
         """(microseconds, uint8 of shape (height, width) or (height, width, 3))."""
         found = []

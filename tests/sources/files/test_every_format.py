@@ -25,18 +25,9 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.recording import open_recording
 from experiments.nmnist_files import write_nmnist
 
-every_format = pytest.mark.parametrize("name", sorted(FORMATS))
-
 
 def sensor_for(name):
     return tuple(np.minimum(SENSOR, FORMATS[name].largest).tolist())
-
-
-def events_with_a_gap(sensor):
-    """Two blocks and more, at increasing and at equal times, with three seconds of silence."""
-    events = made_events(140_000, sensor=sensor, step_us=4)
-    events["t"][70_000:] += 3_000_000
-    return events
 
 
 # (events, events of a packet)
@@ -50,7 +41,8 @@ MORE_CUTS = [(150, 1), (150, 100)]
 )
 def test_events_are_read_back_in_any_packets_which_are_the_callers_own(tmp_path, name, n, packet_events):
     sensor = sensor_for(name)
-    events = events_with_a_gap(sensor)[:n]
+    events = made_events(140_000, sensor=sensor, step_us=4)[:n]  # two blocks and more
+    events["t"][70_000:] += 3_000_000
     recording = open_recording(written(tmp_path / name, events, sensor), packet_events=packet_events)
     packets = list(recording)
     assert len(packets) == len(recording) == -(-n // packet_events)
@@ -66,7 +58,7 @@ def test_events_are_read_back_in_any_packets_which_are_the_callers_own(tmp_path,
         np.testing.assert_array_equal(recording.read(), events)
 
 
-@every_format
+@pytest.mark.parametrize("name", sorted(FORMATS))
 def test_every_bit_of_a_pixel_is_read(tmp_path, name):
     """Events in all corners of the largest sensor that the format can say, and with one bit alone."""
     width, height = FORMATS[name].largest

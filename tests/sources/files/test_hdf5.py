@@ -19,10 +19,6 @@ def read(path):
     return np.concatenate(blocks, axis=1)
 
 
-def assert_holds(path, events):
-    np.testing.assert_array_equal(read(path), [events[name] for name in "txyp"])
-
-
 def replaced(path, **values):
     """A small DSEC file in which other values stand under some names."""
     dsec(path, made_events(5))
@@ -69,7 +65,7 @@ def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(tmp_path,
     path = tmp_path / "a.h5"
     metavision(path, EVENTS, chunks=(1_000,), **getattr(hdf5plugin, name)())
     assert path.stat().st_size < EVENTS.nbytes  # it was compressed, not left out as filters may be
-    assert_holds(path, EVENTS)
+    np.testing.assert_array_equal(read(path), [EVENTS[name] for name in "txyp"])
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: code < 256)
     with pytest.raises(ValueError, match=rf"\(filter {code}\), which is missing: pip install hdf5plugin"):

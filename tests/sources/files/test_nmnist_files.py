@@ -10,14 +10,10 @@ from experiments.nmnist_files import write_nmnist
 EVENT, OVERFLOW = bytes([1, 2, 0x80, 0, 100]), bytes([49, 240, 0, 0, 100])
 
 
-def events_of(*rows):
-    return np.array(list(rows), EVENT_DTYPE)
-
-
 def test_bytes_by_hand(tmp_path):
     """0x012345 = 74565 us, OFF; then 0x7FFFFF us, the last time there is, ON: bit 7 beside bits 6-0 all set."""
     data = bytes([3, 33, 0x01, 0x23, 0x45, 33, 0, 0xFF, 0xFF, 0xFF])
-    events = events_of((74565, 3, 33, 0), (8_388_607, 33, 0, 1))
+    events = np.array([(74565, 3, 33, 0), (8_388_607, 33, 0, 1)], EVENT_DTYPE)
     write_nmnist(tmp_path / "a.bin", events)
     assert (tmp_path / "a.bin").read_bytes() == data
     assert read_nmnist(tmp_path / "a.bin").tolist() == events.tolist()

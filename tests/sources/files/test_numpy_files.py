@@ -6,7 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from sources.files.written import columns_of, made_events
+from sources.files.written import columns_of
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files import numpy_files
@@ -16,8 +16,6 @@ from async_tnt.sources.pixel_masks import load_mask
 
 EVENTS = np.array([(10, 1, 2, 1), (20, 300, 4, 0), (20, 5, 6, 1)], EVENT_DTYPE)
 COLUMNS = columns_of(EVENTS)
-MANY = made_events(50)
-SENSOR = np.array([320, 240])
 
 
 def saved(path, arrays):
