@@ -87,8 +87,8 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
 )
 def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, triggers, steps, large):
     """steps : size of a packet, 0: one event by `push_one`; a trigger that is changed after it, if any.
-    large : events of a packet that is decided in one compiled call, and without the GIL."""
-    with mock.patch("async_tnt.processor.STRETCH", large), mock.patch("async_tnt.volume.LARGE", large):
+    large : events of a packet that is decided in one compiled call."""
+    with mock.patch("async_tnt.processor.STRETCH", large):
         check(events, way, windows, triggers, steps)
 
 
