@@ -37,8 +37,8 @@ def absorb(buffer, t, x, y, p, first, last):
     -------
     int : the first event not absorbed.
     """
-    lock = release_gil(last - first >= LARGE)
     ints = buffer.view(np.int64)
+    lock = release_gil((last - first >= LARGE) & (ints[S.WITHOUT_GIL] == 0))
     while first < last:
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]

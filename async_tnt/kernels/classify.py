@@ -26,7 +26,7 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
     """
     ints = buffer.view(np.int64)
     n_seen = program[P.N_SEEN] if program[P.EPOCH] == ints[S.EPOCH] else 0
-    lock = release_gil(ints[S.N_LOG] - n_seen >= LARGE)
+    lock = release_gil((ints[S.N_LOG] - n_seen >= LARGE) & (ints[S.WITHOUT_GIL] == 0))
     begin_window(ints[S.EPOCH], program, weights, maps, places)
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
@@ -60,12 +60,14 @@ def absorb_and_decide(
     end : DONE, up to `last` or to the window's end; FULL: no room for more decisions; CLOSE: the last decision
         reached the confidence level; NOT_FINITE: the logits in row n are not all finite.
     """
-    n = 0
+    n, end = 0, DONE
     ints, times = buffer.view(np.int64), trigger.view(np.int64)
     end_us = ints[S.START_US] + np.int64(buffer[S.WINDOW_US])
+    ints[S.WITHOUT_GIL] = 1
     while first < last:
         if n == len(notes):
-            return first, n, FULL
+            end = FULL
+            break
         n_before = ints[S.N]
         by_time = t[first] >= ints[S.LIMIT_US]
         if by_time:
@@ -79,7 +81,8 @@ def absorb_and_decide(
         if why != T.NOT_DUE:
             best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n])
             if best < 0:
-                return first, n, NOT_FINITE
+                end = NOT_FINITE
+                break
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:
                 why = T.BY_CONFIDENCE
             if why != T.ONLY_IF_SURE:
@@ -89,11 +92,13 @@ def absorb_and_decide(
                 notes[n, 3] = best
                 n += 1
                 if why == T.BY_CONFIDENCE:
-                    return first, n, CLOSE
+                    end = CLOSE
+                    break
         if by_time:
             T.schedule(trigger, min(t[first], end_us), ints[S.START_US])
             ints[S.LIMIT_US] = min(times[T.DUE_US], end_us)
-    return first, n, DONE
+    ints[S.WITHOUT_GIL] = 0
+    return first, n, end
 
 
 @compiled

@@ -71,6 +71,7 @@ DECIDED = 41  # dropped since the volume was made: late events at or after that 
 # ints: more parameters
 COMBINE = 42  # one of the COMBINE_ numbers
 SECOND = 43  # from the first of an event's bins to its second one
+WITHOUT_GIL = 44  # not 0 while a kernel that has released Python's lock calls others, see `lock`
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (24 kB) and an interval's cells fit in the first-level cache

@@ -6,7 +6,7 @@ import threading
 import pytest
 from made import random_events, random_model
 
-from async_tnt import CompiledClassifier, TNTVolume
+from async_tnt import CompiledClassifier, Processor, TNTVolume
 from async_tnt.events import EventDecoder
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
@@ -45,3 +45,5 @@ def test_others_run_while_large_packets_are_added_and_whole_windows_classified(n
     assert others_run_during(lambda: decoder.decode(events)) == is_large
     assert others_run_during(lambda: [classifier.answer(volume) for volume in volumes]) == is_large
     assert others_run_during(lambda: volumes[0].absorb(columns, 0, n)) == is_large
+    processor = Processor(model, every_events=LARGE)  # whose kernel has released it before it calls the others
+    assert others_run_during(lambda: processor.push(events))
