@@ -159,8 +159,7 @@ def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
     # -P, and our own path: it shall find the same modules as this process, and nothing in the current folder
     path = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)
     nothing: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    # without taking down what the compiler has built, which takes half a second
-    code = f"import os; from async_tnt.compile_ahead import compile_kernels; compile_kernels({names}); os._exit(0)"
+    code = f"from async_tnt.compile_ahead import compile_kernels; compile_kernels({names})"
     try:
         return subprocess.Popen([sys.executable, "-P", "-c", code], env=os.environ | {"PYTHONPATH": path}, **nothing)
     except OSError:

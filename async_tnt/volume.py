@@ -184,11 +184,11 @@ class TNTVolume:
     @one_at_a_time
     def reset(self) -> None:
         """Back to the state after construction: no window open, all counts zero."""
+        if self._replay is not None:  # first: it is refused while another thread reads the volume
+            self._replay.reset()
         self._decoder.reset()
         for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED):
             self._ints[slot] = 0
-        if self._replay is not None:
-            self._replay.reset()
         self._empty(0, UNOPENED)
 
     # -- results -------------------------------------------------------------------------------

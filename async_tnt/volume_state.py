@@ -107,6 +107,7 @@ class ReplayBuffer:
         self._running = Running("Processor or TNTVolume")
         self.reset()
 
+    @one_at_a_time
     def reset(self) -> None:
         """All counts zero, no events stored."""
         self._closed_kept = 0  # counts of closed windows; the open window's change with every replay
