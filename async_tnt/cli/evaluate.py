@@ -109,6 +109,8 @@ def main(args: argparse.Namespace) -> int:
     say(*([json.dumps(report)] if args.json else lines_of(report)))
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
+    if report["off_sensor"]:
+        complain(f"{args.dataset}: {report['off_sensor']:,} events lie off the sensor and were left out")
     for line in skipped:
         complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0
@@ -179,6 +181,7 @@ def report_of(model: Model, records: list[Record], skipped: list[str]) -> dict[s
         "decisions": sum(record["decisions"] for record in records),
         "events": sum(record["events"] for record in records),
         "late": sum(record["late"] for record in records),
+        "off_sensor": sum(record["off_sensor"] for record in records),
         "skipped": skipped,
     }
 

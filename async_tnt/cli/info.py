@@ -81,13 +81,16 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
         return
     seconds = (found.last_us - found.first_us) * 1e-6
     if found.sensor is None:
-        width, height = found.extent
-        yield f"  sensor     not stated; events reach {width}x{height}; for hot pixels give --sensor WxH"
+        strays = "" if found.reach == found.extent else f", and strays {format_size(found.reach)}"
+        reach = f"events reach {format_size(found.extent)}{strays}"
+        yield f"  sensor     not stated; {reach}; for hot pixels give --sensor WxH"
     else:
         yield f"  sensor     {format_size(found.sensor)}{'' if found.sensor_stated else ', as given'}"
     yield f"  time       {found.first_us:,} to {found.last_us:,} us: {seconds:,.3f} s"
     rate = f", {found.events / seconds:,.0f} a second" if seconds else ""
     yield f"  events     {found.events:,}{rate}; {found.on / found.events:.0%} ON"
+    if found.off_sensor:
+        yield f"  off sensor {found.off_sensor:,} more events lie off the sensor and are left out"
     if found.unsorted:
         yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
     most = max(found.events_a_second)

@@ -90,7 +90,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
 
     Raises
     ------
-    ValueError : empty or damaged, events off the sensor, or options that do not fit each other or the model.
+    ValueError : empty or damaged, of another sensor, or options that do not fit each other or the model.
     OSError : a file is missing or not readable.
     """
     recording = open_recording(path, sensor=args.sensor)
@@ -100,7 +100,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     if (n := trained.config.window_events) is not None:
         raise ValueError(f"{name}: windows of a duration can be drawn, but not of {n} events")
     sensor = recording.sensor or trained.config.sensor
-    recording.sensor = sensor  # events off it are refused
+    recording.sensor = sensor
     if trained.places is not None:
         if args.volume is not None or args.window_us is not None:
             raise ValueError(

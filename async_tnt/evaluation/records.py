@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ Record = dict[str, Any]
 
 FIELDS = (
     *("recording", "class", "label", "probabilities", "window_start_us", "window_probabilities", *EARLY),
-    *("decisions", "events", "late", "error", "bytes", "modified_ns", "settings"),
+    *("decisions", "events", "late", "off_sensor", "error", "bytes", "modified_ns", "settings"),
 )
 """Of a record. With an `error`, only `recording`, `class` and the last four have values."""
 
@@ -41,7 +41,10 @@ def evaluate_recording(task: Task) -> Record:
     n_decisions = 0
     window: list[Decision] = []
     try:
-        for decision in _decisions(task, processor, pixels):
+        recording, select = pixels.open(
+            task.path, name=task.recording, strict=True, between_us=task.between_us, off_sensor="count"
+        )
+        for decision in _decisions(map(select, recording), processor, pixels):
             window.append(decision)
             if decision.trigger in ("window", "end"):  # keep what is needed of it: a long recording has many
                 fields["window_start_us"].append(decision.window_start_us)
@@ -55,7 +58,11 @@ def evaluate_recording(task: Task) -> Record:
     mean = np.mean(fields["window_probabilities"], axis=0)
     assert processor.classes is not None
     fields |= {"label": processor.classes[int(mean.argmax())], "probabilities": mean.tolist(), "decisions": n_decisions}
-    counts = {"events": processor.counts.received, "late": processor.counts.dropped_late}
+    counts = {
+        "events": processor.counts.received,
+        "late": processor.counts.dropped_late,
+        "off_sensor": recording.counts.off_sensor,
+    }
     return _record(task, fields | counts, None)
 
 
@@ -105,17 +112,16 @@ def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
     return processor, pixels
 
 
-def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Iterator[Decision]:
-    """All decisions of one recording, as they are made.
+def _decisions(packets: Iterable[Any], processor: Processor, pixels: PixelSelector) -> Iterator[Decision]:
+    """All decisions of one recording's packets, as they are made.
 
     Raises
     ------
     ValueError, TypeError, OSError : the recording is damaged, anywhere, or in a part's case before its end; of another
         sensor; or without events.
     """
-    recording, select = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
-    for packet in recording:
-        yield from processor.push(select(packet))
+    for packet in packets:
+        yield from processor.push(packet)
     yield from processor.finish()
     if not processor.counts.received:
         raise ValueError(pixels.nothing)

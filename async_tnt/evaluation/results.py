@@ -172,6 +172,8 @@ def _record_of(line: bytes, job: Job, out: Path) -> Record:
         record = json.loads(line)
     except (ValueError, RecursionError):
         record = None
+    if isinstance(record, dict):
+        record.setdefault("off_sensor", 0)  # earlier releases refused such recordings
     if not isinstance(record, dict) or record.keys() != set(FIELDS):
         raise ValueError(f"{_not_ours(out)}, or damaged")
     if record["settings"] != job.id:

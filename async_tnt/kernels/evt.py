@@ -1,10 +1,10 @@
 """Prophesee's EVT words to columns of events.
 
 Each kernel reads words from place `start` on for as long as there is room for all events of one more word, and
-returns (events written, words read, FINE | ODD: the next word gives an event off every sensor). What later words
-depend on is in `state`; `INITIAL` is a file's start. Events before the first word with a time (in EVT3 also with
-their row), as at the start of a part cut from a longer file, have no known time or place: they are counted and
-skipped.
+returns (events written, words read). What later words depend on is in `state`; `INITIAL` is a file's start. Events
+before the first word with a time (in EVT3 also with their row), as at the start of a part cut from a longer file, have
+no known time or place: they are counted and skipped. A damaged vector of events may reach beyond the 2,048 columns that
+the formats can say, and so beyond every sensor.
 
 References
 ----------
@@ -17,8 +17,7 @@ from .jit import compiled
 
 HIGH, LOW, ROW, BASE, POLARITY, UNPLACED = range(6)
 INITIAL = (-1, 0, -1, -1, 0, 0)
-FINE, ODD = 0, 1
-MAX_SIDE = 1 << 11  # 11 bits
+LAST_COLUMN = (1 << 16) - 1  # what a column of uint16 holds
 
 
 @compiled
@@ -68,7 +67,7 @@ def decode_evt2(words, start, state, t, x, y, p):
         elif kind == 8:
             state[HIGH] = next_time(state[HIGH], word & 0xFFFFFFF, np.int64(1) << 28)
         i += 1
-    return n, i, FINE
+    return n, i
 
 
 @compiled
@@ -87,14 +86,12 @@ def decode_evt21(words, start, state, t, x, y, p):
             base = word >> 11 & 2047
             for bit in range(32):
                 if mask >> bit & 1:
-                    if base + bit >= MAX_SIDE:
-                        return n, i, ODD
                     t[n], x[n], y[n], p[n] = time, base + bit, word & 2047, kind
                     n += 1
         elif kind == 8:
             state[HIGH] = next_time(state[HIGH], word & 0xFFFFFFF, np.int64(1) << 28)
         i += 2
-    return n, i, FINE
+    return n, i
 
 
 @compiled
@@ -123,9 +120,8 @@ def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901 (one loop: a cal
             else:
                 for bit in range(length):
                     if value >> bit & 1:
-                        if state[BASE] + bit >= MAX_SIDE:
-                            return n, i, ODD
-                        t[n], x[n] = state[HIGH] << 12 | state[LOW], state[BASE] + bit
+                        t[n] = state[HIGH] << 12 | state[LOW]
+                        x[n] = min(state[BASE] + bit, LAST_COLUMN)
                         y[n], p[n] = state[ROW], state[POLARITY]
                         n += 1
             if state[BASE] >= 0:
@@ -138,4 +134,4 @@ def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901 (one loop: a cal
                 state[LOW] = 0  # the new low half comes next; the old one would be up to 4 ms ahead
             state[HIGH] = high
         i += 1
-    return n, i, FINE
+    return n, i

@@ -18,7 +18,14 @@ if TYPE_CHECKING:
     from async_tnt.sources.clock import Clock
     from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, encode
     from async_tnt.sources.files.nmnist import read_nmnist
-    from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
+    from async_tnt.sources.files.off_sensor import EventsOffSensor
+    from async_tnt.sources.files.recording import (
+        READERS,
+        Recording,
+        RecordingCounts,
+        open_recording,
+        sample_recordings,
+    )
     from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
     from async_tnt.sources.keep_up import KeepUp
     from async_tnt.sources.opening import open_source
@@ -40,7 +47,8 @@ else:
             "clock": "Clock",
             "datagrams": "EVENT_BYTES Decoder encode",
             "files.nmnist": "read_nmnist",
-            "files.recording": "READERS Recording open_recording sample_recordings",
+            "files.off_sensor": "EventsOffSensor",
+            "files.recording": "READERS Recording RecordingCounts open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording Source",
             "keep_up": "KeepUp",
             "opening": "open_source",
@@ -54,9 +62,10 @@ else:
     )
 
 __all__ = [
-    "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
-    "DamagedRecording", "Decoder", "KeepUp", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
-    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
-    "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
+    "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock",
+    "CorruptData", "DamagedRecording", "Decoder", "EventsOffSensor", "KeepUp", "NetworkCounts",
+    "PackedMask", "PacketQueue", "PixelCounts", "PixelFilter", "PixelSelection", "PixelSelector",
+    "QueueCounters", "Recording", "RecordingCounts", "Source", "UdpSource", "count_pixels",
+    "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
     "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
 ]  # fmt: skip

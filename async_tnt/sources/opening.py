@@ -26,8 +26,7 @@ def open_source(source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, 
     ----------
     source : path of a recording (see docs/reference.md), `camera[:KIND[:SERIAL]]` (docs/guide.md),
         `udp://HOST:PORT[?format=...]`, or a structured array of events.
-    sensor : (width, height) of sources that do not state it. A network stream drops and counts events off it; in a file
-        they are an error.
+    sensor : (width, height) of sources that do not state it. Events off it are left out and counted.
 
     Returns
     -------

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.sources.files.recording import Recording, open_recording
+from async_tnt.sources.files.recording import OffSensor, Recording, open_recording
 from async_tnt.sources.pixel_filter import PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixel_masks import PackedMask
 from async_tnt.sources.sensor import Sensor, check_sensor, checked_sensor, format_size
@@ -135,17 +135,25 @@ class PixelSelector:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
     def open(
-        self, path: Path, *, name: str | None = None, strict: bool = False, between_us: tuple[int, int] | None = None
+        self,
+        path: Path,
+        *,
+        name: str | None = None,
+        strict: bool = False,
+        between_us: tuple[int, int] | None = None,
+        off_sensor: OffSensor | None = None,
     ) -> tuple[Recording, Callable[[Any], Any]]:
         """A recording, or its part between two times, and the filter for its packets.
 
-        `path`, `strict` and `between_us` are those of `open_recording`. `name` is for messages; by default the path.
+        `name` is for messages, by default the path; the others are those of `open_recording`.
 
         Raises
         ------
         ValueError, OSError : unreadable, or of another sensor than expected.
         """
-        recording = open_recording(path, strict=strict, sensor=self.expected, between_us=between_us)
+        recording = open_recording(
+            path, strict=strict, sensor=self.expected, between_us=between_us, off_sensor=off_sensor
+        )
         return recording, self.filter_of(path if name is None else name, recording.sensor)
 
     def filter_of(self, name: Any, found: Sensor | None) -> Callable[[Any], Any]:

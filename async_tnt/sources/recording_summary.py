@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from async_tnt.events import ANY_SENSOR
 from async_tnt.kernels.pixels import count_events
+from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixel_masks import hot_pixels, listed_pixels
 from async_tnt.sources.sensor import Sensor
@@ -28,7 +30,9 @@ class RecordingSummary:
     recording, format, bytes : the file, the name of its format, and its size.
     sensor : (width, height) as the file states it or the caller does; None: neither does.
     sensor_stated : whether the file, or its format, states it.
-    extent : the smallest (width, height) that holds all events; (0, 0) without events.
+    extent : the smallest (width, height) that holds all events but strays, see `likely_side`; (0, 0) without events.
+    reach : the smallest (width, height) that holds all events; (0, 0) without events.
+    off_sensor : how many events lie off the sensor; these are left out of all other numbers.
     events, on, unsorted : how many there are, are ON, and are earlier than the one before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
     events_a_second : in each of N_PARTS equal parts of the recording; empty without events.
@@ -41,6 +45,8 @@ class RecordingSummary:
     sensor: Sensor | None
     sensor_stated: bool
     extent: tuple[int, int]
+    reach: tuple[int, int]
+    off_sensor: int
     events: int
     on: int
     unsorted: int
@@ -62,17 +68,20 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
     ------
     As `open_recording`. A damaged recording is summarized up to the damage.
     """
-    recording = open_recording(path, PACKET_EVENTS, sensor=sensor)
+    recording = open_recording(path, PACKET_EVENTS, sensor=sensor, off_sensor="count")
     known = recording.sensor
     counted = known is not None and known[0] * known[1] <= MOST_PIXELS
     pixels = np.zeros(known[::-1] if known and counted else (0, 0), np.int64)
     first_us, duration_us = recording.earliest_us, recording.duration_us
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
     counts = np.zeros(N_PARTS, np.int64)
-    extent, n_on, n_unsorted, newest_us = (0, 0), 0, 0, -1
+    columns = np.zeros(ANY_SENSOR[0], np.int64)
+    rows = np.zeros(ANY_SENSOR[1], np.int64)
+    n_on, n_unsorted, newest_us = 0, 0, -1
     for packet in recording:
         t, x, y = (np.ascontiguousarray(packet[name]) for name in "txy")
-        extent = max(extent[0], int(x.max()) + 1), max(extent[1], int(y.max()) + 1)
+        columns += np.bincount(x, minlength=len(columns))
+        rows += np.bincount(y, minlength=len(rows))
         if counted:
             count_events(x, y, len(t), pixels)
         n_on += int((packet["p"] > 0).sum())
@@ -85,7 +94,9 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         bytes=recording.path.stat().st_size,
         sensor=known,
         sensor_stated=recording.stated_sensor is not None,
-        extent=extent,
+        extent=(likely_side(columns), likely_side(rows)),
+        reach=(_reach(columns), _reach(rows)),
+        off_sensor=recording.counts.off_sensor,
         events=recording.n_events,
         on=n_on,
         unsorted=n_unsorted,
@@ -94,3 +105,8 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if recording.n_events else [],
         hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if counted else [],
     )
+
+
+def _reach(counts: np.ndarray) -> int:
+    """The side that holds all events, from the number of events at each column (or row)."""
+    return int(np.flatnonzero(counts).max(initial=-1)) + 1

@@ -162,8 +162,8 @@ def dataset_data(
     }
     if pixels.leaves_out:
         record["pixels"] = {**pixels.about, "camera": list(dataset.camera), **dataset.left_out_events}
-    if dataset.n_late:
-        record["left_out_late"] = dataset.n_late
+    of_events = {"left_out_late": dataset.n_late, "left_out_off_sensor": dataset.n_off_sensor}
+    record |= {name: n for name, n in of_events.items() if n}
     of_each = ", ".join(f"{name} {n}" for name, n in counts.items())
     notes.append(f"recordings{' and pictures' if about else ''}: {of_each}")
     notes.append(f"held out by {how}: {counted}")
@@ -275,9 +275,11 @@ def _masked(pixels: PixelSelection, dataset: Dataset) -> np.ndarray | None:
 
 
 def _notes(dataset: Dataset, where: str) -> list[str]:
-    """How many events were left out, by their pixels and times."""
+    """How many events were left out, and why."""
     words = {"left_out_outside": "outside of the region", "left_out_masked": "of masked pixels"}
     counts = [f"{n:,} {words[name]}" for name, n in dataset.left_out_events.items()]
     if dataset.n_late:
         counts.append(f"{dataset.n_late:,} older than the first one of their recording")
+    if dataset.n_off_sensor:
+        counts.append(f"{dataset.n_off_sensor:,} off the sensor")
     return [f"events left out of {where}: {', '.join(counts)}"] if counts else []

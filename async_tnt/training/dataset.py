@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.progress import Bar
+from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import READERS, open_recording
-from async_tnt.sources.files.source import events_on_sensor
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -39,6 +39,7 @@ class Dataset:
     left_out_events : how many events of `recordings` were left out by their pixels: `left_out_outside` of the region,
         `left_out_masked`. Empty without a region and a mask.
     n_late : how many were left out because they are older than their recording's first one, where windows begin.
+    n_off_sensor : how many were left out because they lie off the camera's sensor.
     known : what a second part of the data set must not hold, see `read_dataset`.
     """
 
@@ -49,6 +50,7 @@ class Dataset:
     left_out: tuple[str, ...]
     left_out_events: Mapping[str, int]
     n_late: int
+    n_off_sensor: int
     known: Known
 
 
@@ -67,8 +69,9 @@ def read_dataset(
     """Read the recordings that `find_recordings` finds.
 
     The recordings state their sensor and agree, or `pixels.camera` gives it to those that do not state one. Recordings
-    that cannot be read, have no events, or have an event off the sensor are left out. So are events older than their
-    recording's first one, as in a stream; the others are sorted by time.
+    that cannot be read, have no events, or have so many events off the sensor that they must be of another are left
+    out. So are single events off the sensor, and those older than their recording's first one, as in a stream; the
+    others are sorted by time.
 
     The same recording in two classes is an error: one of its labels is wrong. In one class, the second one is left out:
     it might be learned on one side of the split and asked about on the other. All events are compared, also those that
@@ -130,7 +133,15 @@ def read_dataset(
         left_out_events["left_out_masked"] = reader.n_masked
     reasons = tuple(line for _, line in left_out)
     return Dataset(
-        recordings, names, camera, pixels.region or camera, reasons, left_out_events, reader.n_late, reader.known
+        recordings,
+        names,
+        camera,
+        pixels.region or camera,
+        reasons,
+        left_out_events,
+        reader.n_late,
+        reader.n_off_sensor,
+        reader.known,
     )
 
 
@@ -157,9 +168,12 @@ class _Reader:
     """
 
     def __init__(self, folder: str, pixels: PixelSelection, camera: Sensor | None, source: str, known: Known) -> None:
-        self._folder, self._given, self._camera, self._source = folder, pixels.camera, camera, source
+        self._folder = folder
+        self._given = pixels.camera
+        self._camera = camera
+        self._source = source
         self.known = known
-        self.n_outside = self.n_masked = self.n_late = 0
+        self.n_outside = self.n_masked = self.n_late = self.n_off_sensor = 0
         self._filter: PixelFilter | None = None
         if camera is not None and pixels.leaves_out:
             mask = None if pixels.mask is None else pixels.mask.pixels(camera)
@@ -174,13 +188,23 @@ class _Reader:
         ValueError : another sensor, or none; the same recording is in another class; it is too long.
         """
         try:
-            recording = open_recording(file.path, strict=True, sensor=self._given, between_us=file.between_us)
+            recording = open_recording(
+                file.path, strict=True, sensor=self._given, between_us=file.between_us, off_sensor="count"
+            )
+            recording.sensor = recording.sensor or self._camera  # another recording's
             events = recording.read()
         except (ValueError, OSError) as error:
             raise _LeftOut(_message(error, file)) from None
         if len(events) == 0:
             raise _LeftOut(f"{file.name}: no events{_times_of(file)}")
-        self._check_sensor(file, recording.stated_sensor, events)
+        self._check_sensor(file, recording.stated_sensor)
+        self.n_off_sensor += recording.counts.off_sensor
+        if self._camera is None:
+            width, height = (likely_side(np.bincount(events[axis])) for axis in "xy")
+            raise ValueError(
+                f"{self._folder}: no recording states its sensor; give `sensor` ({file.name} needs at least "
+                f"{width}x{height})"
+            )
         mine = label, file.name
         first = self.known.setdefault(fingerprint(events), mine)
         if first[0] != label:
@@ -191,20 +215,12 @@ class _Reader:
             raise _LeftOut(f"{file.name}: the same events as {first[1]}")
         return self._selected(file, events)
 
-    def _check_sensor(self, file: LabelledRecording, stated: Sensor | None, events: np.ndarray) -> None:
-        if self._camera is None:
-            width, height = (int(events[axis].max()) + 1 for axis in "xy")
-            raise ValueError(
-                f"{self._folder}: no recording states its sensor; give `sensor` ({file.name} needs at least "
-                f"{width}x{height})"
-            )
-        if stated is not None and tuple(stated) != self._camera:
+    def _check_sensor(self, file: LabelledRecording, stated: Sensor | None) -> None:
+        if stated is not None and self._camera is not None and tuple(stated) != self._camera:
             raise ValueError(
                 f"{self._folder}: all recordings must be of one sensor, got {format_size(self._camera)} "
                 f"({self._source}) and {format_size(stated)} ({file.name})"
             )
-        if problem := events_on_sensor(events, self._camera)[1]:
-            raise _LeftOut(f"{file.name}: {problem}")
 
     def _selected(self, file: LabelledRecording, events: np.ndarray) -> np.ndarray:
         """What is seen of `events`, whose times are changed: in order, from the first on, without older ones."""
@@ -233,7 +249,7 @@ class _Reader:
 
 def _times_of(file: LabelledRecording) -> str:
     """For a part without events: which times the file has. Often they count from another origin, or in another unit."""
-    if file.between_us is None or not (whole := open_recording(file.path)).n_events:
+    if file.between_us is None or not (whole := open_recording(file.path, off_sensor="count")).n_events:
         return ""
     return f"; the file has {whole.earliest_us} to {whole.earliest_us + whole.duration_us} us"
 

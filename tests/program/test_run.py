@@ -59,8 +59,8 @@ def test_nanoseconds_read_as_microseconds_are_warned_of(program, tmp_path):
         ("a\nb.bin", b"", "a\\nb.bin: no event"),
         (
             "off.csv",
-            b"t,x,y,p\n0,1,1,1\n5,40,1,1\n",
-            "off.csv: event 1 at x = 40, y = 1 is off the 34 x 34 sensor; the file states none, --s",
+            b"t,x,y,p\n5,40,1,1\n",
+            "it is event 0 at x = 40, y = 1: the recording is of another sensor, or damaged; the file states none, --s",
         ),
     ],
 )

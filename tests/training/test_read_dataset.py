@@ -25,11 +25,11 @@ def write_64(folder, counts, **settings):
 def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path):
     """Also those that were read before the first one that states it."""
     write_64(tmp_path, {"upright": 3, "flat": 3}, suffixes=(".npy", ".csv", ".npz"))
-    write(tmp_path / "flat" / "large.csv", events_of([5, 9], [3, 64], [1, 2], [1, 1]))
+    write(tmp_path / "flat" / "large.csv", events_of([5, 9, 9], [3, 64, 65], [1, 2, 2], [1, 1, 1]))
     for pixels in (EVERYTHING, PixelSelection(sensor=SIZE)):
         dataset = read_dataset(tmp_path, pixels=pixels)
         (line,) = dataset.left_out
-        assert line.startswith("flat/large.csv: event 1 at x = 64, y = 2 is off the 64 x 64 sensor")
+        assert line.startswith("flat/large.csv: 2 of 3 events lie off the 64 x 64 sensor; the first is event 1 at x =")
         assert dataset.camera == dataset.sensor == SIZE
         assert len(dataset.recordings) == 6
     cropped = read_dataset(tmp_path, pixels=PixelSelection((0, 0, 60, 64), True))
@@ -147,7 +147,7 @@ REFUSED = [  # files and their sensors, what is refused, settings
     ({"flat/a.npz": SIZE, "up/b.npz": (80, 60)}, "of one sensor, got 64x64 (flat/a.npz) and 80x60 (up/b.npz)", {}),
     ({"flat/a.npz": (80, 60), "up/b.npz": SIZE}, "got 64x64 (`sensor`) and 80x60 (flat/a.npz)", {"sensor": SIZE}),
     ({"flat/a.csv": None, "up/b.csv": None}, "no recording states its sensor; give `sensor` (flat/a.csv needs", {}),
-    ({"flat/a.bin": None, "up/b.bin": None}, "or say its sensor if it is of another camera", {}),
+    ({"flat/a.bin": None, "up/b.bin": None}, "unless `sensor` says another", {}),
     ({"flat/a.npz": SIZE, "up/b.npz": SIZE}, "flat/a.npz and up/b.npz hold the same events but are in two classes", {}),
     ({"up/a.npz": SIZE, "up/b.npz": SIZE}, "there must be at least two class folders, got up", {}),
     ({"up/a.npz": SIZE, "flat/notes.md": None}, "no recordings in the class folder flat; expected", {}),

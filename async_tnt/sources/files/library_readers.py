@@ -24,6 +24,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ MAX_BYTES = 4 << 30  # of addresses; a block takes megabytes, but a damaged file
 BLOCK_EVENTS = 1 << 16
 CACHE_BYTES = 1 << 26  # of each data set: a chunk that does not fit is decompressed again for every block
 COLUMNS = ("t", "x", "y", "p")
+ES_SENSOR_AT = 16  # the byte of a file's header where width and height begin, 16 bits each
 ECF = 0x8ECF
 ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
 PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
@@ -102,11 +104,45 @@ def read_es(path: str) -> Iterator[Any]:
     if not width * height:
         raise ValueError(f"a sensor must have at least one pixel a side, got {width} x {height}")
     yield width, height
-    for packet in decoder:
-        if decoder.event_type == "atis":
-            packet = packet[~packet["exposure"]]
-        y = height - 1 - packet["y"].astype(np.int64)  # the format counts from the bottom; below it: an invalid event
-        yield [packet["t"], packet["x"], y, packet["p"]]
+    n_read = 0
+    try:
+        for packet in decoder:
+            yield _es_columns(packet, decoder.event_type, height)
+            n_read += len(packet)
+    except Exception as error:
+        if "overflow" not in str(error):
+            raise
+        yield from _es_off_sensor(es, path, n_read, height)
+
+
+def _es_columns(packet: np.ndarray, event_type: str, height: int) -> list[np.ndarray]:
+    """The columns of a packet; the format counts y from the bottom."""
+    if event_type == "atis":
+        packet = packet[~packet["exposure"]]
+    return [packet["t"], packet["x"], height - 1 - packet["y"].astype(np.int64), packet["p"]]
+
+
+def _es_off_sensor(es: Any, path: str, n_read: int, height: int) -> Iterator[Any]:
+    """The columns after the first `n_read` events of a file with events off its sensor.
+
+    faery reads such a file up to the first of them only. It reads a copy whose header states the largest sensor.
+    """
+    import shutil
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory() as folder:
+        copy = Path(folder, "copy.es")
+        shutil.copyfile(path, copy)
+        with copy.open("r+b") as file:
+            file.seek(ES_SENSOR_AT)
+            file.write(b"\xff" * 4)
+        decoder = es.Decoder(str(copy), 0)
+        n_seen = 0
+        for packet in decoder:
+            new = packet[max(0, n_read - n_seen) :]
+            n_seen += len(packet)
+            if len(new):
+                yield _es_columns(new, decoder.event_type, height)
 
 
 def read_hdf5(path: str) -> Iterator[Any]:

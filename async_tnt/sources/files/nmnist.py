@@ -25,8 +25,6 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.events import structured
-from async_tnt.sources.files.source import events_on_sensor
-from async_tnt.sources.sensor import checked_sensor
 
 SENSOR = (34, 34)
 """Width and height of N-MNIST's sensor crop, in pixels."""
@@ -36,20 +34,20 @@ OVERFLOW_Y = 240
 OVERFLOW_US = 1 << 13
 
 
-def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None = SENSOR) -> np.ndarray:
+def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
     """Read one recording in N-MNIST's format.
 
-    The format has no checksum. Damage that can be recognised: a file that ends inside an event, an event off the
-    sensor, and a time earlier than the one before it.
+    The format has no checksum. Damage that can be recognised: a file that ends inside an event, and a time earlier than
+    the one before it.
 
     Parameters
     ----------
     path : the `.bin` file.
-    sensor : (width, height) that every event must lie on; None for any pixel up to 255.
 
     Returns
     -------
-    Structured array of `EVENT_DTYPE`, in order of time. Overflow rows are already applied and removed.
+    Structured array of `EVENT_DTYPE`, in order of time, with any pixel up to 255: `open_recording` leaves out those off
+    the sensor. Overflow rows are already applied and removed.
 
     Raises
     ------
@@ -69,20 +67,18 @@ def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None 
     event_rows = np.flatnonzero(~is_overflow)
     columns = t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7
     events = structured([column[event_rows] for column in columns], len(event_rows))
-    good, problem = events_on_sensor(events, None if sensor is None else checked_sensor(sensor))
-    bad = len(good)
-    backwards = np.flatnonzero(np.diff(good["t"]) < 0)
+    backwards = np.flatnonzero(np.diff(events["t"]) < 0)
+    if not len(backwards) and not n_left:
+        return events
     if len(backwards):
         bad = int(backwards[0]) + 1
-        problem = f"event {bad}: `t` must never decrease, got {good['t'][bad]} us after {good['t'][bad - 1]} us"
-    if problem:
-        problem += f" (byte {event_rows[bad] * BYTES_PER_EVENT})"
-    elif n_left:
+        problem = (
+            f"event {bad}: `t` must never decrease, got {events['t'][bad]} us after {events['t'][bad - 1]} us "
+            f"(byte {event_rows[bad] * BYTES_PER_EVENT})"
+        )
+    else:
         problem = (
             f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got {len(raw)}: "
             f"the file ends {n_left} bytes into row {n_rows}"
         )
-    if not problem:
-        return events
-    remedy = "Fetch the file again" + (", or say its sensor if it is of another camera" if "sensor" in problem else "")
-    raise ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. {remedy}.")
+    raise ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. Fetch the file again.")

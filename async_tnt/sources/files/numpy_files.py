@@ -26,14 +26,7 @@ import numpy as np
 from async_tnt.checks import one_line
 from async_tnt.event_forms import NAMES, Four, event_columns, named_columns, the_name
 from async_tnt.events import ANY_SENSOR, checked_columns
-from async_tnt.sources.files.source import (
-    BLOCK_EVENTS,
-    ArraySource,
-    CorruptData,
-    Source,
-    events_on_sensor,
-    valid_blocks,
-)
+from async_tnt.sources.files.source import BLOCK_EVENTS, ArraySource, CorruptData, Source, valid_blocks
 from async_tnt.sources.sensor import Sensor
 
 MAGIC = b"\x93NUMPY"  # the first bytes of every .npy file
@@ -121,10 +114,7 @@ def open_npz(path: Path) -> Source:
         sizes = [len(column) for column in columns]
         if len(set(sizes)) != 1:
             raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}")
-        (checked,) = valid_blocks([columns])
-        events, problem = events_on_sensor(checked, sensor)
-        if problem:
-            raise CorruptData(problem)
+        (events,) = valid_blocks([columns])
     except Exception as error:  # a damaged archive raises exceptions of any type
         raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
     return ArraySource(events, sensor, "NumPy archive")

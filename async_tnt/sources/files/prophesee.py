@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.events import empty_columns, structured
-from async_tnt.kernels.evt import INITIAL, ODD, UNPLACED, decode_evt2, decode_evt3, decode_evt21, unwrap_times
+from async_tnt.kernels.evt import INITIAL, UNPLACED, decode_evt2, decode_evt3, decode_evt21, unwrap_times
 from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, is_text, valid_events
 from async_tnt.sources.sensor import Sensor
 
@@ -134,19 +134,14 @@ class EvtSource(Source):
                 words = np.frombuffer(chunk, dtype, len(chunk) // size * size // dtype.itemsize)
                 if self._halves_swapped:
                     words = np.ascontiguousarray(words.reshape(-1, 2)[:, ::-1]).ravel()
-                done, status = 0, None
-                while done < len(words) and status != ODD:
-                    n, done, status = decode(words, done, state, *columns)
+                done = 0
+                while done < len(words):
+                    n, done = decode(words, done, state, *columns)
                     n_events += n
                     if n:
                         events = structured(columns, n)
                         events["t"] += self._t0_us
                         yield events
-                if status == ODD:
-                    raise CorruptData(
-                        f"byte {place + done * dtype.itemsize}: a vector of events reaches beyond x = 2047, "
-                        "the format's limit"
-                    )
                 place += len(chunk)
                 if len(chunk) % size:
                     raise CorruptData(f"the file ends at byte {place}, {len(chunk) % size} bytes into a word of {size}")

@@ -12,21 +12,25 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
-from async_tnt.checks import positive_int
+from async_tnt.checks import positive_int, short
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.numpy_files import NpySource, open_npz
+from async_tnt.sources.files.off_sensor import EventsOffSensor, SensorCheck
 from async_tnt.sources.files.prophesee import DatSource, EvtSource
-from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, events_on_sensor
+from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, gathered
 from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
 from async_tnt.sources.sensor import Sensor, checked_sensor
 
+OffSensor = Literal["warn", "raise", "count"]
+OFF_SENSOR = get_args(OffSensor)
 NMNIST = "N-MNIST"
 BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
     b"\x89HDF\r\n\x1a\n": open_hdf5,
@@ -57,8 +61,14 @@ def _open_by_content(path: Path) -> Source:
     )
 
 
+def _open_nmnist(path: Path) -> Source:
+    source = ArraySource(read_nmnist(path), NMNIST_SENSOR, NMNIST)
+    source.sensor_hint = "a .bin is of N-MNIST's sensor unless `sensor` says another"
+    return source
+
+
 READERS: dict[str, Callable[[Path], Source]] = {
-    ".bin": lambda path: ArraySource(read_nmnist(path), NMNIST_SENSOR, NMNIST),
+    ".bin": _open_nmnist,
     ".npy": NpySource,
     ".npz": open_npz,
     ".txt": open_txt,
@@ -69,18 +79,39 @@ READERS: dict[str, Callable[[Path], Source]] = {
 """Suffix, in lower case -> function that opens such a file."""
 
 
+@dataclass(frozen=True, slots=True)
+class RecordingCounts:
+    """Events of a recording, up to the damage if there is any: received = kept + off_sensor."""
+
+    received: int = 0
+    """Events in the file, or in the part of it that is read."""
+    kept: int = 0
+    """Handed on."""
+    off_sensor: int = 0
+    """Left out because they lie off the sensor."""
+
+
+@dataclass(frozen=True)
+class _Totals:
+    """What a whole pass over a recording has found."""
+
+    counts: RecordingCounts
+    earliest_us: int
+    newest_us: int
+
+
 @dataclass(eq=False, repr=False)
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
     Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` and `.npz`
     are read block by block, so that memory does not grow with the file.
-    `n_events`, `earliest_us`, `duration_us` and `len` take a pass over the file, unless one was made before.
+    `counts`, `n_events`, `earliest_us`, `duration_us` and `len` take a pass over the file, unless one was made before.
 
     Parameters
     ----------
     source : reads the file's events, block by block.
-    path, sensor, packet_events, strict, between_us : see `open_recording`; attributes, too.
+    path, sensor, packet_events, strict, between_us, off_sensor : see `open_recording`; attributes, too.
 
     Attributes
     ----------
@@ -94,28 +125,34 @@ class Recording:
     packet_events: int
     strict: bool = False
     between_us: tuple[int, int] | None = None
+    off_sensor: OffSensor = "warn"
 
     def __post_init__(self) -> None:
         self.stated_sensor = self.source.sensor
         self.format = self.source.format
-        self._totals: tuple[int, int, int] | None = None  # events, earliest and newest time, of a whole pass
-        self._has_warned = False
+        self._totals: _Totals | None = None
+        self._told: set[type[UserWarning]] = set()
+
+    @property
+    def counts(self) -> RecordingCounts:
+        """What became of the recording's events."""
+        return self._counted().counts
 
     @property
     def n_events(self) -> int:
-        """Events in the recording, up to the damage if there is any."""
-        return self._counted()[0]
+        """Events that are handed on."""
+        return self._counted().counts.kept
 
     @property
     def earliest_us(self) -> int:
         """Time of the earliest event, in microseconds; 0 without events."""
-        return self._counted()[1]
+        return self._counted().earliest_us
 
     @property
     def duration_us(self) -> int:
         """Time from the earliest to the latest event, in microseconds; 0 for fewer than two events."""
-        _, earliest_us, newest_us = self._counted()
-        return newest_us - earliest_us
+        totals = self._counted()
+        return totals.newest_us - totals.earliest_us
 
     def read(self) -> np.ndarray:
         """All events at once: a new structured array of `EVENT_DTYPE`."""
@@ -145,7 +182,7 @@ class Recording:
         # without counts, which may take a pass over gigabytes
         return f"Recording({str(self.path)!r}, sensor {self.sensor}, packets of {self.packet_events})"
 
-    def _counted(self) -> tuple[int, int, int]:
+    def _counted(self) -> _Totals:
         if self._totals is None:
             for _ in self._blocks():
                 pass
@@ -153,40 +190,79 @@ class Recording:
         return self._totals
 
     def _blocks(self) -> Iterator[np.ndarray]:
-        """One pass: the source's blocks, checked and counted."""
-        n_read = n_events = earliest_us = newest_us = 0
+        """One pass: the source's blocks without events off the sensor, checked and counted."""
+        check = SensorCheck(self.sensor)
+        n_kept = earliest_us = newest_us = 0
         try:
-            for block in self.source.blocks():
-                events, problem = events_on_sensor(block, self.sensor, n_read)
-                n_read += len(events)
-                if self.between_us is not None:
-                    if len(events) and (events["t"] >= self.between_us[1]).all():
-                        break
-                    events = events[(events["t"] >= self.between_us[0]) & (events["t"] < self.between_us[1])]
-                if len(events):
-                    first_us = int(events["t"].min())
-                    earliest_us = min(earliest_us, first_us) if n_events else first_us
-                    newest_us = max(newest_us, int(events["t"].max()))
-                    n_events += len(events)
-                    yield events
-                if problem and self.stated_sensor is None:
-                    raise ValueError(
-                        f"{self.path}: {problem}; the file states none, `sensor`, the model or another recording does"
-                    )
-                if problem:
-                    raise CorruptData(problem)
+            for events in self._on_sensor(check):
+                if not len(events):
+                    continue
+                first_us = int(events["t"].min())
+                earliest_us = min(earliest_us, first_us) if n_kept else first_us
+                newest_us = max(newest_us, int(events["t"].max()))
+                n_kept += len(events)
+                yield events
         except CorruptData as error:
-            self._report(str(error), n_events, newest_us)
-        self._totals = n_events, earliest_us, newest_us
+            self._report_damage(str(error), n_kept, newest_us)
+        counts = RecordingCounts(n_kept + check.n_off, n_kept, check.n_off)
+        self._totals = _Totals(counts, earliest_us, newest_us)
+        if check.n_off and self.off_sensor == "warn":
+            left_out = "it is left out" if check.n_off == 1 else "they are left out"
+            self._warn(EventsOffSensor, f"{self.path}: {check}; {left_out}")
 
-    def _report(self, problem: str, n_read: int, newest_us: int) -> None:
+    def _on_sensor(self, check: SensorCheck) -> Iterator[np.ndarray]:
+        """The events of the part that is read, but for those off the sensor.
+
+        Raises
+        ------
+        ValueError : too many are off the sensor; or one is, and `off_sensor` is "raise".
+        CorruptData : see `Source`; also if too many are off the sensor only later in the file.
+        """
+        for k, events in enumerate(gathered(self._part())):
+            off = check.off(events)
+            if check.n_off and self.off_sensor == "raise":
+                yield events[: int(np.argmax(off))].astype(EVENT_DTYPE, copy=False)
+                raise ValueError(f"{self.path}: {check}{self._sensor_hint()}")
+            if check.is_another_sensor and k > 0:
+                raise CorruptData(f"{check}, where before it there were few")
+            if check.is_another_sensor:
+                raise ValueError(
+                    f"{self.path}: {check}: the recording is of another sensor, or damaged{self._sensor_hint()}"
+                )
+            yield events[~off].astype(EVENT_DTYPE) if off.any() else events
+
+    def _part(self) -> Iterator[np.ndarray]:
+        """The source's blocks, or what lies between two times of them."""
+        if self.between_us is None:
+            yield from self.source.blocks()
+            return
+        start_us, end_us = self.between_us
+        for events in self.source.blocks():
+            t = events["t"]
+            if len(t) and (t >= end_us).all():
+                return
+            yield events[(t >= start_us) & (t < end_us)]
+
+    def _sensor_hint(self) -> str:
+        """Why the sensor may be wrong, for messages."""
+        if self.source.sensor_hint:
+            return f"; {self.source.sensor_hint}"
+        if self.stated_sensor is None and self.sensor is not None:
+            return "; the file states none, `sensor`, the model or another recording does"
+        return ""
+
+    def _report_damage(self, problem: str, n_kept: int, newest_us: int) -> None:
         text = f"{self.path}: damaged recording: {problem}"
         if self.strict:
             raise ValueError(f"{text}. Fetch the file again.") from None
-        if not self._has_warned:
-            self._has_warned = True
-            until = f", up to {newest_us} us" if n_read else ""
-            warnings.warn(f"{text}. Keeping the {n_read} events before{until}.", DamagedRecording, stacklevel=4)
+        until = f", up to {newest_us} us" if n_kept else ""
+        self._warn(DamagedRecording, f"{text}. Keeping the {n_kept} events before{until}.")
+
+    def _warn(self, category: type[UserWarning], text: str) -> None:
+        """Warn, in the first pass that finds it."""
+        if category not in self._told:
+            self._told.add(category)
+            warnings.warn(text, category, stacklevel=5)
 
 
 def open_recording(
@@ -196,6 +272,7 @@ def open_recording(
     strict: bool = False,
     sensor: Sensor | None = None,
     between_us: tuple[int, int] | None = None,
+    off_sensor: OffSensor | None = None,
 ) -> Recording:
     """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it may mean several.
 
@@ -207,7 +284,12 @@ def open_recording(
         ValueError when reading gets there. Either way, a file that cannot be understood at all, a damaged `.bin` or
         `.npz`, and a `.npy` of the wrong size are refused here, with a ValueError.
     sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has
-        this sensor instead of N-MNIST's 34 x 34. An event off it is a ValueError when reading gets there.
+        this sensor instead of N-MNIST's 34 x 34.
+    off_sensor : what to do with events off the sensor. "warn" leaves them out and, at the end of the first pass, gives
+        one `EventsOffSensor` warning; "raise" raises a ValueError at the first one; "count" leaves them out without a
+        word. By default "raise" with `strict`, else "warn". `Recording.counts` has their number. More than 100 of
+        them that are more than 1 % of the events so far, or more than half of these, are a recording of another sensor:
+        a ValueError. (It is judged with every 65,536 events; later than in the first, it counts as damage.)
     between_us : (start, end): only the events with start <= t < end. The file is read up to the first block of events
         that all come later.
 
@@ -217,7 +299,8 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, a pipe or device, `packet_events` below 1, or an invalid `sensor`.
+    ValueError : unknown suffix, damaged file, a pipe or device, `packet_events` below 1, or an invalid `sensor` or
+        `off_sensor`.
     OSError : missing, a folder, or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
@@ -234,17 +317,19 @@ def open_recording(
     packet_events = positive_int("packet_events", packet_events)
     if sensor is not None:
         sensor = checked_sensor(sensor)
+    if off_sensor not in (None, *OFF_SENSOR):
+        raise ValueError(f"`off_sensor` must be one of {', '.join(OFF_SENSOR)}, got {short(off_sensor)}")
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder, expected a recording; `async-tnt info` says what is in it")
     if suffix not in READERS and path.exists():  # else it is missing, whatever its suffix
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
-    if suffix == ".bin" and sensor not in (None, NMNIST_SENSOR):
-        source: Source = ArraySource(read_nmnist(path, sensor=None), None, NMNIST)
-    else:
-        source = READERS.get(suffix, _open_by_content)(path)
-    return Recording(path, source, source.sensor or sensor, packet_events, strict=strict, between_us=between_us)
+    off_sensor = ("raise" if strict else "warn") if off_sensor is None else off_sensor
+    source = READERS.get(suffix, _open_by_content)(path)
+    if suffix == ".bin" and sensor is not None:
+        source.sensor = None if sensor != NMNIST_SENSOR else sensor
+    return Recording(path, source, source.sensor or sensor, packet_events, strict, between_us, off_sensor)
 
 
 def sample_recordings() -> dict[int, Path]:

@@ -10,6 +10,7 @@ import numpy as np
 from async_tnt.event_forms import Four
 from async_tnt.events import structured
 from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.sources.files.off_sensor import WIDE_DTYPE
 from async_tnt.sources.sensor import Sensor
 
 BLOCK_EVENTS = 1 << 16
@@ -34,14 +35,19 @@ class Source(ABC):
     ----------
     sensor : (width, height) in pixels, or None where the file does not state it.
     format : the name of the file's format.
+    sensor_hint : what may be wrong where many events lie off the sensor, for messages; "" where nothing is known.
     """
 
     sensor: Sensor | None = None
     format: str = ""
+    sensor_hint: str = ""
 
     @abstractmethod
     def blocks(self) -> Iterator[np.ndarray]:
         """Structured arrays of `EVENT_DTYPE` in the order of the file; the source does not use them again.
+
+        Where a pixel of a block does not fit `EVENT_DTYPE`, the block is of `WIDE_DTYPE`. Whether pixels lie on the
+        sensor is not the source's business: `Recording` leaves out those that do not.
 
         Raises
         ------
@@ -64,19 +70,28 @@ class ArraySource(Source):
 
 
 def valid_events(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, str]:
-    """Columns of any integer type as `EVENT_DTYPE`, up to the first event that does not fit it.
+    """Columns of any integer type as events, up to the first with an impossible time or polarity.
 
     Returns
     -------
-    The events before that one, and what is wrong with it ("": all are valid).
+    The events before that one, of `EVENT_DTYPE` or, if a pixel does not fit it, of `WIDE_DTYPE`; and what is wrong with
+    that one ("": nothing is wrong with any).
     """
     off = (p == 0) | (p == -1) if p.dtype.kind == "i" else p == 0
     bad = (t < 0) | (t >= MAX_TIME_US) | ~(off | (p == 1))
-    for pixel in (x, y):
-        bad |= (pixel < 0) | (pixel >= 1 << 16)
     n = int(np.argmax(bad)) if bad.any() else len(t)
     problem = "" if n == len(t) else f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
-    return structured((t, x, y, ~off), n), problem
+    if _fits(x[:n]) and _fits(y[:n]):
+        return structured((t, x, y, ~off), n), problem
+    x, y = (np.minimum(pixel, MAX_TIME_US) for pixel in (x, y))  # a uint64 beyond int64 would wrap
+    return structured((t, x, y, ~off), n, WIDE_DTYPE), problem
+
+
+def _fits(pixel: np.ndarray) -> bool:
+    """Whether all of these coordinates fit `EVENT_DTYPE`."""
+    if pixel.dtype.kind != "b" and pixel.size:
+        return int(pixel.min()) >= 0 and int(pixel.max()) < 1 << 16
+    return True
 
 
 def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
@@ -113,11 +128,22 @@ def is_text(line: bytes) -> bool:
         return False
 
 
-def events_on_sensor(events: np.ndarray, sensor: Sensor | None, n_before: int = 0) -> tuple[np.ndarray, str]:
-    """The events before the first one off the sensor, and what is wrong with that one ("": none is off)."""
-    off = np.zeros(0, bool) if sensor is None else (events["x"] >= sensor[0]) | (events["y"] >= sensor[1])
-    if sensor is None or not off.any():
-        return events, ""
-    i = int(np.argmax(off))
-    x, y = events["x"][i], events["y"][i]
-    return events[:i], f"event {n_before + i} at x = {x}, y = {y} is off the {sensor[0]} x {sensor[1]} sensor"
+def gathered(blocks: Iterable[np.ndarray], n: int = BLOCK_EVENTS) -> Iterator[np.ndarray]:
+    """The same events in blocks of at least `n`, but for the last; what `blocks` raises comes after all events."""
+    waiting: list[np.ndarray] = []
+    n_waiting = 0
+    damage: CorruptData | None = None
+    try:
+        for block in blocks:
+            waiting.append(block)
+            n_waiting += len(block)
+            if n_waiting >= n:
+                yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
+                waiting = []
+                n_waiting = 0
+    except CorruptData as error:
+        damage = error
+    if n_waiting:
+        yield np.concatenate(waiting)
+    if damage is not None:
+        raise damage

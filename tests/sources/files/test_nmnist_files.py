@@ -34,10 +34,6 @@ def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
     [
         (EVENT * 3 + EVENT[:2], r"the size must be a multiple of 5 bytes .* got 17: .* 2 bytes into row 3"),
         (EVENT * 2 + bytes([1, 1, 0, 0, 99]) + EVENT, r"event 2: `t` must .*, got 99 us after 100 us \(byte 10\)"),
-        (
-            EVENT + OVERFLOW * 2 + bytes([34, 1, 0, 0, 9]),
-            r"event 1 at x = 34, y = 1 is off the 34 x 34 sensor \(byte 15\)",
-        ),
     ],
 )
 def test_damage_names_its_place(tmp_path, data, message):

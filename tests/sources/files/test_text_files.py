@@ -60,7 +60,6 @@ UZH_ROWS = (
 )
 INVALID_EVENTS = {
     "-0.3 1 2 1": "t = -300000, .* is not a valid event",
-    "0.3 65536 2 1": "x = 65536, .* is not a valid event",
     "0.3 1 2 -1": "p = -1, and before it 0",
 }
 CSV_ROWS = ("0.25,1,2,1", "7,1,2,None", "7,1,2", "7,1,2,1,1", "7,,2,1", "7 7,1,2,1")

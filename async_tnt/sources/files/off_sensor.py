@@ -1,0 +1,99 @@
+"""Events off the sensor: left out and counted, unless there are so many that the recording is of another sensor.
+
+A flipped bit on a cable, or a lost word of a stream, gives an event a pixel that the sensor does not have. Such an
+event says nothing, but those around it are good. Many of them mean something else: the recording is of another sensor
+than the one that is stated or given. They are many if there are more than FEW of them and more than SHARE of all
+events, or more than half of all. Where no sensor is known, only what no sensor can have is left out: pixels below 0 or
+beyond 65535.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from async_tnt.events import ANY_SENSOR, EVENT_DTYPE
+from async_tnt.sources.sensor import Sensor
+
+FEW = 100
+SHARE = 0.01
+
+WIDE_DTYPE = np.dtype([("t", "<i8"), ("x", "<i8"), ("y", "<i8"), ("p", "u1")])
+"""`EVENT_DTYPE` for events whose pixels do not fit its 16 bits: these are off every sensor."""
+
+
+class EventsOffSensor(UserWarning):
+    """Some events of a recording lie off its sensor and were left out."""
+
+
+class SensorCheck:
+    """Leaves out the events of one recording that lie off its sensor, and counts them.
+
+    Parameters
+    ----------
+    sensor : (width, height) in pixels; None: unknown.
+
+    Attributes
+    ----------
+    n_events : events seen.
+    n_off : how many of them were left out.
+    """
+
+    def __init__(self, sensor: Sensor | None) -> None:
+        self._sensor = sensor
+        self.n_events = 0
+        self.n_off = 0
+        self._first_off = ""
+
+    def off(self, events: np.ndarray) -> np.ndarray:
+        """Count these next events, of `EVENT_DTYPE` or `WIDE_DTYPE`. Returns which of them lie off the sensor: bool."""
+        width, height = self._sensor or ANY_SENSOR
+        x = events["x"]
+        y = events["y"]
+        off = (x >= width) | (y >= height)
+        if events.dtype != EVENT_DTYPE:
+            off |= (x < 0) | (y < 0)
+        n_off = int(np.count_nonzero(off))
+        if n_off and not self.n_off:
+            i = int(np.argmax(off))
+            self._first_off = f"event {self.n_events + i} at x = {x[i]}, y = {y[i]}"
+        self.n_events += len(events)
+        self.n_off += n_off
+        return off
+
+    @property
+    def is_another_sensor(self) -> bool:
+        """Whether so many of the events seen so far are off the sensor that it cannot be the recording's."""
+        many = self.n_off > FEW and self.n_off > SHARE * self.n_events
+        return many or 2 * self.n_off > self.n_events
+
+    def __str__(self) -> str:
+        """What was seen, in words: how many events are off the sensor, and the first of them."""
+        if self._sensor is None:
+            where = "at no pixel that a sensor can have"
+        else:
+            where = f"off the {self._sensor[0]} x {self._sensor[1]} sensor"
+        lie = "lies" if self.n_off == 1 else "lie"
+        first = "it is" if self.n_off == 1 else "the first is"
+        return f"{self.n_off:,} of {self.n_events:,} events {lie} {where}; {first} {self._first_off}"
+
+
+def likely_side(counts: np.ndarray) -> int:
+    """The side of a sensor, in pixels, from the number of events at each of its columns (or rows).
+
+    It is the largest column that has an event, plus 1, but for strays: columns that lie beyond twice all others, and
+    have no more than SHARE of all events.
+
+    Examples
+    --------
+    >>> seen = np.bincount([3, 33] * 500 + [33014])
+    >>> len(seen), likely_side(seen)
+    (33015, 34)
+    """
+    occupied = np.flatnonzero(counts)
+    if not len(occupied):
+        return 0
+    beyond = counts.sum() - np.cumsum(counts[occupied])
+    is_far = occupied[1:] + 1 > 2 * (occupied[:-1] + 1)
+    cuts = np.flatnonzero(is_far & (beyond[:-1] <= SHARE * counts.sum()))
+    last = occupied[cuts[0]] if len(cuts) else occupied[-1]
+    return int(last) + 1
