@@ -21,7 +21,7 @@ from .lock import LARGE, release_gil, take_gil
 from .records import MAX_TIME_US
 from .splat import add_event, combine_time, grid_of, place_event
 
-ABSORBED, AT_LIMIT, REFUSED = range(3)  # what absorb_one returns
+ABSORBED, AT_LIMIT, REFUSED, LATE = range(4)  # what absorb_one returns
 
 
 @compiled
@@ -31,7 +31,8 @@ def absorb(buffer, t, x, y, p, first, last):
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
-    t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not checked here.
+    t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not checked here. Another
+        thread may change them meanwhile: no number that was tested is read a second time to find a cell.
 
     Returns
     -------
@@ -42,11 +43,11 @@ def absorb(buffer, t, x, y, p, first, last):
     while first < last:
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
-        oldest_us, newest_us = _time_range(block_t, m)
+        oldest_us, newest_us = _load_times(buffer, block_t, ints[S.START_US], m)
         if (oldest_us >= ints[S.START_US]) & (newest_us < ints[S.LIMIT_US]):
             _count_block(buffer, ints, block_t, m, oldest_us, newest_us)
             displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
-            _place(buffer, ints, block_t, p[first : first + m], m)
+            _place(buffer, ints, p[first : first + m], m)
             if ints[S.COMBINE] == S.COMBINE_SUM:
                 _splat(buffer, ints, m)
             else:
@@ -55,10 +56,11 @@ def absorb(buffer, t, x, y, p, first, last):
         else:  # late events, or the limit: one by one
             end = first + m
             while first < end:
-                if t[first] >= ints[S.LIMIT_US]:
+                time = t[first]
+                if time >= ints[S.LIMIT_US]:
                     last = first
                     break
-                _absorb_event(buffer, ints, t[first], np.int64(x[first]), np.int64(y[first]), np.int64(p[first]))
+                _absorb_event(buffer, ints, time, np.int64(x[first]), np.int64(y[first]), np.int64(p[first]))
                 first += 1
     take_gil(lock)
     return first
@@ -66,7 +68,8 @@ def absorb(buffer, t, x, y, p, first, last):
 
 @compiled
 def absorb_one(buffer, t, x, y, p):
-    """Check and add one event: ABSORBED, or AT_LIMIT or REFUSED (it breaks a rule) with nothing changed."""
+    """Check and add one event: ABSORBED; LATE, counted alone; AT_LIMIT or REFUSED (it breaks a rule), with nothing
+    changed."""
     ints = buffer.view(np.int64)
     if (t < 0) | (t >= MAX_TIME_US) | (p < -1) | (p > 1):
         return REFUSED
@@ -74,8 +77,7 @@ def absorb_one(buffer, t, x, y, p):
         return REFUSED
     if t >= ints[S.LIMIT_US]:
         return AT_LIMIT
-    _absorb_event(buffer, ints, t, x, y, p)
-    return ABSORBED
+    return ABSORBED if _absorb_event(buffer, ints, t, x, y, p) else LATE
 
 
 @compiled
@@ -94,29 +96,32 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
     int : the first event not absorbed (at or after LIMIT_US, or the window is full).
     """
     ints = buffer.view(np.int64)
-    while first < last and t[first] < ints[S.LIMIT_US] and ints[S.N] < n_most:
+    while first < last and ints[S.N] < n_most:
+        time = t[first]
+        if time >= ints[S.LIMIT_US]:
+            break
         ints[S.RECEIVED] += 1
-        if t[first] < ints[S.START_US]:
-            _count_late(ints, t[first])
+        if time < ints[S.START_US]:
+            _count_late(ints, time)
         else:
             n = ints[S.N]
-            stored_t[n] = t[first]
+            stored_t[n] = time
             stored_x[n] = x[first]
             stored_y[n] = y[first]
             stored_p[n] = p[first]
-            _count_event(ints, t[first], x[first], y[first])
+            _count_event(ints, time, x[first], y[first])
         first += 1
     return first
 
 
 @compiled
 def _absorb_event(buffer, ints, t, x, y, p):
-    """Add one event before LIMIT_US."""
+    """Add one event before LIMIT_US; False if it is late, and only counted."""
     ints[S.RECEIVED] += 1
     dt = t - ints[S.START_US]
     if dt < 0:
         _count_late(ints, t)
-        return
+        return False
     _count_event(ints, t, x, y)
     mode = ints[S.MODE]
     if mode == S.MODE_RUNNING:
@@ -144,6 +149,7 @@ def _absorb_event(buffer, ints, t, x, y, p):
     else:
         f = np.float64(dt) / buffer[S.WINDOW_US]
         combine_time(buffer, np.uint64(corner), row, second, y_frac, x_frac, f, ints[S.COMBINE])
+    return True
 
 
 @inlined
@@ -162,12 +168,16 @@ def _count_late(ints, t):
 
 
 @compiled
-def _time_range(t, m):
+def _load_times(buffer, t, start_us, m):
+    """The times of a block since the window's start into DT. Returns the oldest and the newest of them."""
+    dts = block_of(buffer, S.DT)
     oldest_us = t[0]
-    newest_us = t[0]
+    newest_us = oldest_us
     for i in range(m):
-        oldest_us = min(oldest_us, t[i])
-        newest_us = max(newest_us, t[i])
+        time = t[i]
+        oldest_us = min(oldest_us, time)
+        newest_us = max(newest_us, time)
+        dts[i] = np.float64(time - start_us)
     return oldest_us, newest_us
 
 
@@ -185,17 +195,16 @@ def _count_block(buffer, ints, t, m, oldest_us, newest_us):
 
 
 @compiled
-def _place(buffer, ints, t, p, m):
+def _place(buffer, ints, p, m):
     """Each event's place and weights (see `splat`) into CORNER, Y_FRAC, X_FRAC, LOWER, UPPER."""
     num_x, num_y, den = block_of(buffer, S.NUM_X), block_of(buffer, S.NUM_Y), block_of(buffer, S.DEN)
     y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
     lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
     corners = block_of(ints, S.CORNER)
-    start_us = ints[S.START_US]
     grid = grid_of(buffer, ints)
     n_kept = 0
     for i in range(m):
-        dt = np.float64(t[i] - start_us)
+        dt = lowers[i]  # DT, by the name under which it is overwritten: a second slice would prevent vectorization
         corners[i], y_fracs[i], x_fracs[i], lowers[i], uppers[i], keep = place_event(
             grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
         )

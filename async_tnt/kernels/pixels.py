@@ -1,6 +1,7 @@
 """Events by their pixels: filter them and count them.
 
-Columns are checked (int64, uint16, uint16, uint8) and on the sensor; their first n events are read.
+Columns are checked (int64, uint16, uint16, uint8) and on the sensor; their first n events are read. Another thread may
+change them meanwhile, so a pixel is read once, and never leads beyond an array.
 """
 
 import numpy as np
@@ -27,12 +28,15 @@ def keep_events(t, x, y, p, n, verdicts, left, top, records):
     """
     kept = 0
     masked = 0
+    height, width = verdicts.shape
     for i in range(n):
-        verdict = verdicts[y[i], x[i]]
+        column = min(np.int64(x[i]), width - 1)
+        row = min(np.int64(y[i]), height - 1)
+        verdict = verdicts[row, column]
         at = 13 * kept  # without a branch: an event that is not kept is overwritten by the next one
         store(records, at, t[i], np.int64)
-        store(records, at + 8, x[i] - left, np.uint16)
-        store(records, at + 10, y[i] - top, np.uint16)
+        store(records, at + 8, column - left, np.uint16)
+        store(records, at + 10, row - top, np.uint16)
         store(records, at + 12, p[i], np.uint8)
         kept += verdict == KEEP
         masked += verdict == MASKED
@@ -42,5 +46,6 @@ def keep_events(t, x, y, p, n, verdicts, left, top, records):
 @compiled_without_gil
 def count_events(x, y, n, counts):
     """counts[y_i, x_i] += 1; int64, shape (H, W), updated in place."""
+    height, width = counts.shape
     for i in range(n):
-        counts[y[i], x[i]] += 1
+        counts[min(np.int64(y[i]), height - 1), min(np.int64(x[i]), width - 1)] += 1

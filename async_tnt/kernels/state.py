@@ -81,6 +81,7 @@ DEN = NUM_Y + BLOCK
 Y_FRAC = DEN + BLOCK  # buffer: place in the volume
 X_FRAC = Y_FRAC + BLOCK
 LOWER = X_FRAC + BLOCK
+DT = LOWER  # buffer: time since the window's start, until LOWER takes its place
 UPPER = LOWER + BLOCK
 PREFIX = UPPER + BLOCK  # ints: sums over the block up to each event
 CORNER = PREFIX + BLOCK
