@@ -92,7 +92,7 @@ class EventDecoder:
         self.n_dropped = 0
 
     def decode(self, events: Any) -> Columns:
-        """Check a packet.
+        """Check a packet, and treat late events as `late` says.
 
         Returns
         -------
@@ -103,6 +103,11 @@ class EventDecoder:
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
             Then none of its events are used.
         """
+        columns = self.check(events)
+        return self.apply_policy(columns) if self.late != "accept" else columns
+
+    def check(self, events: Any) -> Columns:
+        """`decode` with late events as they came."""
         columns = None
         if type(events) is tuple:
             columns = self._checked_as_they_are(events)
@@ -110,20 +115,22 @@ class EventDecoder:
             columns = self._decode_records(events)
         if columns is None:
             columns = _decode_any(events, self.sensor, self._advice)
-        return self._apply_policy(columns) if self.late != "accept" and columns.n else columns
+        return columns
 
     def decode_one(self, t: int, x: int, y: int, p: int) -> Columns:
         """`decode` for one event; quick for Python integers."""
+        return self.apply_policy(self.check_one(t, x, y, p))
+
+    def check_one(self, t: int, x: int, y: int, p: int) -> Columns:
+        """`check` for one event."""
         width, height = self.sensor
         try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int
             valid = is_plain and 0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height and -1 <= p <= 1
         except TypeError:
             valid = False
-        if not valid or (self.late != "accept" and t < self.newest_us):
-            return self.decode(([t], [x], [y], [p]))
-        if self.late != "accept":
-            self.newest_us = t
+        if not valid:
+            return self.check(([t], [x], [y], [p]))
         column_t, column_x, column_y, column_p, _ = self._scratch
         column_t[0], column_x[0], column_y[0], column_p[0] = t, x, y, p > 0
         return _new_tuple(Columns, (column_t, column_x, column_y, column_p, 1))
@@ -169,7 +176,10 @@ class EventDecoder:
             return None
         return _new_tuple(Columns, (t, x, y, p, len(t)))
 
-    def _apply_policy(self, columns: Columns) -> Columns:
+    def apply_policy(self, columns: Columns) -> Columns:
+        """Checked columns without late events, which are counted; with `raise`, a ValueError at the first one."""
+        if not columns.n or self.late == "accept":
+            return columns
         t = columns.t[: columns.n]
         late = np.empty(t.size, np.bool_)
         n_late, newest_us = find_late(t, self.newest_us, late)

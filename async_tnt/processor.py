@@ -1,6 +1,6 @@
 """Processor: from packets of events to decisions, window by window.
 
-A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
+A packet:    push -> EventDecoder.check -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
 A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
 Both:        of our own network, in one compiled call (`_absorb_stretch`) -> WindowClassifier.decide_stretch
 """
@@ -18,9 +18,11 @@ from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
-from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
+from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, LATE, REFUSED
+from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, until_due, why_due
 from async_tnt.networks.model import Model
+from async_tnt.restarts import OnRestart, RestartWatch, part_of
 from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import STRETCH, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
@@ -51,6 +53,10 @@ class Processor(TriggerAttributes):
         It is checked at every decision of the other triggers, or after every event if there are none. Events that
         still arrive for the window are counted as `dropped_decided`. Not for models that find objects.
     regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
+    on_restart : what to do where the clock of the events begins again, as in a recording that is read twice or after a
+        camera was plugged in again, so that whole packets are older than the open window. "warn": warn once; the events
+        are dropped as late. "reset": decide about the open windows, call `reset()`, and use these events. "raise": a
+        ValueError, before any event of the packet is used. See `async_tnt.restarts` for how a restart is told.
 
     Copies and pickles continue the stream, bit for bit. The three triggers, from `every_us` to `confidence`,
     and `classifier` are attributes, too, and may change between calls. A call while another one is running, in another
@@ -66,8 +72,8 @@ class Processor(TriggerAttributes):
     """
 
     __slots__ = (  # so that a mistyped trigger is an error
-        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_in_stretches", "_running", "_triggers",
-        "_windows", "config",
+        "__weakref__", "_absorb_one", "_accepts_late", "_by_event", "_classifier", "_decoder", "_in_stretches",
+        "_late_before_us", "_restarts", "_running", "_seen_us", "_triggers", "_windows", "config",
     )  # fmt: skip
 
     def __init__(
@@ -83,12 +89,15 @@ class Processor(TriggerAttributes):
         every_events: int | None = None,
         confidence: float | None = None,
         late: Late = "accept",
+        on_restart: OnRestart = "warn",
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
+        self._accepts_late = late == "accept"
+        self._restarts = RestartWatch(on_restart, self.config.window_us)
         self._windows = WindowScheduler(self.config, hop_us, start_us, regressor)
         self._prepare(regressor)
         self.reset()
@@ -99,12 +108,17 @@ class Processor(TriggerAttributes):
     @one_at_a_time
     def reset(self) -> None:
         """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
+        self._reset()
+
+    def _reset(self) -> None:
+        self._restarts.reset()
         self._decoder.reset()
         self._windows.reset()
-        self._triggers.begin_window(0, None)
         self._classifier.forget()
+        self._begin_oldest(-1)
         if self.start_us is not None:
             self._open_windows(self.start_us)
+            self._seen_us = -1  # no event has come
 
     def push(self, events: Any) -> list[Decision]:
         """Process a packet of `events`, in any form that `async_tnt.event_forms` lists.
@@ -123,7 +137,7 @@ class Processor(TriggerAttributes):
             return self.push_one(*events)
         self._running.begin()
         try:
-            return self._absorb(self._decoder.decode(events))
+            return self._take(self._decoder.check(events))
         finally:
             self._running.now = False
 
@@ -143,13 +157,52 @@ class Processor(TriggerAttributes):
                 self._advance(t, decisions)
                 n_before = self._windows.oldest.n_events
                 answer = self._absorb_one(t, x, y, p)
+            if answer == LATE:
+                return decisions + self._look_at_late(t, x, y, p)
             if answer != ABSORBED:
-                return decisions + self._absorb(self._decoder.decode_one(t, x, y, p))
+                return decisions + self._take(self._decoder.check_one(t, x, y, p))
             if self._by_event:
                 self._accept(self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions)
             return decisions
         finally:
             running.now = False
+
+    def _take(self, columns: Columns) -> list[Decision]:
+        """Add checked events, unless the clock has begun again."""
+        if columns.n and columns.t.item(0) < self._late_before_us:
+            return self._take_watched(columns)
+        return self._absorb(columns if self._accepts_late else self._decoder.apply_policy(columns))
+
+    def _take_watched(self, columns: Columns) -> list[Decision]:
+        """Add checked events after a look for a restart."""
+        watch = self._restarts
+        first = watch.look(columns, self._newest_us, self._windows.oldest.n_events)
+        if first is not None:
+            return self._begin_again(columns, first)
+        decisions = self._absorb(self._decoder.apply_policy(columns))
+        watch.note(self._newest_us, self._windows.oldest.n_events)
+        return decisions
+
+    def _look_at_late(self, t: int, x: int, y: int, p: int) -> list[Decision]:
+        """Look whether the clock has begun again at a single event that has been counted as late."""
+        columns = self._decoder.check_one(t, x, y, p)
+        first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
+        return [] if first is None else self._begin_again(columns, first)
+
+    @property
+    def _newest_us(self) -> int:
+        """Time of the newest event so far; -1 if there was none."""
+        return max(self._seen_us, self._windows.oldest.newest_us)
+
+    def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
+        """End the stream, and begin another one with the packets that waited and with the event `first`."""
+        waiting = self._restarts.waiting
+        decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
+        decisions += self._finish()
+        self._reset()
+        for packet in (*waiting, part_of(columns, first, columns.n)):
+            decisions += self._absorb(self._decoder.apply_policy(packet))
+        return decisions
 
     def _absorb(self, columns: Columns) -> list[Decision]:
         """Add checked events and make the decisions that become due."""
@@ -233,7 +286,7 @@ class Processor(TriggerAttributes):
     def _open_windows(self, t_us: int) -> None:
         """Open the windows that are due at `t_us`."""
         if self._windows.open_due(t_us):
-            self._begin_oldest(max(t_us, self._windows.oldest.start_us))
+            self._begin_oldest(t_us)
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _accept(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
@@ -247,8 +300,12 @@ class Processor(TriggerAttributes):
             self._windows.set_limit(self._triggers.next_due_us)
 
     def _begin_oldest(self, now_us: int) -> None:
-        """Another window has become the oldest, or none is open."""
-        self._triggers.begin_window(now_us, self._windows.oldest.start_us if len(self._windows) else None)
+        """Another window has become the oldest, or none is open; `now_us`: no event so far is younger."""
+        windows = self._windows
+        self._seen_us = now_us
+        self._late_before_us = NEVER_US if self._restarts.looks_at_all else windows.late_before_us
+        start_us = windows.oldest.start_us if len(windows) else None
+        self._triggers.begin_window(now_us if start_us is None else max(now_us, start_us), start_us)
 
     def fire(self) -> Decision:
         """Classify the open window as it is now; before the first event, an empty volume. Changes nothing."""
@@ -265,13 +322,18 @@ class Processor(TriggerAttributes):
         Their `complete` is False and their trigger `end`. Events of these windows that follow are late; where a window
         has a number of events, they begin another one.
         """
+        return self._finish()
+
+    def _finish(self) -> list[Decision]:
         decisions: list[Decision] = []
+        newest_us = self._newest_us
         if self._windows.is_full:  # its decision failed
             self._close_oldest(self._windows.oldest.newest_us, decisions)
         while len(self._windows):
             if (oldest := self._windows.oldest).n_events:
                 decisions.append(self._classifier.decide(oldest, "end"))
             self._windows.close_oldest()
+            self._begin_oldest(newest_us)
         return decisions
 
     @one_at_a_time
@@ -315,6 +377,11 @@ class Processor(TriggerAttributes):
     def late(self) -> Late:
         """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
         return self._decoder.late
+
+    @property
+    def on_restart(self) -> OnRestart:
+        """What is done where the clock begins again: `warn`, `reset` or `raise`."""
+        return self._restarts.on_restart
 
     @one_at_a_time
     def _set_triggers(self, settings: TriggerSettings) -> None:

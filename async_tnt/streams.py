@@ -15,6 +15,7 @@ from async_tnt.events import LARGER_CAMERA, EventDecoder, Late
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
+from async_tnt.restarts import OnRestart
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import Classifier
 from async_tnt.windows import TimeUnitCheck
@@ -34,10 +35,15 @@ class Settings(TypedDict, total=False):
     every_events: int | None
     confidence: float | None
     late: Late
+    on_restart: OnRestart
 
 
 def stream(
-    source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
+    source: Iterable[Any],
+    model: Model | TNTConfig | str | Path | Processor,
+    *,
+    finish: bool = True,
+    **settings: Unpack[Settings],
 ) -> Iterator[Decision]:
     """Classify a source of events, lazily.
 
@@ -46,7 +52,10 @@ def stream(
     source : an iterable of packets, or of single events, in any form that `async_tnt.event_forms` lists.
     model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` if its landmark needs one),
         or a Processor, which continues its stream.
-    settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`, `late`, ...
+    finish : when the source ends, decide about the windows still open and close them: events of these windows that
+        come later are late. False: leave them open for the next source that goes to the same Processor.
+    settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`, `late`,
+        `on_restart`, ...
 
     Yields
     ------
@@ -59,7 +68,7 @@ def stream(
     ['3', '3', '3']
     """
     _check_source(source)
-    return _stream(source, as_processor(model, **settings))  # here: errors are raised before the first event
+    return _stream(source, as_processor(model, **settings), finish)  # here: errors come before the first event
 
 
 def _check_source(source: Any) -> None:
@@ -69,19 +78,24 @@ def _check_source(source: Any) -> None:
         raise TypeError(f"`source` must be an iterable of packets or of events, got {type(source).__name__}")
 
 
-def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
+def _stream(source: Iterable[Any], processor: Processor, finish: bool) -> Iterator[Decision]:
     time_unit = TimeUnitCheck(processor.config)
     for events in source:
         yield from time_unit.watch(processor.push(events))
-    yield from processor.finish()
+    if finish:
+        yield from processor.finish()
 
 
 def astream(
-    source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
+    source: AsyncIterable[Any],
+    model: Model | TNTConfig | str | Path | Processor,
+    *,
+    finish: bool = True,
+    **settings: Unpack[Settings],
 ) -> AsyncIterator[Decision]:
     """`stream` for an asynchronous `source`. The classifier runs in the event loop, for microseconds at a time.
 
-    `model` and `settings` are those of `stream`.
+    `model`, `finish` and `settings` are those of `stream`.
 
     Raises
     ------
@@ -91,15 +105,15 @@ def astream(
         raise TypeError(
             f"`source` must be asynchronous, got {type(source).__name__}; `stream` takes iterables that are not"
         )
-    return _astream(source, as_processor(model, **settings))  # here: errors are raised before the first event
+    return _astream(source, as_processor(model, **settings), finish)  # here: errors come before the first event
 
 
-async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIterator[Decision]:
+async def _astream(source: AsyncIterable[Any], processor: Processor, finish: bool) -> AsyncIterator[Decision]:
     time_unit = TimeUnitCheck(processor.config)
     async for events in source:
         for decision in time_unit.watch(processor.push(events)):
             yield decision
-    for decision in processor.finish():
+    for decision in processor.finish() if finish else ():
         yield decision
 
 

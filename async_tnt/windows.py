@@ -83,6 +83,14 @@ class WindowScheduler:
         return self._open[0] if self._open else self.volumes[0]
 
     @property
+    def late_before_us(self) -> int:
+        """Events before this time are late: the start of the oldest open window, or else of the next one; -1 if that
+        begins with any event."""
+        if self._open:
+            return self.oldest.start_us
+        return -1 if self._next_start_us is None else self._next_start_us
+
+    @property
     def oldest_end_us(self) -> int:
         """End of the oldest open window."""
         return self.oldest.start_us + self._window_us

@@ -1,0 +1,189 @@
+"""A clock that begins again: told once, or a new stream, or an error, however the events come."""
+
+import asyncio
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+from deciding import CONFIG, key, total_and_size
+from made import events_of, random_events
+
+from async_tnt import Processor, astream, load_model, stream
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+
+WARNING = r"times went back by 0\.\d+ s, from \d+ to \d+ us: .*on_restart=\"reset\" .*`reset\(\)`.*Clock"
+
+
+def recorded(digit):
+    return open_recording(sample_recordings()[digit]).read()
+
+
+SEVEN, ONE = recorded(7), recorded(1)
+
+
+def packets_of(events, size):
+    return [events[first : first + size] for first in range(0, len(events), size)]
+
+
+def singles(events):
+    return events.tolist()
+
+
+WAYS = {
+    "packets": lambda events: packets_of(events, 1_000),
+    "small packets": lambda events: packets_of(events, 10),
+    "single events": singles,
+    "one packet each": lambda events: [events],
+    "columns": lambda events: [tuple(np.ascontiguousarray(part[f]) for f in "txyp") for part in packets_of(events, 500)],
+}
+SETTINGS = [{}, {"every_events": 700}, {"late": "drop"}, {"hop_us": 50_000}, {"confidence": 0.9}]
+
+
+def decided(decisions):
+    return [(d.label, d.window_start_us, d.events, d.trigger) for d in decisions]
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
+@pytest.mark.parametrize("way", WAYS)
+def test_reset_gives_what_two_streams_give(way, settings):
+    model = load_model("digits")
+    expected = [d for events in (SEVEN, ONE) for d in stream([events], model, **settings)]
+    source = itertools.chain(WAYS[way](SEVEN), WAYS[way](ONE))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = list(stream(source, model, on_restart="reset", **settings))
+    assert decided(found) == decided(expected)
+
+
+def test_reset_finds_the_restart_inside_a_packet():
+    model = load_model("digits")
+    expected = [d for events in (SEVEN, ONE) for d in stream([events], model)]
+    assert decided(stream([np.concatenate([SEVEN, ONE])], model, on_restart="reset")) == decided(expected)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_by_default_one_warning_names_how_much_and_both_cures(way):
+    source = itertools.chain(WAYS[way](SEVEN), WAYS[way](ONE), WAYS[way](ONE))
+    with pytest.warns(UserWarning, match=WARNING) as caught:
+        list(stream(source, "digits"))
+    assert len(caught) == 1
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_raise_raises_and_the_processor_goes_on(way):
+    processor = Processor(load_model("digits"), on_restart="raise")
+    assert processor.on_restart == "raise"
+    for events in WAYS[way](SEVEN):
+        processor.push(events)
+    with pytest.raises(ValueError, match=WARNING):
+        for events in WAYS[way](ONE):
+            processor.push(events)
+    processor.reset()
+    expected = decided(stream([ONE], load_model("digits")))
+    assert decided([d for events in WAYS[way](ONE) for d in processor.push(events)] + processor.finish()) == expected
+
+
+def test_astream_and_push_warn_too():
+    async def both():
+        for packet in (SEVEN, ONE):
+            yield packet
+
+    async def all_of(decisions):
+        return [d async for d in decisions]
+
+    with pytest.warns(UserWarning, match=WARNING):
+        asyncio.run(all_of(astream(both(), "digits")))
+    found = asyncio.run(all_of(astream(both(), "digits", on_restart="reset")))
+    assert decided(found) == [row for events in (SEVEN, ONE) for row in decided(stream([events], "digits"))]
+    processor = Processor(load_model("digits"))
+    processor.push(SEVEN)
+    with pytest.warns(UserWarning, match=WARNING):
+        processor.push(ONE)
+    processor.reset()
+    processor.push(SEVEN)
+    with pytest.warns(UserWarning, match=WARNING):  # another stream
+        processor.push(ONE)
+
+
+@pytest.mark.parametrize(
+    ("times", "is_restart"),
+    [
+        ([0] * 31, False),
+        ([0] * 32, True),
+        ([0] * 31 + [250_000] + [0] * 31, False),  # one event of the old clock ends a row
+        ([149_999] * 32, True),
+        ([150_000] * 32, False),  # late, but only by the jitter of a driver
+    ],
+)
+@pytest.mark.parametrize("way", ["packet", "packets of 7", "single events"])
+@pytest.mark.parametrize("late", ["accept", "drop"])
+def test_a_restart_by_hand(times, is_restart, way, late):
+    """32 events in a row that are 0.1 s older than the newest: windows last longer."""
+    config = CONFIG.replace(window_us=200_000)
+    processor = Processor(config, classifier=total_and_size, on_restart="raise", late=late)
+    processor.push(events_of([0, 250_000], [1, 1], [1, 1], [1, 1]))
+    n = len(times)
+    events = events_of(times, [1] * n, [1] * n, [1] * n)
+    size = {"packet": n, "packets of 7": 7, "single events": 1}[way]
+    packets = singles(events) if size == 1 else packets_of(events, size)
+    if is_restart:
+        with pytest.raises(ValueError, match="times went back by 0.[12]"):
+            for packet in packets:
+                processor.push(packet)
+    else:
+        for packet in packets:
+            processor.push(packet)
+
+
+def test_windows_shorter_than_the_limit_are_the_limit():
+    processor = Processor(CONFIG.replace(window_us=1_000), classifier=total_and_size, on_restart="raise")
+    processor.push(events_of([0, 5_000], [1, 1], [1, 1], [1, 1]))
+    processor.push(events_of([4_000] * 40, [1] * 40, [1] * 40, [1] * 40))
+    with pytest.raises(ValueError, match=r"back by 0\.001 s, from 5000 to 3999 us"):
+        processor.push(events_of([3_999] * 40, [1] * 40, [1] * 40, [1] * 40))
+
+
+@pytest.mark.parametrize("settings", [{"start_us": 10**9}, {"confidence": 0.1}, {"hop_us": 30}], ids=str)
+def test_a_late_start_and_windows_decided_early_are_no_restart(settings):
+    """Events before `start_us`, or of a window that has been decided, are dropped without a warning."""
+    processor = Processor(CONFIG, classifier=total_and_size, on_restart="raise", **settings)
+    events = random_events(3_000, start_us=1_000, duration_us=500_000)
+    events["t"] += np.random.default_rng(0).integers(-40, 41, len(events))
+    for packet in packets_of(events, 50):
+        processor.push(packet)
+
+
+def test_counts_begin_again_with_a_reset():
+    processor = Processor(load_model("digits"), on_restart="reset")
+    for packet in packets_of(SEVEN, 10) + packets_of(ONE, 10):
+        processor.push(packet)
+    assert (processor.counts.received, processor.counts.dropped_late) == (len(ONE), 0)
+
+
+def test_an_unknown_policy_is_refused():
+    with pytest.raises(ValueError, match="`on_restart` must be one of warn, reset, raise, got 'ignore'"):
+        Processor(CONFIG, classifier=total_and_size, on_restart="ignore")
+
+
+def test_a_stream_left_open_goes_on_with_the_next_source():
+    model = load_model("digits")
+    expected = [key(d) for d in stream([SEVEN], model)]
+    for at in (0, 7, 2_000, len(SEVEN)):
+        processor = Processor(model)
+        decisions = list(stream([SEVEN[:at]], processor, finish=False))
+        decisions += stream([SEVEN[at:]], processor)
+        assert [key(d) for d in decisions] == expected
+        assert processor.counts.dropped_late == 0
+
+
+def test_an_asynchronous_stream_left_open_goes_on_with_the_next_source():
+    async def source(events):
+        yield events
+
+    async def decided_in_parts():
+        processor = Processor(load_model("digits"))
+        found = [d async for d in astream(source(SEVEN[:2_000]), processor, finish=False)]
+        return found + [d async for d in astream(source(SEVEN[2_000:]), processor)]
+
+    assert [key(d) for d in asyncio.run(decided_in_parts())] == [key(d) for d in stream([SEVEN], "digits")]
