@@ -16,8 +16,8 @@ from async_tnt.checks import short
 from async_tnt.event_forms import NAMES, named_columns
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.records import (
+    BAD,
     CHECK_TYPES,
-    FINE,
     KIND,
     LOAD_TYPES,
     MAX_TIME_US,
@@ -71,6 +71,11 @@ class EventDecoder:
     sensor : (width, height) in pixels, 2**15 at most.
     late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or `raise`.
     advice : ends the message about an event beyond the sensor.
+
+    Attributes
+    ----------
+    first_us : time of the first event of the packet that was decoded last; MAX_TIME_US if it had none.
+    newest_us, n_dropped : the newest time, and how many events were dropped, under another policy than `accept`.
     """
 
     def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
@@ -88,11 +93,17 @@ class EventDecoder:
 
     def reset(self) -> None:
         """Forget the newest time and the count of dropped events."""
+        self.first_us = MAX_TIME_US
         self.newest_us = -1
         self.n_dropped = 0
 
-    def decode(self, events: Any) -> Columns:
-        """Check a packet, and treat late events as `late` says.
+    def decode(self, events: Any, apply_policy: bool = True) -> Columns:
+        """Check a packet.
+
+        Parameters
+        ----------
+        events : in any accepted form.
+        apply_policy : treat late events as `late` says; else leave that to `apply_policy`.
 
         Returns
         -------
@@ -103,11 +114,6 @@ class EventDecoder:
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
             Then none of its events are used.
         """
-        columns = self.check(events)
-        return self.apply_policy(columns) if self.late != "accept" else columns
-
-    def check(self, events: Any) -> Columns:
-        """`decode` with late events as they came."""
         columns = None
         if type(events) is tuple:
             columns = self._checked_as_they_are(events)
@@ -115,24 +121,22 @@ class EventDecoder:
             columns = self._decode_records(events)
         if columns is None:
             columns = _decode_any(events, self.sensor, self._advice)
-        return columns
+            self.first_us = int(columns.t[0]) if columns.n else MAX_TIME_US
+        return self.apply_policy(columns) if apply_policy and self.late != "accept" else columns
 
-    def decode_one(self, t: int, x: int, y: int, p: int) -> Columns:
+    def decode_one(self, t: int, x: int, y: int, p: int, apply_policy: bool = True) -> Columns:
         """`decode` for one event; quick for Python integers."""
-        return self.apply_policy(self.check_one(t, x, y, p))
-
-    def check_one(self, t: int, x: int, y: int, p: int) -> Columns:
-        """`check` for one event."""
         width, height = self.sensor
         try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int
             valid = is_plain and 0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height and -1 <= p <= 1
         except TypeError:
             valid = False
-        if not valid:
-            return self.check(([t], [x], [y], [p]))
+        if not valid or (apply_policy and self.late != "accept"):
+            return self.decode(([t], [x], [y], [p]), apply_policy)
         column_t, column_x, column_y, column_p, _ = self._scratch
         column_t[0], column_x[0], column_y[0], column_p[0] = t, x, y, p > 0
+        self.first_us = t
         return _new_tuple(Columns, (column_t, column_x, column_y, column_p, 1))
 
     def _decode_records(self, events: np.ndarray) -> Columns | None:
@@ -144,8 +148,11 @@ class EventDecoder:
         if self._layout is None or events.ndim == 0:
             return None
         n = len(events)
+        if n == 0 and events.ndim == 1:
+            self.first_us = MAX_TIME_US
+            return _NO_EVENTS
         if n == 0:
-            return _NO_EVENTS if events.ndim == 1 else None
+            return None
         if n > len(self._scratch.t):
             self._scratch = empty_columns(2 * n)
         t, x, y, p, _ = self._scratch
@@ -154,8 +161,10 @@ class EventDecoder:
             raw = np.frombuffer(events, np.uint8)
         except ValueError:  # not contiguous
             return None
-        if load_records(raw, self._layout, n, width, height, t, x, y, p) != FINE:
+        first_us = load_records(raw, self._layout, n, width, height, t, x, y, p)
+        if first_us == BAD:
             return None
+        self.first_us = first_us
         return _new_tuple(Columns, (t, x, y, p, n))
 
     def _checked_as_they_are(self, events: tuple[Any, ...]) -> Columns | None:
@@ -170,10 +179,12 @@ class EventDecoder:
             return None
         width, height = self.sensor
         try:
-            if check_columns(t, x, y, p, width, height) != FINE:
-                return None
+            first_us = check_columns(t, x, y, p, width, height)
         except (TypeError, NumbaError):  # not one-dimensional, contiguous, aligned, writeable
             return None
+        if first_us == BAD:
+            return None
+        self.first_us = first_us
         return _new_tuple(Columns, (t, x, y, p, len(t)))
 
     def apply_policy(self, columns: Columns) -> Columns:

@@ -1,6 +1,6 @@
 """Processor: from packets of events to decisions, window by window.
 
-A packet:    push -> EventDecoder.check -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
+A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
 A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
 Both:        of our own network, in one compiled call (`_absorb_stretch`) -> WindowClassifier.decide_stretch
 """
@@ -135,11 +135,18 @@ class Processor(TriggerAttributes):
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
-        self._running.begin()
+        running = self._running  # `begin`, whose call would take another 30 ns
+        if running.now:
+            raise running.overlap()
+        running.now = True
         try:
-            return self._take(self._decoder.check(events))
+            decoder = self._decoder
+            columns = decoder.decode(events, False)
+            if decoder.first_us < self._late_before_us:
+                return self._take_watched(columns)
+            return self._absorb(columns if self._accepts_late else decoder.apply_policy(columns))
         finally:
-            self._running.now = False
+            running.now = False
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
@@ -160,21 +167,17 @@ class Processor(TriggerAttributes):
             if answer == LATE:
                 return decisions + self._look_at_late(t, x, y, p)
             if answer != ABSORBED:
-                return decisions + self._take(self._decoder.check_one(t, x, y, p))
+                return decisions + self._take_watched(self._decoder.decode_one(t, x, y, p, False))
             if self._by_event:
                 self._accept(self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions)
             return decisions
         finally:
             running.now = False
 
-    def _take(self, columns: Columns) -> list[Decision]:
-        """Add checked events, unless the clock has begun again."""
-        if columns.n and columns.t.item(0) < self._late_before_us:
-            return self._take_watched(columns)
-        return self._absorb(columns if self._accepts_late else self._decoder.apply_policy(columns))
-
     def _take_watched(self, columns: Columns) -> list[Decision]:
-        """Add checked events after a look for a restart."""
+        """Add checked events, after a look for a restart if the first of them is late."""
+        if self._decoder.first_us >= self._late_before_us:
+            return self._absorb(self._decoder.apply_policy(columns))
         watch = self._restarts
         first = watch.look(columns, self._newest_us, self._windows.oldest.n_events)
         if first is not None:
@@ -185,7 +188,7 @@ class Processor(TriggerAttributes):
 
     def _look_at_late(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """Look whether the clock has begun again at a single event that has been counted as late."""
-        columns = self._decoder.check_one(t, x, y, p)
+        columns = self._decoder.decode_one(t, x, y, p, False)
         first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
         return [] if first is None else self._begin_again(columns, first)
 

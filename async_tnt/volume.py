@@ -12,7 +12,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
 from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels import state as S
-from async_tnt.kernels.absorb import ABSORBED, LATE, REFUSED, absorb, absorb_one
+from async_tnt.kernels.absorb import LATE, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
 from async_tnt.volume_state import Regressor, ReplayBuffer, check_regressor, new_state, next_epoch
 
@@ -138,7 +138,7 @@ class TNTVolume:
         """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
         try:  # as `absorb_one`, whose call would cost another 40 ns
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
-            if is_plain and not self._running.now and absorb_one(self._buffer, t, x, y, p * 1) in (ABSORBED, LATE):
+            if is_plain and not self._running.now and absorb_one(self._buffer, t, x, y, p * 1) <= LATE:
                 return 0
         except (TypeError, OverflowError):
             pass

@@ -21,7 +21,8 @@ from .lock import LARGE, release_gil, take_gil
 from .records import MAX_TIME_US
 from .splat import add_event, combine_time, grid_of, place_event
 
-ABSORBED, AT_LIMIT, REFUSED, LATE = range(4)  # what absorb_one returns
+# what absorb_one returns; up to LATE, the event has been counted
+ABSORBED, LATE, AT_LIMIT, REFUSED = range(4)
 
 
 @compiled

@@ -15,7 +15,7 @@ from .lock import LARGE, release_gil, take_gil
 I8, U8, I16, U16, I32, U32, I64 = range(7)
 KIND = {"i1": I8, "u1": U8, "b1": U8, "i2": I16, "u2": U16, "i4": I32, "u4": U32, "i8": I64, "u8": I64}
 MAX_TIME_US = 1 << 62  # so that start + window never overflows
-FINE, BAD = 0, 1
+BAD = -1  # instead of a time
 RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)  # writeable ones pass for read-only
 COLUMN_TYPES = (types.int64[::1], types.uint16[::1], types.uint16[::1], types.uint8[::1])
 # the arguments of `check_columns` and `load_records`
@@ -86,15 +86,15 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
     Returns
     -------
-    int : FINE, or BAD if any number breaks its rule (the caller finds out which).
+    int : the time of the first event, or BAD if any number breaks its rule (the caller finds out which).
     """
     if raw.size != n * layout[8]:  # more than one dimension
         return BAD
     lock = release_gil(n >= LARGE)
     is_loaded = _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p)
-    answer = _in_range(t, x, y, p, n, sensor_w, sensor_h) if is_loaded else BAD
+    is_fine = is_loaded and _in_range(t, x, y, p, n, sensor_w, sensor_h)
     take_gil(lock)
-    return answer
+    return t[0] if is_fine else BAD
 
 
 @inlined
@@ -126,7 +126,7 @@ def _load_time_and_place(raw, record, at_t, at_x, at_y):
 
 @compiled
 def _in_range(t, x, y, p, n, sensor_w, sensor_h):
-    """FINE if all columns are within their limits. Smallest and largest stay in the column's type and so in full
+    """Whether all columns are within their limits. Smallest and largest stay in the column's type and so in full
     vector registers, where counting offenders would widen every number to 64 bits."""
     t_min = t_max = t[0]
     x_max = x[0]
@@ -140,8 +140,7 @@ def _in_range(t, x, y, p, n, sensor_w, sensor_h):
         y_max = max(y_max, y[i])
     for i in range(n):
         p_max = max(p_max, p[i])
-    fine = (t_min >= 0) & (t_max < MAX_TIME_US) & (x_max < sensor_w) & (y_max < sensor_h) & (p_max <= 1)
-    return FINE if fine else BAD
+    return (t_min >= 0) & (t_max < MAX_TIME_US) & (x_max < sensor_w) & (y_max < sensor_h) & (p_max <= 1)
 
 
 @compiled
@@ -182,13 +181,17 @@ def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
 @compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
-    """FINE, or BAD if any number breaks its rule, lengths differ, or a column is not aligned (the one thing
-    that Numba's check of its arguments lets pass). Columns as `load_records` makes them."""
+    """The time of the first event, MAX_TIME_US if there is none; BAD if any number breaks its rule, lengths differ, or
+    a column is not aligned (the one thing that Numba's check of its arguments lets pass). Columns as `load_records`
+    makes them."""
     if x.size != t.size or y.size != t.size or p.size != t.size:
         return BAD
     if (t.ctypes.data % 8 != 0) | (x.ctypes.data % 2 != 0) | (y.ctypes.data % 2 != 0):
         return BAD
-    return _in_range(t, x, y, p, t.size, sensor_w, sensor_h) if t.size > 0 else FINE
+    if t.size == 0:
+        return MAX_TIME_US
+    first_us = t[0]
+    return first_us if _in_range(t, x, y, p, t.size, sensor_w, sensor_h) else BAD
 
 
 @compiled
