@@ -8,12 +8,13 @@ Both:        of our own network, in one compiled call (`_absorb_stretch`) -> Win
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from async_tnt.checks import Running, one_at_a_time
+from async_tnt.checks import Method, Running, one_at_a_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
@@ -24,9 +25,24 @@ from async_tnt.kernels.trigger import NOT_DUE, until_due, why_due
 from async_tnt.networks.model import Model
 from async_tnt.restarts import OnRestart, RestartWatch, part_of
 from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings
+from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import STRETCH, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
+
+
+def _recovering(method: Method) -> Method:
+    """After an exception in this method of a Processor, make its state that of a stream again."""
+
+    @functools.wraps(method)
+    def recovering(self: Any, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(self, *args, **kwargs)
+        except BaseException:
+            self._recover()
+            raise
+
+    return cast(Method, recovering)
 
 
 class Processor(TriggerAttributes):
@@ -72,8 +88,8 @@ class Processor(TriggerAttributes):
     """
 
     __slots__ = (  # so that a mistyped trigger is an error
-        "__weakref__", "_absorb_one", "_accepts_late", "_by_event", "_classifier", "_decoder", "_in_stretches",
-        "_late_before_us", "_restarts", "_running", "_seen_us", "_triggers", "_windows", "config",
+        "__weakref__", "_absorb_one", "_accepts_late", "_begun_for", "_by_event", "_classifier", "_decoder",
+        "_in_stretches", "_late_before_us", "_restarts", "_running", "_seen_us", "_triggers", "_windows", "config",
     )  # fmt: skip
 
     def __init__(
@@ -106,6 +122,7 @@ class Processor(TriggerAttributes):
         return f"Processor({self.config}, {len(self._windows)} open windows, {self.counts.received} events received)"
 
     @one_at_a_time
+    @_recovering
     def reset(self) -> None:
         """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
         self._reset()
@@ -145,6 +162,9 @@ class Processor(TriggerAttributes):
             if decoder.first_us < self._late_before_us:
                 return self._take_watched(columns)
             return self._absorb(columns if self._accepts_late else decoder.apply_policy(columns))
+        except BaseException:
+            self._recover()
+            raise
         finally:
             running.now = False
 
@@ -171,8 +191,28 @@ class Processor(TriggerAttributes):
             if self._by_event:
                 self._accept(self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions)
             return decisions
+        except BaseException:
+            self._recover()
+            raise
         finally:
             running.now = False
+
+    def _recover(self) -> None:
+        """After any exception, Ctrl-C in the middle of a step too: the state of a stream that ends at some event of the
+        packet. After one of a classifier, nothing is to be done."""
+        windows = self._windows
+        windows.recover()
+        self._triggers.set(self._triggers.settings)
+        self._choose_ways()
+        if self._begun_for != self._oldest_window():
+            self._begin_oldest(self._newest_us)
+        self._triggers.n_at_decision = min(self._triggers.n_at_decision, windows.oldest.n_events)
+        windows.set_limit(self._triggers.next_due_us)
+
+    def _oldest_window(self) -> tuple[TNTVolume, int] | None:
+        """The oldest open window, and its start, if there is any."""
+        windows = self._windows
+        return (windows.oldest, windows.oldest.start_us) if len(windows) else None
 
     def _take_watched(self, columns: Columns) -> list[Decision]:
         """Add checked events, after a look for a restart if the first of them is late."""
@@ -245,9 +285,9 @@ class Processor(TriggerAttributes):
     def _absorb_stretch(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
         """Add events up to the window's end, or to a decision that closes it; returns the first one not added."""
         oldest = self._windows.oldest
-        before = oldest.n_late, oldest.n_dropped_decided
+        self._windows.begin_sharing(columns, first)
         absorbed, new, error = self._classifier.decide_stretch(oldest, self._triggers.state, columns, first, columns.n)
-        self._windows.absorb_into_younger(columns, first, absorbed, before)
+        self._windows.share()
         if error is not None:
             raise error
         self._accept(new, oldest.newest_us, decisions)
@@ -283,6 +323,7 @@ class Processor(TriggerAttributes):
         """The oldest window is complete: decide, unless it is empty, and close it."""
         if (oldest := self._windows.oldest).n_events:  # first: should the classifier raise, the window stays open
             decisions.append(self._classifier.decide(oldest, "window", complete=True))
+        self._seen_us = max(self._newest_us, now_us)
         self._windows.close_oldest()
         self._begin_oldest(now_us)
 
@@ -298,6 +339,7 @@ class Processor(TriggerAttributes):
         if new:
             self._triggers.n_at_decision = new[-1].events
         if new and new[-1].complete:
+            self._seen_us = max(self._newest_us, now_us)
             self._windows.close_oldest(early=True)
             self._begin_oldest(now_us)
             self._windows.set_limit(self._triggers.next_due_us)
@@ -309,6 +351,7 @@ class Processor(TriggerAttributes):
         self._late_before_us = NEVER_US if self._restarts.looks_at_all else windows.late_before_us
         start_us = windows.oldest.start_us if len(windows) else None
         self._triggers.begin_window(now_us if start_us is None else max(now_us, start_us), start_us)
+        self._begun_for = self._oldest_window()
 
     def fire(self) -> Decision:
         """Classify the open window as it is now; before the first event, an empty volume. Changes nothing."""
@@ -319,6 +362,7 @@ class Processor(TriggerAttributes):
             self._running.now = False
 
     @one_at_a_time
+    @_recovering
     def finish(self) -> list[Decision]:
         """End the stream: classify the open windows that hold events, and close them.
 
@@ -335,6 +379,7 @@ class Processor(TriggerAttributes):
         while len(self._windows):
             if (oldest := self._windows.oldest).n_events:
                 decisions.append(self._classifier.decide(oldest, "end"))
+            self._seen_us = newest_us
             self._windows.close_oldest()
             self._begin_oldest(newest_us)
         return decisions
@@ -387,6 +432,7 @@ class Processor(TriggerAttributes):
         return self._restarts.on_restart
 
     @one_at_a_time
+    @_recovering
     def _set_triggers(self, settings: TriggerSettings) -> None:
         """Change the triggers; they apply to the open window, too."""
         self._classifier.check_confidence(settings.confidence)
@@ -398,9 +444,13 @@ class Processor(TriggerAttributes):
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _prepare(self, regressor: Regressor | None = None) -> None:
-        """Compile what these settings call, so that no event has to wait for it, and choose the ways of events."""
+        """Compile what these settings call, so that no event has to wait for it."""
+        compile_for(self.config, self.classifier, regressor, self._triggers.settings, self.late != "accept")
+        self._choose_ways()
+
+    def _choose_ways(self) -> None:
+        """Choose the ways of events that fit the settings."""
         settings, overlap = self._triggers.settings, self._windows.overlap
-        compile_for(self.config, self.classifier, regressor, settings, self.late != "accept")
         direct = not overlap and self.late == "accept"
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = settings.by_event

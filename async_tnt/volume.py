@@ -274,6 +274,16 @@ class TNTVolume:
         return int(self._ints[S.N])
 
     @property
+    def n_received(self) -> int:
+        """Events that came, late ones too."""
+        return int(self._ints[S.RECEIVED])
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a window is open."""
+        return int(self._ints[S.LIMIT_US]) != UNOPENED
+
+    @property
     def n_late(self) -> int:
         """Events dropped because they were older than the open window."""
         return int(self._ints[S.LATE])

@@ -109,9 +109,7 @@ class ReplayBuffer:
 
     @one_at_a_time
     def reset(self) -> None:
-        """All counts zero, no events stored."""
-        self._closed_kept = 0  # counts of closed windows; the open window's change with every replay
-        self._closed_tau_zero = 0
+        """No events stored."""
         self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
         self._is_replayed = True
 
@@ -122,11 +120,10 @@ class ReplayBuffer:
         if n_before + last - first > self._columns.t.size:
             before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
             self._grow(n_before, n_before + int(np.count_nonzero(before_limit)))
-        first = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self._n_most)
-        if _n_events(buffer) > n_before:
-            self._landmark = None
-            self._is_replayed = False
-        return first
+        # first, also if no event will be stored: an exception, such as Ctrl-C, may come right after the kernel
+        self._landmark = None
+        self._is_replayed = False
+        return int(store_events(buffer, *columns[:4], first, last, *self._columns[:4], self._n_most))
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
         """The landmark (x, y) in grid pixels of a window with events, where it is deferred; computed once, until new
@@ -161,7 +158,7 @@ class ReplayBuffer:
 
         buffer, array : the volume's, see `kernels.readout.empty_volume`.
         """
-        if not self._is_replayed:
+        if not self._is_replayed and _n_events(buffer):  # a window may have had late events alone
             self._replay(buffer, array)
 
     @one_at_a_time
@@ -173,20 +170,26 @@ class ReplayBuffer:
             buffer[S.FIXED_X], buffer[S.FIXED_Y] = in_sensor
         if config.window_events is not None:
             set_duration(buffer, config, _duration_us(buffer))
-        saved, n = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}, _n_events(buffer)
-        empty_volume(buffer, array, int(ints[S.START_US]), S.NEVER_US, next_epoch())
-        ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
-        absorb(buffer, *self._columns[:4], 0, n)
-        for slot, value in saved.items():
-            ints[slot] = value
+        n_events = _n_events(buffer)
+        saved = ints[: S.NUM_X].copy()
+        try:
+            empty_volume(buffer, array, int(ints[S.START_US]), S.NEVER_US, next_epoch())
+            for slot in (S.CLOSED_KEPT, S.CLOSED_TAU_ZERO):
+                ints[slot] = saved[slot]
+            ints[S.KEPT] = saved[S.CLOSED_KEPT]
+            ints[S.TAU_ZERO] = saved[S.CLOSED_TAU_ZERO]
+            absorb(buffer, *self._columns[:4], 0, n_events)
+            for slot in UNCHANGED_BY_REPLAY:
+                ints[slot] = saved[slot]
+        except BaseException:  # such as Ctrl-C: the next read replays again
+            ints[: S.NUM_X] = saved
+            ints[S.N_LOG] = MAX_EVENTS  # more than the log holds: all cells are emptied then
+            raise
         self._is_replayed = True
 
     def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """End the window, keep its final counts, and begin another one, without events."""
+        """Bring the window's counts up to date, before it is emptied."""
         self.run(buffer, array)
-        ints = buffer.view(np.int64)
-        self._closed_kept = int(ints[S.KEPT])
-        self._closed_tau_zero = int(ints[S.TAU_ZERO])
         self._landmark = None
 
     def _grow(self, n_stored: int, n: int) -> None:

@@ -93,8 +93,12 @@ class WindowClassifier:
         of_map: Any = () if compiled is not None else getattr(classifier, "logits_shape", ())
         reader = compiled.reader if compiled is not None else ObjectReader(of_map) if len(of_map) == 3 else None
         _check_confidence(reader, confidence)
-        self.classifier, self._compiled, self._reader = classifier, compiled, reader
-        self._tracks = self._new_tracks()
+        tracks = self._new_tracks(reader, classifier)
+        # plain assignments in a row: no exception, such as Ctrl-C, can come between them
+        self.classifier = classifier
+        self._compiled = compiled
+        self._reader = reader
+        self._tracks = tracks
         self.decides_in_stretches = compiled is not None and reader is None and not self._config.needs_replay
 
     def check_confidence(self, confidence: float | None) -> None:
@@ -106,11 +110,11 @@ class WindowClassifier:
         if self._reader is not None:
             self._tracks[0, [N_KNOWN, NEXT_NUMBER]] = 0
 
-    def _new_tracks(self) -> np.ndarray:
-        if self._reader is None:
+    def _new_tracks(self, reader: ObjectReader | None, classifier: Classifier) -> np.ndarray:
+        if reader is None:
             return np.empty((0, 4))
-        shape = self._reader.shape
-        places = getattr(self.classifier, "places", None) or even_places(shape, self._config.sensor)
+        shape = reader.shape
+        places = getattr(classifier, "places", None) or even_places(shape, self._config.sensor)
         tracks = new_tracks(places, shape, self._config.window_us)
         if len(self._tracks):  # no number is given twice in a stream
             tracks[0, NEXT_NUMBER] = self._tracks[0, NEXT_NUMBER]
@@ -173,8 +177,9 @@ class WindowClassifier:
     def _reader_for(self, shape: tuple[int, ...]) -> ObjectReader:
         """What reads maps of this shape."""
         if self._reader is None or self._reader.shape != shape:
-            self._reader = ObjectReader(shape)
-            self._tracks = self._new_tracks()
+            reader = ObjectReader(shape)
+            self._tracks = self._new_tracks(reader, self.classifier)
+            self._reader = reader
         return self._reader
 
     def _decision_of_map(

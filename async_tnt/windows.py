@@ -10,7 +10,7 @@ import math
 import warnings
 from collections import deque
 from dataclasses import replace
-from itertools import islice
+from typing import NamedTuple
 
 from async_tnt.checks import checked_time, positive_int, short
 from async_tnt.config import TNTConfig
@@ -21,6 +21,27 @@ from async_tnt.volume_state import MAX_EVENTS, Regressor
 
 MAX_OPEN_WINDOWS = 256
 N_JUDGED, FEW_EVENTS = 32, 2  # the windows by which a stream is judged, and the events that are too few for one
+
+
+class _Sharing(NamedTuple):
+    """Events that the oldest window absorbs, and then the windows that overlap it."""
+
+    columns: Columns
+    first: int
+    counts: tuple[int, int, int]
+    """Of the scheduler before: received, late, dropped_decided."""
+    of_oldest: tuple[int, int]
+    """Of the oldest window before: late, dropped_decided."""
+    received: list[int]
+    """Events that each window had received before."""
+
+
+class _Closing(NamedTuple):
+    """A window that is being closed."""
+
+    volume: TNTVolume
+    decided_from_us: int | None
+    """What the scheduler's `_decided_from_us` becomes."""
 
 
 class WindowScheduler:
@@ -68,6 +89,8 @@ class WindowScheduler:
         self._n_received = 0
         self._n_late = 0
         self._n_dropped_decided = 0
+        self._sharing: _Sharing | None = None
+        self._closing: _Closing | None = None
 
     def __len__(self) -> int:
         return len(self._open)
@@ -107,25 +130,62 @@ class WindowScheduler:
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
         """Add events to all open windows, up to the limit; returns the first one not added."""
-        oldest = self._open[0]
         if not self.overlap:  # the counts below are not needed
-            return oldest.absorb(columns, first, last)
-        before = oldest.n_late, oldest.n_dropped_decided
-        absorbed = oldest.absorb(columns, first, last)
-        self.absorb_into_younger(columns, first, absorbed, before)
+            return self._open[0].absorb(columns, first, last)
+        self.begin_sharing(columns, first)
+        absorbed = self._open[0].absorb(columns, first, last)
+        self.share()
         return absorbed
 
-    def absorb_into_younger(self, columns: Columns, first: int, absorbed: int, before: tuple[int, int]) -> None:
-        """Where windows overlap, add the events `first <= i < absorbed`, which the oldest has absorbed, to the others,
-        and count them once. `before`: the oldest window's `n_late` and `n_dropped_decided` before that."""
-        if not self.overlap:
+    def begin_sharing(self, columns: Columns, first: int) -> None:
+        """Where windows overlap, note what the oldest one had before it gets the events from `first` on."""
+        if self.overlap:
+            oldest = self._open[0]
+            counts = self._n_received, self._n_late, self._n_dropped_decided
+            received = [volume.n_received for volume in self._open]
+            self._sharing = _Sharing(columns, first, counts, (oldest.n_late, oldest.n_dropped_decided), received)
+
+    def share(self) -> None:
+        """Add the events that the oldest window has absorbed since `begin_sharing` to the others that overlap it, and
+        count them once. May be called again after an exception: nothing is done twice."""
+        sharing = self._sharing
+        if sharing is None:
             return
         oldest = self._open[0]
-        self._n_late += oldest.n_late - before[0]
-        self._n_dropped_decided += oldest.n_dropped_decided - before[1]
-        self._n_received += absorbed - first
-        for volume in islice(self._open, 1, None):
-            volume.absorb(columns, first, absorbed)
+        n = oldest.n_received - sharing.received[0]
+        for volume, before in zip(self._open, sharing.received, strict=True):
+            if volume.n_received == before:
+                volume.absorb(sharing.columns, sharing.first, sharing.first + n)
+        n_received, n_late, n_dropped_decided = sharing.counts
+        self._n_received = n_received + n
+        self._n_late = n_late + oldest.n_late - sharing.of_oldest[0]
+        self._n_dropped_decided = n_dropped_decided + oldest.n_dropped_decided - sharing.of_oldest[1]
+        self._sharing = None
+
+    def recover(self) -> None:
+        """Finish what an exception, such as Ctrl-C, has interrupted, or take it back; otherwise nothing changes."""
+        self.share()
+        if self._closing is not None and self._closing.volume not in self._open:
+            self._finish_closing()
+        self._closing = None
+        self._open = deque(volume for volume in self._open if volume.is_open and not self._is_anchored(volume))
+        if not self._open and self._next_start_us is not None and self._is_anchored(None):
+            self._next_start_us = None
+        self._free = [volume for volume in self.volumes if volume not in self._open]
+        for volume in self._free:
+            if volume.is_open:
+                volume.close()
+        if self._open:
+            self._next_start_us = self._open[-1].start_us + self.hop_us
+
+    def _is_anchored(self, volume: TNTVolume | None) -> bool:
+        """Whether an empty window, or the next one (None), begins where it does because of an event that was not
+        absorbed: each of `window_events` begins with one, and otherwise the first of a stream without `start_us`."""
+        if volume is not None and volume.n_events:
+            return False
+        if self._window_events is not None:
+            return True
+        return self.start_us is None and not any(one.n_received for one in self.volumes)
 
     def open_due(self, t_us: int) -> bool:
         """Open the windows that hold `t_us`, or else the next one, so that at least one is open; empty ones before them
@@ -160,17 +220,26 @@ class WindowScheduler:
         early : before its end. Events that still arrive for it are counted as `dropped_decided`; where windows have a
             number of events, none do: the next window begins with the next event.
         """
-        volume = self._open.popleft()
+        volume = self._open[0]
+        decided_from_us = None
+        if early and self._window_events is None:
+            decided_from_us = volume.start_us if self._decided_from_us is None else self._decided_from_us
+        self._closing = _Closing(volume, decided_from_us)
+        self._open.popleft()  # from here on, an exception does not keep it open: see `recover`
+        self._finish_closing()
+
+    def _finish_closing(self) -> None:
+        assert self._closing is not None
+        volume = self._closing.volume
+        self._decided_from_us = self._closing.decided_from_us
         if self._window_events is not None:
             self._next_start_us = None
-        elif not early:
-            self._decided_from_us = None
-        elif self._decided_from_us is None:
-            self._decided_from_us = volume.start_us
         volume.close()
-        self._free.append(volume)
+        if volume not in self._free:
+            self._free.append(volume)
         if self._open:
             self._inform_oldest()
+        self._closing = None
 
     def _inform_oldest(self) -> None:
         """Tell the oldest volume, which counts late events, from when on the windows before it were closed early."""

@@ -73,6 +73,10 @@ COMBINE = 42  # one of the COMBINE_ numbers
 SECOND = 43  # from the first of an event's bins to its second one
 WITHOUT_GIL = 44  # not 0 while a kernel that has released Python's lock calls others, see `lock`
 
+# ints: counted up to the open window's start; a replay of the window counts on from here
+CLOSED_KEPT = 45
+CLOSED_TAU_ZERO = 46
+
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (24 kB) and an interval's cells fit in the first-level cache
 NUM_X = 48  # buffer: displacement from the landmark
