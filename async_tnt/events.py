@@ -81,8 +81,7 @@ class EventDecoder:
     def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
         if late not in LATE_POLICIES:
             raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {short(late)}")
-        compile_only(check_columns, *CHECK_TYPES)
-        compile_only(load_records, *LOAD_TYPES)
+        _compile()
         self.sensor = sensor
         self.late, self._advice = late, advice
         self.reset()
@@ -90,6 +89,10 @@ class EventDecoder:
         self._dtype: np.dtype | None = None
         self._names: tuple[str, ...] | None = None
         self._layout: np.ndarray | None = None
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        _compile()  # perhaps in another process
 
     def reset(self) -> None:
         """Forget the newest time and the count of dropped events."""
@@ -208,6 +211,12 @@ class EventDecoder:
             return columns
         t, x, y, p = (column[: columns.n][~late] for column in columns[:4])
         return Columns(t, x, y, p, t.size)
+
+
+def _compile() -> None:
+    """Compile what decodes packets, and nothing else for whatever arguments."""
+    compile_only(check_columns, *CHECK_TYPES)
+    compile_only(load_records, *LOAD_TYPES)
 
 
 def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Columns:

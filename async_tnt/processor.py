@@ -115,7 +115,7 @@ class Processor(TriggerAttributes):
         self._accepts_late = late == "accept"
         self._restarts = RestartWatch(on_restart, self.config.window_us)
         self._windows = WindowScheduler(self.config, hop_us, start_us, regressor)
-        self._prepare(regressor)
+        self._prepare()
         self.reset()
 
     def __repr__(self) -> str:
@@ -443,9 +443,10 @@ class Processor(TriggerAttributes):
             self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
         self._windows.set_limit(self._triggers.next_due_us)
 
-    def _prepare(self, regressor: Regressor | None = None) -> None:
+    def _prepare(self) -> None:
         """Compile what these settings call, so that no event has to wait for it."""
-        compile_for(self.config, self.classifier, regressor, self._triggers.settings, self.late != "accept")
+        settings = self._triggers.settings
+        compile_for(self.config, self.classifier, self._windows.regressor, settings, self.late != "accept")
         self._choose_ways()
 
     def _choose_ways(self) -> None:
@@ -464,6 +465,11 @@ class Processor(TriggerAttributes):
     @one_at_a_time
     def __getstate__(self) -> Any:
         return copy.deepcopy(super().__getstate__())  # while no other call runs
+
+    def __setstate__(self, state: tuple[None, dict[str, Any]]) -> None:
+        for name, value in state[1].items():
+            setattr(self, name, value)
+        self._prepare()  # perhaps in a process that has compiled nothing yet
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:

@@ -74,6 +74,7 @@ class WindowScheduler:
             got = f"{self.hop_us}: {n_volumes} windows would be open at once"
             raise ValueError(f"`hop_us` must be at least {smallest}, got {got}")
         self.start_us = None if start_us is None else checked_time("start_us", start_us)
+        self.regressor = regressor
         self.volumes = [TNTVolume(config, regressor=regressor) for _ in range(n_volumes)]
         self.reset()
 

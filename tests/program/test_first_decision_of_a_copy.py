@@ -1,0 +1,47 @@
+"""A Processor that comes from a pickle, in a new process, has compiled what it calls before its first event."""
+
+import pickle
+
+import pytest
+from deciding import CONFIG, total_and_size
+from made import random_events, random_model, random_regressor_model
+from processes import started
+
+from async_tnt import Processor
+
+SCRIPT = """
+import pickle
+import sys
+from numba.core.dispatcher import Dispatcher
+
+def compiled():
+    # also what was loaded from the cache: on a new machine it would be compiled
+    modules = [module for name, module in sys.modules.items() if name.startswith("async_tnt.kernels.")]
+    kernels = [kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
+    return {(kernel.py_func.__name__, types) for kernel in kernels for types in kernel.signatures}
+
+made = pickle.load(open(sys.argv[1], "rb"))
+events = pickle.load(open(sys.argv[2], "rb"))
+before = compiled()
+made.push(events)
+made.push_one(*events.tolist()[-1])
+made.push(tuple(events[-3:][name].copy() for name in "txyp"))
+made.fire()
+print(sorted(name for name, _ in compiled() - before))
+"""
+MADE = {
+    "classes": lambda: Processor(random_model(CONFIG)),
+    "every_us": lambda: Processor(random_model(CONFIG), every_us=300, late="drop"),
+    "every_events": lambda: Processor(random_model(CONFIG), every_events=5),
+    "regressor": lambda: Processor(random_regressor_model(CONFIG.replace(landmark="regressor"))),
+    "landmark window": lambda: Processor(CONFIG.replace(landmark="window"), classifier=total_and_size, late="drop"),
+}
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_an_unpickled_stream_does_not_compile_while_events_come(name, tmp_path):
+    (tmp_path / "made").write_bytes(pickle.dumps(MADE[name]()))
+    (tmp_path / "events").write_bytes(pickle.dumps(random_events(600, duration_us=2_500)))
+    with started("-c", SCRIPT, tmp_path / "made", tmp_path / "events") as process:
+        out, err = process.communicate()
+    assert out == "[]\n", err
