@@ -14,7 +14,7 @@ from llvmlite.binding import ffi
 from numba import config, njit
 from numba.core.compiler_lock import global_compiler_lock
 
-if config.DISABLE_JIT:
+if getattr(config, "DISABLE_JIT", 0):
     raise ImportError("async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset it")
 
 BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))  # NUMBA_BOUNDSCHECK=1: Numba tests every index

@@ -141,6 +141,12 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             clock.restarts,
         )
 
+    @property
+    def name(self) -> str:
+        """Where it listens, udp://HOST:PORT, with the port that it got."""
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        return f"udp://{host}:{self.port}"
+
     def summary(self) -> str:
         """The counts so far, in one line for people."""
         counts = self.counts
