@@ -24,7 +24,7 @@ from async_tnt.checks import short
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import can_print, complain, say
 from async_tnt.cli.program import handled_by
-from async_tnt.events import as_events
+from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_folder, write_text
 from async_tnt.package import __version__
 from async_tnt.sources.files.dat_writer import DatFile, DatWriter
@@ -119,6 +119,8 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
     """Record until the source ends; each file is described as soon as it is complete. Returns the exit code."""
     picture = _Picture(source.sensor, label)
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    lines: list[str] = []
+    problems: list[OSError] = []
 
     def completed(file: DatFile) -> None:
         about = {
@@ -132,12 +134,13 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
             "settings": getattr(source, "settings", {}),
             "async_tnt": __version__,
         }
-        say(f"{file.path}: {file.events:,} events, {file.on / file.events:.0%} ON; {source.summary()}")
+        lines.append(f"{file.path}: {file.events:,} events, {file.on / file.events:.0%} ON; {source.summary()}")
         try:
             write_text(file.path.with_suffix(".json"), json.dumps(about, indent=1, default=str) + "\n")
         except OSError as error:  # the recording goes on
-            complain(error)
+            problems.append(error)
 
+    as_events(np.empty(0, EVENT_DTYPE), source.sensor)  # compiles, before the time begins
     with _ended_in_time(source, seconds):
         complain(f"recording {label} from {source.name} into {folder}; Ctrl-C stops")
         try:
@@ -147,12 +150,16 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
                     writer.write(events)
                     picture.show(events)
         except OSError as error:  # the camera was unplugged, or the disk is full: what came before is kept
-            complain(error)
-            return 2
-        if not writer.n_events:
+            problems.append(error)
+        finally:
+            if lines:
+                say(*lines)  # only now: a terminal that is gone must not end the recording
+        for problem in problems:
+            complain(problem)
+        if not writer.n_events and not problems:
             complain(f"{source.name}: no event came; nothing was written")
             return 2
-    return 0
+    return 2 if problems else 0
 
 
 @contextlib.contextmanager

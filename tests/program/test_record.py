@@ -1,6 +1,7 @@
 """async-tnt record: streams from the network into class folders, to train on."""
 
 import contextlib
+import errno
 import io
 import itertools
 import json
@@ -170,6 +171,56 @@ def test_what_has_come_is_in_the_file_at_once(recorded, monkeypatch, tmp_path):
     monkeypatch.setattr(record._Picture, "show", show)
     recorded(*(packet.copy() for packet in PACKETS))
     assert seen == [60, 120, 180, 240]
+
+
+def test_without_its_description_a_recording_is_whole(program, tmp_path, monkeypatch):
+    def fail(path, text):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(record, "write_text", fail)
+    with sent(EVENTS) as port:
+        url = f"udp://127.0.0.1:{port}?timeout_s=1"
+        code, _, err = program("record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path)
+    (path,) = (tmp_path / "wave").iterdir()
+    assert code == 2 and err.endswith(f"async-tnt: {path.with_suffix('.json')}: No space left on device\n")
+    assert open_recording(path, strict=True).n_events == 5_000
+
+
+def test_where_no_line_can_be_printed_a_recording_and_its_description_are_whole(program, tmp_path, monkeypatch):
+    """As in a terminal that has been closed; the second file begins after a pause."""
+
+    def fail(*lines):
+        raise OSError(errno.EIO, "Input/output error")
+
+    class Played(list):
+        name, sensor = "played", (64, 48)
+
+        def summary(self):
+            return "2 packets"
+
+        def close(self):
+            pass
+
+    source = Played([made_events(5, 9), made_events(9 + (1 << 31), 10 + (1 << 31))])
+    monkeypatch.setattr(record, "open_source", lambda name, sensor: source)
+    monkeypatch.setattr(record, "say", fail)
+    code, _, err = program("record", "camera", "--class", "wave", "--out", tmp_path)
+    paths = sorted((tmp_path / "wave").glob("*.dat"))
+    assert code == 2 and "Input/output error" in err
+    assert [open_recording(path, strict=True).n_events for path in paths] == [2, 2]
+    assert [json.loads(path.with_suffix(".json").read_text())["events"] for path in paths] == [2, 2]
+
+
+def test_a_file_is_complete_though_the_next_one_cannot_be_made(tmp_path):
+    def create():
+        return (tmp_path / "a.dat").open("xb", 0)
+
+    events = random_events(4, sensor=(64, 48))
+    events["t"] = [5, 6, 5 + 40 * MINUTE_US, 6 + 40 * MINUTE_US]
+    files = []
+    with pytest.raises(FileExistsError), DatWriter((64, 48), create, files.append) as writer:
+        writer.write(events)
+    np.testing.assert_array_equal(read_back(files), events[:2])
 
 
 MINUTE_US = 60_000_000
