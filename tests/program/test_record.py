@@ -238,6 +238,7 @@ MINUTE_US = 60_000_000
         ([0, 30 * MINUTE_US, 60 * MINUTE_US, 20 * MINUTE_US, 21 * MINUTE_US], 2),  # back by 40 minutes
         ([50 * MINUTE_US, 50 * MINUTE_US - 7, 50 * MINUTE_US + 1], 1),  # out of order within the first packet
         ([0, 1 << 40, 3, 4], 3),
+        ([1_005, 5, 5 + (1 << 31)], 2),  # the step counts from the previous event, not from the newest
     ],
 )
 @pytest.mark.parametrize("size", [1, 2, 1000])
