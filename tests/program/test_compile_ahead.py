@@ -157,6 +157,12 @@ def test_a_source_that_is_not_there_is_told_before_anything_is_compiled(
     assert all(message.replace("TAKEN", port) in line for message, line in zip(messages, lines, strict=True))
 
 
+def test_a_source_that_does_not_suit_is_told_before_the_network_is_compiled(program, cold, monkeypatch):
+    monkeypatch.setattr(compile_ahead, "_start_child", cold.append)
+    code, _, err = program("run", "udp://127.0.0.1:0", "--roi", "0,0,34,34", "--crop")
+    assert (code, err.count("\n"), cold) == (2, 1, []) and "does not say the camera's pixels" in err
+
+
 def test_one_source_that_is_there_is_enough(program, cold, monkeypatch):
     monkeypatch.setattr(compile_ahead, "_start_child", lambda names: None)
     code, out, err = program("run", "nowhere.bin", sample_recordings()[3])

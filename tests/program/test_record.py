@@ -306,6 +306,17 @@ def test_on_a_full_disk_all_whole_events_are_kept(n, room, program, tmp_path, mo
     assert open_recording(path, strict=True).read()["t"].tolist() == list(range(n_whole))
 
 
+@pytest.mark.parametrize("n_bytes", [-1, 0, 7])
+def test_where_the_disk_has_no_room_for_an_event_no_file_is_left(n_bytes, program, tmp_path, monkeypatch):
+    """Not for the header, or for a part of the first event only."""
+    device = PlayedDevice(made_events(1, 2), sensor=(64, 48))
+    monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
+    with full_after(len(dat_header((64, 48))) + n_bytes):
+        code, out, err = program("record", "camera", "--class", "wave", "--out", tmp_path)
+    assert (code, out) == (2, "") and err.endswith(": File too large\n")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
