@@ -263,9 +263,9 @@ def test_every_time_of_a_clock_that_jumps_at_random_is_read_back(seed, tmp_path)
     np.testing.assert_array_equal(read_back(files), events)
 
 
-def written(packets, folder):
-    """The files of these packets."""
-    files = []
+def written(packets, folder, files=None):
+    """The files of these packets, which are added to `files` as they are completed."""
+    files = [] if files is None else files
     names = itertools.count()
     with DatWriter((64, 48), lambda: (folder / f"{next(names)}.dat").open("xb", 0), files.append) as writer:
         for packet in packets:
@@ -304,6 +304,15 @@ def test_on_a_full_disk_all_whole_events_are_kept(n, room, program, tmp_path, mo
     n_whole = (room - len(dat_header((6_000, 34)))) // 8
     assert code == 2 and f"{n_whole:,} events" in out
     assert open_recording(path, strict=True).read()["t"].tolist() == list(range(n_whole))
+
+
+def test_of_a_packet_that_is_written_in_part_what_is_there_is_counted(tmp_path):
+    files = []
+    with pytest.raises(OSError, match="File too large"), full_after(30_000):
+        written([EVENTS[:2_000], EVENTS[2_000:]], tmp_path, files)
+    (file,) = files
+    there = read_back(files)
+    assert 2_000 < file.events == len(there) < 5_000 and file.on == there["p"].sum()
 
 
 @pytest.mark.parametrize("n_bytes", [-1, 0, 7])
