@@ -111,7 +111,7 @@ def fill_cache(
 
     Parameters
     ----------
-    first : called before a compilation: it raises what would otherwise be found only after some 20 s.
+    first : called before a compilation. It raises what would otherwise show only 20 s later.
     """
     names = names or EVENTS | (LOCATOR if getattr(model, "places", None) is not None else CLASSIFIER)
     absorb, types = ENTRY_POINTS["absorb"]

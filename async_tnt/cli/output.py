@@ -51,7 +51,7 @@ def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
 
 
 def can_print(text: str, stream: TextIO) -> bool:
-    """Whether the encoding of this stream has all these characters; where it does not, `say` prints escapes."""
+    """Whether the encoding of this stream has all these characters. Others are printed as escapes."""
     try:
         text.encode(getattr(stream, "encoding", None) or "utf-8")
     except UnicodeEncodeError:

@@ -39,7 +39,8 @@ def find_sources(paths: Sequence[Path | str], pixels: PixelSelector) -> None:
 
     Raises
     ------
-    ValueError, OSError, ImportError : there is none. What is wrong with each but the last is printed before.
+    ValueError, OSError, ImportError : none can be opened. The error is that of the last one; those
+        of the others are printed.
     """
     problems: list[Exception] = []
     for path in paths:

@@ -90,8 +90,8 @@ class _Signals:
     def interrupt(self, number: int, frame: FrameType | None) -> None:
         """SIGTERM and SIGHUP raise KeyboardInterrupt like Ctrl-C, so that a command can clean up.
 
-        One that follows at once does nothing: a terminal that is closed sends two, and the second would end the
-        cleaning up. A later one does, in case that takes for ever.
+        A signal that follows at once does nothing: a terminal that is closed sends two, and the
+        second would end the cleaning up. A later one is obeyed, in case that takes for ever.
         """
         now_s = time.monotonic()
         if self.received and now_s < self._accepted_s + REPEATED_S:

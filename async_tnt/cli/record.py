@@ -99,7 +99,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _class_name(text: str) -> str:
-    """A class, as the name of a folder that `train` reads; those that begin with a dot are hidden."""
+    """A class: the name of a folder that `train` reads, which leaves out those with a dot first."""
     is_name = Path(text).name == text == text.strip() and not text.startswith(".")
     if not text or not is_name or not text.isprintable() or len(text.encode()) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
@@ -116,7 +116,10 @@ def _folder(text: str) -> Path:
 
 
 def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int:
-    """Record until the source ends; each file is described as soon as it is complete. Returns the exit code."""
+    """Record until the source ends, and describe each file as soon as it is complete.
+
+    Returns the exit code.
+    """
     picture = _Picture(source.sensor, label)
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     lines: list[str] = []
@@ -149,7 +152,7 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
                     events = as_events(packet, source.sensor)
                     writer.write(events)
                     picture.show(events)
-        except OSError as error:  # the camera was unplugged, or the disk is full: what came before is kept
+        except OSError as error:  # unplugged, or the disk is full: what came before is kept
             problems.append(error)
         finally:
             if lines:
@@ -164,9 +167,9 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
 
 @contextlib.contextmanager
 def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
-    """Close the source after so many seconds, or at a signal such as Ctrl-C, which has its effect after the block.
+    """Close the source after so many seconds, or at a signal such as Ctrl-C.
 
-    However many signals come, the block is never left before its end.
+    However many signals come, the block runs to its end; then the first has its usual effect.
     """
     asked: SimpleQueue[int] = SimpleQueue()  # a signal handler may `put` while another does
     signals: list[int] = []
@@ -180,7 +183,7 @@ def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
         signals.append(number)
         asked.put(number)
 
-    # a thread closes it, as a camera must not be closed while it is read, which a handler might interrupt
+    # a thread closes it: a signal handler might run in the middle of a read, which `close` waits for
     closing = threading.Thread(target=close_when_asked, name="async_tnt.record", daemon=True)
     closing.start()
     try:

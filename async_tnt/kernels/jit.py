@@ -23,7 +23,8 @@ BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))  # NUMBA_BOUNDSCHECK
 # keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not change a bit.
 # no_cfunc_wrapper: nobody calls these through C pointers, and each wrapper takes time to compile.
 _strict = partial(njit, error_model="numpy", no_cfunc_wrapper=True)
-_compiling = threading.RLock()  # re-entrant: a signal handler that forks may run in the thread that compiles
+# re-entrant: a signal handler that forks may run in the thread that compiles
+_compiling = threading.RLock()
 # in the order in which a compilation takes them; the last one is LLVM's, which Numba does not show
 _locks = [_compiling, global_compiler_lock, getattr(ffi.lib, "_lock", contextlib.nullcontext())]
 _files = [path.stat() for path in sorted(Path(__file__).parent.rglob("*.py"))]
@@ -72,8 +73,8 @@ def compile_for_types(kernel: Any, types: tuple[Any, ...]) -> None:
 def _begin_fork() -> None:
     """Wait until no other thread compiles, and let none begin.
 
-    A child of `fork` has a copy of every lock, but only the thread that forked: a lock that another thread held would
-    stay locked there for ever, and what it guards half done.
+    A child of `fork` has a copy of every lock, but only the thread that forked. A lock that another
+    thread held would stay locked there for ever, and what it guards would stay half done.
     """
     for lock in _locks:
         lock.__enter__()

@@ -17,7 +17,7 @@ from async_tnt.sources.files.prophesee import DAT_EVENT_BYTES, DAT_PERIOD_US, da
 from async_tnt.sources.sensor import Sensor
 
 LONGEST_STEP_US = DAT_PERIOD_US // 2 - 1
-"""Microseconds from one event to the next, forward or back, that readers do not take for a wrap of the clock."""
+"""Microseconds from an event to the next, forward or back: readers take more for a wrap of the clock."""
 
 
 @dataclass
@@ -33,12 +33,15 @@ class DatFile:
 
 
 class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
-    """Writes packets to DAT files, one after the other; a context manager, which completes the last one.
+    """Writes packets to DAT files, one after the other. At the end of a `with` block it completes
+    the last one.
 
-    DAT's times have 32 bits. An event begins a new file where its time could not be read back: before the first time
-    of the file, 71.6 minutes after it, or 35.8 minutes before or after the previous event.
+    DAT's times have 32 bits. An event begins a new file where its time could not be read back:
+    before the first time of the file, 71.6 minutes after it, or 35.8 minutes before or after the
+    previous event.
 
-    What `write` has returned from is in the file, whatever ends the process. No file that holds an event is deleted.
+    When `write` returns, the events are in the file, whatever ends the process. No file that holds
+    an event is deleted.
 
     Parameters
     ----------
@@ -81,7 +84,7 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
                 events = events[n_fitting:]
 
     def close(self) -> None:
-        """Complete the file in progress; the next event would begin another. May be called again."""
+        """Complete the file in progress; the next event begins another. May be called again."""
         if self._file is None:
             return
         file, self._file = self._file, None
@@ -112,14 +115,15 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         """Begin a new file, in which the first of these times can stand."""
         self.close()
         self._file = self._create()
-        # a packet may be out of order: the file begins with the earliest event of those that belong together
+        # a packet may be out of order: the file's times begin with the earliest of those that
+        # belong together
         near = t_us[np.abs(t_us - t_us[0]) <= LONGEST_STEP_US]
         self._about = DatFile(Path(self._file.name), int(near.min()))
         self._previous_us = int(t_us[0])
         self._write(self._header)
 
     def _append(self, events: np.ndarray) -> None:
-        """Write events that fit, and count those that are whole in the file, also after an error."""
+        """Write events that fit; count those that are whole in the file, also after an error."""
         about = self._about
         try:
             self._write(dat_records(events, about.first_us))
