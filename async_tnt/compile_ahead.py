@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from async_tnt.checks import short
@@ -102,16 +102,23 @@ def compile_kernels(names: Iterable[str]) -> None:
             compile_for_types(*ENTRY_POINTS[name])
 
 
-def fill_cache(names: Iterable[str] | None = None, model: object = None) -> None:
+def fill_cache(
+    names: Iterable[str] | None = None, model: object = None, first: Callable[[], object] = lambda: None
+) -> None:
     """Where nothing has been compiled yet, say so on stderr and compile these kernels with two processes.
 
     The commands call it with their model, for the largest kernels of its streams, before they make a `Processor`.
+
+    Parameters
+    ----------
+    first : called before a compilation. It raises what would otherwise show only 20 s later.
     """
     names = names or EVENTS | (LOCATOR if getattr(model, "places", None) is not None else CLASSIFIER)
     absorb, types = ENTRY_POINTS["absorb"]
     with _not_collecting():
         if is_cached(absorb, types):
             return
+    first()
     if not can_be_cached(absorb):
         told = "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can"
         print(f"async_tnt: compiling kernels, {told} ...", file=sys.stderr, flush=True)

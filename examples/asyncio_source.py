@@ -41,4 +41,4 @@ async def main() -> None:
     print(f"meanwhile the loop ran other work {len(heartbeats)} times")
 
 
-asyncio.run(main())
+asyncio.run(main())  # in a notebook, where a loop is running already: await main()

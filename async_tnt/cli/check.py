@@ -49,7 +49,7 @@ def main(args: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     model = model_of(args.model)
     paths = paths_of(args)
-    fill_cache(model=model)
+    fill_cache(model=model, first=lambda: [open_recording(path, sensor=model.config.sensor) for path in paths])
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.cli.options import READABLE, size_of
-from async_tnt.cli.output import OPTIONS, complain, say, with_options
+from async_tnt.cli.output import OPTIONS, can_print, complain, say, with_options
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
@@ -30,6 +31,8 @@ Times are those of the file, in microseconds. The bars show events a second over
 event to its latest; where something moves, they are high. Exit code 2 if something cannot be read; the rest is shown.
 """
 BARS = " ▁▂▃▄▅▆▇█"
+ASCII_BARS = " .:-=+*#@"
+"""Where the output's encoding has no others."""
 N_HOT = 5
 
 
@@ -94,8 +97,9 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
     if found.unsorted:
         yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
     most = max(found.events_a_second)
+    bars = BARS if can_print(BARS, sys.stdout) else ASCII_BARS
     heights = (max(int(rate > 0), round(rate / most * (len(BARS) - 1))) for rate in found.events_a_second)
-    yield f"  rate       {''.join(BARS[height] for height in heights)} up to {most:,.0f} a second"
+    yield f"  rate       {''.join(bars[height] for height in heights)} up to {most:,.0f} a second"
     if found.hot_pixels:
         share = sum(pixel["events"] for pixel in found.hot_pixels) / found.events
         shown = ", ".join(f"({pixel['x']}, {pixel['y']})" for pixel in found.hot_pixels[:N_HOT])

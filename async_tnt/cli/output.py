@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from async_tnt.checks import printable
 from async_tnt.decision import Decision
@@ -48,6 +48,15 @@ def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
     """Report events that were dropped because they were too late, if there are any."""
     if n_late:
         complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
+
+
+def can_print(text: str, stream: TextIO) -> bool:
+    """Whether the encoding of this stream has all these characters. Others are printed as escapes."""
+    try:
+        text.encode(getattr(stream, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def say(*lines: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,31 @@ def check_keep_up(args: argparse.Namespace) -> None:
     """Refuse --keep-up where all sources are recordings."""
     if args.keep_up is not None and all(isinstance(path, Path) for path in paths_of(args)):
         raise ValueError("--keep-up belongs to a camera or the network; a recording is never skipped")
+
+
+def find_sources(paths: Sequence[Path | str], pixels: PixelSelector) -> None:
+    """Return as soon as one of these sources can be opened; all are closed again.
+
+    Raises
+    ------
+    ValueError, OSError, ImportError : none can be opened. The error is that of the last one; those
+        of the others are printed.
+    """
+    problems: list[Exception] = []
+    for path in paths:
+        try:
+            if isinstance(path, Path):
+                pixels.open(path)
+            else:
+                with contextlib.closing(open_source(path, pixels.expected)) as source:
+                    pixels.filter_of(path, source.sensor)
+        except (OSError, ValueError, ImportError) as error:
+            problems.append(error)
+        else:
+            return
+    for problem in problems[:-1]:
+        complain(problem)
+    raise problems[-1]
 
 
 def follow(
@@ -65,7 +90,7 @@ def follow(
             reader = KeepUp(packets, processor, max_delay_us=us, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
         try:
-            complain(f"listening at {name}; Ctrl-C stops")
+            complain(f"listening at {source.name}; Ctrl-C stops")
             take(packets, reader)
         except KeyboardInterrupt:
             return True
@@ -78,5 +103,5 @@ def follow(
                 counts += f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
                 if reader.slowest > 1:
                     counts += f", decisions up to {reader.slowest} times rarer"
-            complain(f"{name}: {counts}{end(reader)}")
+            complain(f"{source.name}: {counts}{end(reader)}")
     return False

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import gc
 import importlib
+import itertools
 import os
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +23,8 @@ from async_tnt.package import __version__
 
 # Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes), which Windows does not have
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+REPEATED_S = 1.0
+"""Seconds within which a second signal is the same request to end."""
 COMMANDS = {  # name of a module beside this one, with DESCRIPTION, add_arguments(parser) and main(args): a line of help
     "run": "stream recordings through a model and print its decisions",
     "record": "record a camera or a network stream into class folders",
@@ -47,6 +51,7 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"async-tnt {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     wanted = next((word for word in argv if word in COMMANDS), None)
+    _refuse_dashes(f"async-tnt {wanted or ''}".strip(), argv)
     for name, help_line in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=help_line, formatter_class=argparse.RawDescriptionHelpFormatter)
         if name == wanted:
@@ -55,6 +60,13 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
             module.add_arguments(subparser)
             subparser.set_defaults(main=module.main)
     return parser
+
+
+def _refuse_dashes(prog: str, argv: Sequence[str]) -> None:
+    """Refuse --option=--, for which argparse gives a command an empty list instead of text."""
+    for word in itertools.takewhile(lambda word: word != "--", argv):
+        if word.startswith("-") and word.endswith("=--"):
+            _Parser(prog=prog).error(f"argument {word.removesuffix('=--')}: expected a value, got '--'")
 
 
 def run(argv: Sequence[str]) -> int:
@@ -66,32 +78,50 @@ def run(argv: Sequence[str]) -> int:
     return _flushed(code)
 
 
-def _run(argv: Sequence[str]) -> int:
-    received: list[int] = []
+class _Signals:
+    """What a command does at the signals that end it, and which of them came."""
 
-    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
-        """SIGTERM and SIGHUP raise KeyboardInterrupt like Ctrl-C, so that a command can clean up."""
-        received.append(number)
-        if callable(before[number]) and _in_import_or_compilation(frame):
-            before[number](number, frame)  # ends the process at once
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self.before: dict[int, Any] = {}
+        self.hook = sys.unraisablehook
+        self._accepted_s = 0.0
+
+    def interrupt(self, number: int, frame: FrameType | None) -> None:
+        """SIGTERM and SIGHUP raise KeyboardInterrupt like Ctrl-C, so that a command can clean up.
+
+        A signal that follows at once does nothing: a terminal that is closed sends two, and the
+        second would end the cleaning up. A later one is obeyed, in case that takes for ever.
+        """
+        now_s = time.monotonic()
+        if self.received and now_s < self._accepted_s + REPEATED_S:
+            return
+        self._accepted_s = now_s
+        self.received.append(number)
+        if callable(self.before.get(number)) and _in_import_or_compilation(frame):
+            self.before[number](number, frame)  # ends the process at once
         raise KeyboardInterrupt
 
-    def report(dropped: sys.UnraisableHookArgs) -> None:
+    def report(self, dropped: sys.UnraisableHookArgs) -> None:
         """Python drops what is raised in a `__del__` or in a callback of C code: a signal there ends the process."""
-        if not received or not isinstance(dropped.exc_value, KeyboardInterrupt):
-            hook(dropped)
-        elif callable(before[received[-1]]):
-            before[received[-1]](received[-1], None)
+        if not self.received or not isinstance(dropped.exc_value, KeyboardInterrupt):
+            self.hook(dropped)
+        elif callable(self.before[self.received[-1]]):
+            self.before[self.received[-1]](self.received[-1], None)
 
+
+def _run(argv: Sequence[str]) -> int:
+    signals = _Signals()
+    received = signals.received
     code, told = 0, ""
-    hook, sys.unraisablehook = sys.unraisablehook, report
+    sys.unraisablehook = signals.report
     try:
         args, unknown = build_parser(argv).parse_known_args(argv)
         if unknown:
             _Parser(prog=f"async-tnt {args.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
         OPTIONS.clear()
         OPTIONS.update(vars(args))
-        with warnings.catch_warnings(), handled_by(interrupt) as before:
+        with warnings.catch_warnings(), handled_by(signals.interrupt) as signals.before:
             # such as of a damaged recording: in one line, without its place in the code
             warnings.showwarning = lambda message, *where: complain(f"warning: {message}")
             gc.enable()
@@ -108,7 +138,7 @@ def _run(argv: Sequence[str]) -> int:
         if not received:  # C code turned the KeyboardInterrupt into another error
             raise
     finally:
-        sys.unraisablehook = hook
+        sys.unraisablehook = signals.hook
     return _code_after_signal(received[0], code, told) if received else code
 
 

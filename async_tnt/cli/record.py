@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
+import itertools
 import json
-import os
 import shutil
+import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from queue import Empty, SimpleQueue
+from types import FrameType
 from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import short
 from async_tnt.cli.options import size_of
-from async_tnt.cli.output import complain, say
-from async_tnt.events import as_events
-from async_tnt.files import check_folder, replacing, write_text
+from async_tnt.cli.output import can_print, complain, say
+from async_tnt.cli.program import handled_by
+from async_tnt.events import EVENT_DTYPE, as_events
+from async_tnt.files import check_folder, write_text
 from async_tnt.package import __version__
-from async_tnt.sources.files.prophesee import DAT_EVENT_BYTES, DAT_SIDE, dat_header, dat_records
+from async_tnt.sources.files.dat_writer import DatFile, DatWriter
+from async_tnt.sources.files.prophesee import DAT_SIDE
 from async_tnt.sources.opening import is_live, open_source
 from async_tnt.sources.sensor import format_size
 
@@ -33,19 +41,34 @@ DESCRIPTION = """Record a camera or a network stream, a file of its class at a t
 
 Each run writes a new file, gestures/wave/DATE_TIME.dat, in Prophesee's DAT format, which faery and Metavision read,
 too; what is there is never replaced. Times count from its first event. Beside it, DATE_TIME.json says what recorded it,
-with a camera's settings. After Ctrl-C (exit code 130) the recording is complete up to then. In a terminal the last
-events are shown meanwhile. Exit code 2 if no event came, or the camera was unplugged: what came before is kept.
+with a camera's settings. The format's times end after 71.6 minutes: then, and after 35.8 minutes without an event, the
+recording goes on in a new file.
+
+After Ctrl-C (exit code 130) the recording is complete up to then. In a terminal the last events are shown meanwhile.
+Exit code 2 if no event came, the camera was unplugged, or the disk is full: what came before is kept. An event is in
+the file as soon as it has come, even if the program is killed.
 """
+LONGEST_NAME = 255
+"""Bytes of a name, on most file systems."""
 EVERY_S = 0.1
 COLUMNS, ROWS = 64, 20
 """Of the picture, at most; a character is two pixels high."""
 BLOCKS = " ▀▄█"
+ASCII_BLOCKS = " '.#"
+"""Where the terminal's encoding has no others."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="camera[:KIND[:SERIAL]] or udp://HOST:PORT")
-    parser.add_argument("--class", dest="label", metavar="NAME", required=True, help="what is shown: a folder of --out")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="the data set; made if missing")
+    parser.add_argument(
+        "--class",
+        dest="label",
+        type=_class_name,
+        metavar="NAME",
+        required=True,
+        help="what is shown: a folder of --out",
+    )
+    parser.add_argument("--out", type=_folder, metavar="FOLDER", required=True, help="the data set; made if missing")
     parser.add_argument("--seconds", type=float, metavar="S", help="how long to record (default: until Ctrl-C)")
     parser.add_argument("--sensor", type=size_of, metavar="WxH", help="the sender's pixels, of a network stream")
 
@@ -55,8 +78,6 @@ def main(args: argparse.Namespace) -> int:
         raise ValueError(f"SOURCE must be a camera or udp://HOST:PORT, got {args.source}")
     if args.sensor and args.source.startswith("camera"):
         raise ValueError("--sensor belongs to a network stream; a camera states its own")
-    if args.label in ("", ".", "..") or Path(args.label).name != args.label or args.label.startswith("."):
-        raise ValueError(f"--class must be the name of a folder, got {args.label!r}")
     if args.seconds is not None and not 0 < args.seconds < threading.TIMEOUT_MAX:
         raise ValueError(f"--seconds must be a positive number, got {args.seconds}")
     folder = args.out / args.label
@@ -64,89 +85,128 @@ def main(args: argparse.Namespace) -> int:
     source = open_source(args.source, args.sensor)
     try:
         if source.sensor is None:
-            raise ValueError(f"{args.source} does not state its sensor; give --sensor WxH")
+            raise ValueError(f"{source.name} does not state its sensor; give --sensor WxH")
         if max(source.sensor) > DAT_SIDE:
             raise ValueError(
-                f"{args.source}: DAT files hold {DAT_SIDE} pixels a side, got {format_size(source.sensor)}"
+                f"{source.name}: DAT files hold {DAT_SIDE} pixels a side, got {format_size(source.sensor)}"
             )
         folder.mkdir(parents=True, exist_ok=True)
-        path = _claim_name(folder)
-        try:
-            return _record(args, source, path)
-        finally:
-            if not path.exists():
-                path.with_suffix(".json").unlink(missing_ok=True)
+        return _record(source, args.label, folder, args.seconds)
     finally:
         source.close()
         with contextlib.suppress(OSError):  # a class without recordings would be an error of `train`
             folder.rmdir()
 
 
-def _claim_name(folder: Path) -> Path:
-    """A file that is not there yet, named by the time. No other process gets the same: the file beside it is made."""
-    now, n = time.strftime("%Y%m%d_%H%M%S"), 1
-    while True:
-        path = folder / f"{now}{f'_{n}' if n > 1 else ''}.dat"
-        if not any(folder.glob(f"{path.name}*")):
-            with contextlib.suppress(FileExistsError):
-                path.with_suffix(".json").touch(exist_ok=False)
-                return path
-        n += 1
+def _class_name(text: str) -> str:
+    """A class: the name of a folder that `train` reads, which leaves out those with a dot first."""
+    is_name = Path(text).name == text == text.strip() and not text.startswith(".")
+    if not text or not is_name or not text.isprintable() or len(text.encode()) > LONGEST_NAME:
+        raise argparse.ArgumentTypeError(
+            f"must be the name of a folder: printable, of at most {LONGEST_NAME} bytes, without slashes, and with no "
+            f"dot or blank before it; got {short(text)}"
+        )
+    return text
 
 
-def _record(args: argparse.Namespace, source: Any, path: Path) -> int:
-    picture, started = _Picture(source.sensor, args.label), time.strftime("%Y-%m-%dT%H:%M:%S%z")
-    lost: OSError | None = None
-    ending = threading.Timer(args.seconds or threading.TIMEOUT_MAX, source.close)
-    ending.daemon = True
-    first_us, n_events, n_on, n_early = -1, 0, 0, 0
-    header = dat_header(source.sensor)
-    with replacing(path) as part:
-        with part.open("wb") as file:
-            file.write(header)
-            complain(f"recording {args.label} from {args.source} into {path}; Ctrl-C stops")
-            ending.start()
+def _folder(text: str) -> Path:
+    if not text.strip() or "\0" in text:
+        raise argparse.ArgumentTypeError(f"must be a folder, got {text!r}")
+    return Path(text)
+
+
+def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int:
+    """Record until the source ends, and describe each file as soon as it is complete.
+
+    Returns the exit code.
+    """
+    picture = _Picture(source.sensor, label)
+    started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    lines: list[str] = []
+    problems: list[OSError] = []
+
+    def completed(file: DatFile) -> None:
+        about = {
+            "source": source.name,
+            "class": label,
+            "sensor": list(source.sensor),
+            "started": started,
+            "first_us": file.first_us,
+            "events": file.events,
+            "counts": source.summary(),
+            "settings": getattr(source, "settings", {}),
+            "async_tnt": __version__,
+        }
+        lines.append(f"{file.path}: {file.events:,} events, {file.on / file.events:.0%} ON; {source.summary()}")
+        try:
+            write_text(file.path.with_suffix(".json"), json.dumps(about, indent=1, default=str) + "\n")
+        except OSError as error:  # the recording goes on
+            problems.append(error)
+
+    as_events(np.empty(0, EVENT_DTYPE), source.sensor)  # compiles, before the time begins
+    with _ended_in_time(source, seconds):
+        complain(f"recording {label} from {source.name} into {folder}; Ctrl-C stops")
+        try:
+            with DatWriter(source.sensor, lambda: _new_file(folder), completed) as writer:
+                for packet in source:
+                    events = as_events(packet, source.sensor)
+                    writer.write(events)
+                    picture.show(events)
+        except OSError as error:  # unplugged, or the disk is full: what came before is kept
+            problems.append(error)
+        finally:
+            if lines:
+                say(*lines)  # only now: a terminal that is gone must not end the recording
+        for problem in problems:
+            complain(problem)
+        if not writer.n_events and not problems:
+            complain(f"{source.name}: no event came; nothing was written")
+            return 2
+    return 2 if problems else 0
+
+
+@contextlib.contextmanager
+def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
+    """Close the source after so many seconds, or at a signal such as Ctrl-C.
+
+    However many signals come, the block runs to its end; then the first has its usual effect.
+    """
+    asked: SimpleQueue[int] = SimpleQueue()  # a signal handler may `put` while another does
+    signals: list[int] = []
+
+    def close_when_asked() -> None:
+        with contextlib.suppress(Empty):
+            asked.get(timeout=seconds)
+        source.close()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        signals.append(number)
+        asked.put(number)
+
+    # a thread closes it: a signal handler might run in the middle of a read, which `close` waits for
+    closing = threading.Thread(target=close_when_asked, name="async_tnt.record", daemon=True)
+    closing.start()
+    try:
+        with handled_by(ask):
             try:
-                with contextlib.suppress(KeyboardInterrupt):
-                    for packet in source:  # never an empty one
-                        events = as_events(packet, source.sensor)
-                        first_us = int(events["t"].min()) if first_us < 0 else first_us
-                        n_early += int((events["t"] < first_us).sum())
-                        events = events[events["t"] >= first_us]
-                        file.write(dat_records(events, first_us))
-                        n_events, n_on = n_events + len(events), n_on + int(events["p"].sum())
-                        picture.show(events)
-                file.flush()
-            except OSError as error:  # the camera was unplugged, or the disk is full: what came before is kept
-                lost = error
-                with contextlib.suppress(OSError):
-                    file.close()
-                n_events = max(0, part.stat().st_size - len(header)) // DAT_EVENT_BYTES
-                n_on = min(n_on, n_events)
-                os.truncate(part, len(header) + n_events * DAT_EVENT_BYTES)
+                yield
             finally:
-                ending.cancel()
-        if not n_events:
-            raise lost or ValueError(f"{args.source}: no event came; nothing was written")
-    about = {
-        "source": getattr(source, "name", args.source),
-        "class": args.label,
-        "sensor": list(source.sensor),
-        "started": started,
-        "first_us": first_us,
-        "events": n_events,
-        "left_out_as_earlier": n_early,
-        "counts": source.summary(),
-        "settings": getattr(source, "settings", {}),
-        "async_tnt": __version__,
-    }
-    write_text(path.with_suffix(".json"), json.dumps(about, indent=1, default=str) + "\n")
-    say(f"{path}: {n_events:,} events, {n_on / n_events:.0%} ON; {source.summary()}")
-    if n_early:
-        complain(f"{path}: {n_early:,} events were earlier than the first packet, and are left out")
-    if lost is not None:
-        complain(lost)
-    return 0 if lost is None else 2
+                asked.put(0)
+                closing.join()
+    finally:
+        if signals:
+            signal.raise_signal(signals[0])
+
+
+def _new_file(folder: Path) -> io.FileIO:
+    """A file that was not there, named by the time; no other process gets the same."""
+    now = time.strftime("%Y%m%d_%H%M%S")
+    for n in itertools.count(1):
+        stem = now if n == 1 else f"{now}_{n}"
+        if not any(folder.glob(f"{stem}.*")):
+            with contextlib.suppress(FileExistsError):
+                return (folder / f"{stem}.dat").open("xb", buffering=0)
+    raise AssertionError("unreachable")
 
 
 class _Picture:
@@ -154,6 +214,7 @@ class _Picture:
 
     def __init__(self, sensor: tuple[int, int], label: str) -> None:
         self._sensor, self._label = sensor, label
+        self._blocks = BLOCKS if can_print(BLOCKS, sys.stderr) else ASCII_BLOCKS
         size = shutil.get_terminal_size()
         self._columns, self._rows = min(COLUMNS, size.columns - 1), max(0, min(ROWS, size.lines - 2))
         self._counts = np.zeros((2 * self._rows, self._columns), np.int64)
@@ -174,10 +235,12 @@ class _Picture:
             return
         lit = self._counts > max(1.0, self._counts.mean())
         blocks = lit[::2] + 2 * lit[1::2]  # the upper and the lower pixel of a character
-        lines = ["".join(BLOCKS[block] for block in row) for row in blocks.tolist()]
+        lines = ["".join(self._blocks[block] for block in row) for row in blocks.tolist()]
         rate = self._n_events / (now - self._before)
         lines.append(f"{self._label}: {now - self._started:.1f} s, {rate:,.0f} events a second".ljust(self._columns))
-        sys.stderr.write((f"\x1b[{len(lines)}A" if self._drawn else "") + "".join(f"\r{line}\n" for line in lines))
-        sys.stderr.flush()
+        with contextlib.suppress(OSError, ValueError):  # the recording goes on if the terminal is gone
+            up = f"\x1b[{len(lines)}A" if self._drawn else ""
+            sys.stderr.write(up + "".join(f"\r{line}\n" for line in lines))
+            sys.stderr.flush()
         self._drawn, self._n_events, self._before = True, 0, now
         self._counts[:] = 0

@@ -12,7 +12,7 @@ import numpy as np
 
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_int, triggers_of
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
+from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision, class_of_recording
@@ -68,10 +68,10 @@ def main(args: argparse.Namespace) -> int:
     check_keep_up(args)
     selection = selection_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
-    fill_cache(model=engine.model)
+    pixels = selector_of(selection, engine.model)
+    fill_cache(model=engine.model, first=lambda: find_sources(paths_of(args), pixels))
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     processor = Processor(engine.model, classes=engine.classes, classifier=engine.classifier, **settings)
-    pixels = selector_of(selection, engine.model)
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
     failed = stopped = False

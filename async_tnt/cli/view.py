@@ -11,7 +11,7 @@ from typing import Any
 from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, number, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.packets import add_keep_up, check_keep_up, follow
+from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
@@ -78,7 +78,7 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(selection, engine.model)
     opened = None if live else pixels.open(path)
     speed = args.speed or (1.0 if args.out is None else math.inf)
-    fill_cache(model=engine.model)
+    fill_cache(model=engine.model, first=lambda: find_sources([path], pixels))
     view = RerunView(
         engine.model,
         out=args.out,

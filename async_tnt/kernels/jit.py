@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import ffi
 from numba import config, njit
 from numba.core.compiler_lock import global_compiler_lock
+
+if getattr(config, "DISABLE_JIT", 0):
+    raise ImportError("async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset it")
 
 BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))  # NUMBA_BOUNDSCHECK=1: Numba tests every index
 
@@ -17,7 +23,10 @@ BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))  # NUMBA_BOUNDSCHECK
 # keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not change a bit.
 # no_cfunc_wrapper: nobody calls these through C pointers, and each wrapper takes time to compile.
 _strict = partial(njit, error_model="numpy", no_cfunc_wrapper=True)
-_compiling = threading.Lock()
+# re-entrant: a signal handler that forks may run in the thread that compiles
+_compiling = threading.RLock()
+# in the order in which a compilation takes them; the last one is LLVM's, which Numba does not show
+_locks = [_compiling, global_compiler_lock, getattr(ffi.lib, "_lock", contextlib.nullcontext())]
 _files = [path.stat() for path in sorted(Path(__file__).parent.rglob("*.py"))]
 _STAMP = tuple((file.st_mtime, file.st_size) for file in _files), BOUNDS_CHECKED
 
@@ -59,6 +68,26 @@ def compile_for_types(kernel: Any, types: tuple[Any, ...]) -> None:
     with _compiling:
         if types not in kernel.overloads:
             kernel.compile(types)
+
+
+def _begin_fork() -> None:
+    """Wait until no other thread compiles, and let none begin.
+
+    A child of `fork` has a copy of every lock, but only the thread that forked. A lock that another
+    thread held would stay locked there for ever, and what it guards would stay half done.
+    """
+    for lock in _locks:
+        lock.__enter__()
+
+
+def _end_fork() -> None:
+    """Let threads compile again, in the parent and in the child."""
+    for lock in reversed(_locks):
+        lock.__exit__(None, None, None)
+
+
+if hasattr(os, "register_at_fork"):  # Windows has no `fork`
+    os.register_at_fork(before=_begin_fork, after_in_parent=_end_fork, after_in_child=_end_fork)
 
 
 def is_cached(kernel: Any, types: tuple[Any, ...]) -> bool:

@@ -24,8 +24,8 @@ class KeepUp(BackgroundReader):
     While packets wait for more than a quarter of that, `every_us` and `every_events` of the processor that reads them
     are doubled, again and again, up to a window's length and to 1,024 times; while they wait for less than a twentieth,
     they are halved, down to what they were, and what they were they are again behind the `with` block. Packets that
-    waited for longer than `max_delay_us` all the same are discarded, and their events counted: received = handed_out +
-    skipped + backlog, see `counters`.
+    waited for longer than `max_delay_us` all the same are discarded, also while nobody reads. Their
+    events are counted: received = handed_out + skipped + backlog, see `counters`.
 
     Parameters
     ----------

@@ -47,7 +47,8 @@ class PacketQueue:
     max_packets : packets that wait at most.
     latest : what happens when the queue is full. False: `put` waits until there is room. True: `put` never waits; the
         oldest packets are discarded and their events counted, so that the reader skips ahead.
-    max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest one.
+    max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest one, also while
+        nobody reads.
     copy : whether `put` copies packets, as drivers often reuse the memory of one for the next. False is for sources
         that put each packet in new memory.
 
@@ -123,6 +124,7 @@ class PacketQueue:
                 return False
             while self.latest and len(self._waiting) > self.max_packets:
                 self._skip_oldest()
+            self._skip_outdated()  # here, too: while nobody reads, memory stays bounded
             self._came.notify()
             self._wake()
         return True
@@ -209,9 +211,7 @@ class PacketQueue:
         return bool(self._waiting) or self._ended
 
     def _hand_out(self) -> Any:
-        oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
-        while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
-            self._skip_oldest()
+        self._skip_outdated()
         # a signal handler may have closed it meanwhile: then no packet
         packet, n, arrived_ns = self._waiting.popleft() if self._waiting else (None, 0, time.monotonic_ns())
         self.backlog -= n
@@ -220,6 +220,12 @@ class PacketQueue:
         self._longest_wait_ns = max(self._longest_wait_ns, time.monotonic_ns() - arrived_ns)
         self._room.notify()
         return packet
+
+    def _skip_outdated(self) -> None:
+        """Discard what has waited for too long, but for the newest packet."""
+        oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
+        while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
+            self._skip_oldest()
 
     def _skip_oldest(self) -> None:
         _, n, _ = self._waiting.popleft()

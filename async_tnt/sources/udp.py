@@ -101,7 +101,13 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             raise ValueError(f"`timeout_s` must be a positive number of seconds below {LONGEST_S:g}, got {timeout_s}")
         self.timeout_s = timeout_s
         self.format, self.sensor = format, sensor
-        self._decoder = Decoder(format, sensor, max_jump_s)
+        # before the decoder, which may have to be compiled: an address that is taken shows at once
+        self._socket = _bound_socket(address, port)
+        try:
+            self._decoder = Decoder(format, sensor, max_jump_s)
+        except BaseException:
+            self._socket.close()
+            raise
         self._memory = memoryview(bytearray(BATCH_BYTES))
         self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
         self._datagrams = self._bytes = self._events = self._cut = 0
@@ -110,7 +116,6 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         # Held while a thread reads or waits, so that `close` does not free the socket's number meanwhile: the system
         # may give it to another socket. Re-entrant: a signal handler may close, too.
         self._reading = threading.RLock()
-        self._socket = _bound_socket(address, port)
         self.address, self.port = self._socket.getsockname()[:2]
         with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
@@ -140,6 +145,12 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             decoder.off_sensor,
             clock.restarts,
         )
+
+    @property
+    def name(self) -> str:
+        """Where it listens, udp://HOST:PORT, with the port that it got."""
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        return f"udp://{host}:{self.port}"
 
     def summary(self) -> str:
         """The counts so far, in one line for people."""

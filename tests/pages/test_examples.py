@@ -1,5 +1,7 @@
 """The examples run from any folder and print what is right."""
 
+import ast
+import asyncio
 import re
 import runpy
 from pathlib import Path
@@ -50,6 +52,29 @@ def test_asyncio_source(lines_of):
     for line, decision in zip(lines, at_once, strict=True):
         assert line.endswith(as_shown(decision))
     assert int(re.fullmatch(r"meanwhile the loop ran other work (\d+) times", last)[1]) >= 1
+
+
+RUN = re.compile(r"asyncio\.run\((.*?)\)(?:  # in a notebook, where a loop is running already: (.*))?$", re.MULTILINE)
+
+
+def test_every_asyncio_run_has_its_form_for_notebooks():
+    """Which have a running loop, in which `asyncio.run` fails."""
+    root = EXAMPLES.parent
+    pages = [root / "README.md", *root.glob("docs/**/*.md"), *EXAMPLES.glob("*.py"), *root.glob("docs/**/*.ipynb")]
+    found = [form for page in pages for form in RUN.findall(page.read_text(encoding="utf-8"))]
+    assert len(found) >= 2 and all(notebook == f"await {call}" for call, notebook in found)
+
+
+def test_asyncio_source_runs_in_a_notebook_in_that_form(capsys):
+    path = EXAMPLES / "asyncio_source.py"
+    cell = RUN.sub(r"\2", path.read_text(encoding="utf-8"))
+    code = compile(cell, str(path), "exec", flags=ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+
+    async def run_cell():
+        await eval(code, {"__name__": "__main__"})
+
+    asyncio.run(run_cell())
+    assert "meanwhile the loop ran other work" in capsys.readouterr().out
 
 
 def test_background_reader(lines_of):

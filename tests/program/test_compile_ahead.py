@@ -1,5 +1,6 @@
 """When a stream opens, all that it calls has been compiled; a second process helps where it is asked for."""
 
+import socket
 import subprocess
 import sys
 
@@ -7,6 +8,8 @@ import pytest
 
 import async_tnt
 from async_tnt import compile_ahead
+from async_tnt.kernels import jit
+from async_tnt.sources import sample_recordings
 
 STREAMS = """
 import sys
@@ -123,3 +126,45 @@ def test_warmup_compiles_what_a_second_process_failed_to(cold, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     assert async_tnt.warmup(async_tnt.load_model("digits")) > 0
     assert {"absorb", "classify_cells", "absorb_and_decide"} <= set(cold)
+
+
+@pytest.mark.parametrize(
+    ("words", "messages"),
+    [
+        ("run camera", ["camera: "]),
+        ("run nowhere.bin gone.npy", ["nowhere.bin", "gone.npy"]),
+        ("run udp://127.0.0.1:TAKEN", ["udp://127.0.0.1:TAKEN: Address already in use"]),
+        ("run udp://127.0.0.1:TAKEN camera nowhere.bin", ["udp://127.0.0.1:TAKEN: ", "camera: ", "nowhere.bin"]),
+        ("view camera --out a.rrd", ["camera: "]),
+        ("view nowhere.bin --out a.rrd", ["nowhere.bin"]),
+        ("check nowhere.bin", ["nowhere.bin"]),
+        ("record camera --class a --out new", ["camera: "]),
+        ("record udp://127.0.0.1:TAKEN --class a --out new --sensor 9x9", ["udp://127.0.0.1:TAKEN: Address already"]),
+    ],
+)
+def test_a_source_that_is_not_there_is_told_before_anything_is_compiled(
+    words, messages, program, cold, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(compile_ahead, "_start_child", cold.append)
+    monkeypatch.setattr(jit, "compile_for_types", lambda kernel, types: cold.append(kernel))
+    with socket.socket(type=socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = str(other.getsockname()[1])
+        code, out, err = program(*words.replace("TAKEN", port).split())
+    lines = err.splitlines()
+    assert (code, out, len(lines), cold) == (2, "", len(messages), [])
+    assert all(message.replace("TAKEN", port) in line for message, line in zip(messages, lines, strict=True))
+
+
+def test_a_source_that_does_not_suit_is_told_before_the_network_is_compiled(program, cold, monkeypatch):
+    monkeypatch.setattr(compile_ahead, "_start_child", cold.append)
+    code, _, err = program("run", "udp://127.0.0.1:0", "--roi", "0,0,34,34", "--crop")
+    assert (code, err.count("\n"), cold) == (2, 1, []) and "does not say the camera's pixels" in err
+
+
+def test_one_source_that_is_there_is_enough(program, cold, monkeypatch):
+    monkeypatch.setattr(compile_ahead, "_start_child", lambda names: None)
+    code, out, err = program("run", "nowhere.bin", sample_recordings()[3])
+    first, second = err.splitlines()
+    assert code == 2 and "3.bin: 3 " in out and "compiling kernels" in first and "nowhere.bin" in second

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from listening import free_port, send_in_parts
@@ -143,11 +144,39 @@ def test_a_closed_pipe_is_no_error():
     assert done.stdout.startswith("recording") and done.stderr == ""
 
 
-def test_output_whose_encoding_lacks_a_character_has_its_escape():
-    done = subprocess.run(
-        [sys.executable, *PROGRAM, "info", SAMPLE], env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True
-    )
-    assert done.returncode == 0 and rb"\u258" in done.stdout
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_output_in_another_encoding_has_bars_of_it_and_escapes_names(encoding, tmp_path):
+    name = "\N{GREEK SMALL LETTER OMEGA}.bin"
+    (tmp_path / name).symlink_to(SAMPLE)
+    env = os.environ | {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "1"}
+    done = subprocess.run([sys.executable, *PROGRAM, "info", name], env=env, cwd=tmp_path, capture_output=True)
+    first, *lines = done.stdout.decode(encoding).splitlines()
+    (bars,) = (line.removeprefix("  rate       ").partition(" up to ")[0] for line in lines if "  rate  " in line)
+    assert done.returncode == 0 and len(bars) > 40 and "\\" not in bars
+    assert first.startswith(name if encoding == "utf-8" else r"\u03c9.bin")
+    assert max(bars) == ("\N{FULL BLOCK}" if encoding == "utf-8" else "@")
+
+
+@pytest.mark.parametrize(("later_s", "cleaned_up"), [(0.0, True), (0.9, True), (5.0, False)])
+def test_a_second_signal_at_once_does_not_end_the_cleaning_up(later_s, cleaned_up, program, monkeypatch):
+    """Closing a terminal sends two; somebody who presses Ctrl-C again later means it."""
+    from async_tnt.cli import program as module
+    from async_tnt.cli import run
+
+    now_s, done = [100.0], []
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
+    def clean_up(args):
+        try:
+            signal.raise_signal(signal.SIGHUP)
+        finally:
+            now_s[0] += later_s
+            signal.raise_signal(signal.SIGTERM)
+            done.append(True)
+
+    monkeypatch.setattr(run, "main", clean_up)
+    assert program("run") == (128 + signal.SIGHUP, "", "async-tnt: terminated\n")
+    assert done == [True] * cleaned_up
 
 
 @has_full

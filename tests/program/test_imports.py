@@ -19,6 +19,7 @@ from made import random_events, random_model
 
 import async_tnt
 from async_tnt import Processor, TNTConfig
+from async_tnt.cli.program import COMMANDS
 
 STORE_ONE = """
 import numpy as np
@@ -95,6 +96,23 @@ def test_works_where_nothing_can_be_cached(tmp_path):
     (tmp_path / "file").write_text("so that no folder can be made here")
     code = f"from async_tnt.kernels import entry_points\n{STORE_ONE}"
     assert python(code, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}) == "1"
+
+
+def test_without_numbas_compiler_commands_and_imports_say_so_in_one_line():
+    """Kernels do what plain Python cannot: they read records at any address, and release its lock."""
+    code = (
+        "import async_tnt\n"
+        "from async_tnt.cli import main\n"
+        "from async_tnt.cli.program import COMMANDS\n"
+        "codes = {main([name, '--help']) for name in COMMANDS}\n"
+        "try: async_tnt.Processor\n"
+        "except ImportError as error: print(codes, len(COMMANDS), error)"
+    )
+    env = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    line = "async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset it\n"
+    assert done.stdout == f"{{2}} {len(COMMANDS)} {line}"
+    assert done.stderr == f"async-tnt: {line}" * len(COMMANDS)
 
 
 def test_processors_may_be_made_in_several_threads_at_once():

@@ -1,11 +1,13 @@
 """`async-tnt run` of a stream from the network."""
 
 import json
+import re
 
 import pytest
 from listening import sent
 
 from async_tnt import Processor, load_model
+from async_tnt.sources import open_source
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 EVENTS = open_recording(sample_recordings()[7]).read()
@@ -31,3 +33,18 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     assert ("0 skipped to stay fresh" in err) == ("--keep-up" in options)
     assert ("left out: 0 outside of the region" in err) == ("--roi" in options)
     assert all(("--keep-up" not in options) or d["n_skipped"] == 0 for d in got)
+
+
+@pytest.mark.parametrize("command", ["run", "record --class a --sensor 34x34 --out gestures"])
+@pytest.mark.parametrize("address", ["127.0.0.1", "[::1]"])
+def test_a_port_that_the_system_chooses_is_told(command, address, program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    url = f"udp://{address}:0?timeout_s=.01"
+    try:
+        open_source(url).close()
+    except OSError:
+        pytest.skip(f"no {address} here")
+    name, *rest = command.split()
+    _, _, err = program(name, url, *rest)
+    ports = re.findall(re.escape(f"udp://{address}:") + r"(\d+)\b", err)
+    assert len(ports) == 2 and len(set(ports)) == 1 and int(ports[0]) > 0

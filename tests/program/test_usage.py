@@ -63,6 +63,8 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
         ("train x --seed -1", "argument --seed: must be a whole number of at least 0, got '-1'"),
         ("train x --epochs 0", "argument --epochs: must be a whole number of at least 1, got '0'"),
         ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
+        ("run --model=--", "async-tnt run: argument --model: expected a value, got '--' (async-tnt run --help)"),
+        ("plot events --sensor=--", "async-tnt plot: argument --sensor: expected a value, got '--'"),
         ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
         ("run --every-us " + "9" * 5000, "argument --every-us: must be a whole number of at least 1, got '999"),
         ("plot events --sensor " + "9" * 5000 + "x2", "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999"),

@@ -106,6 +106,23 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     assert processor.every_us == 1_000  # as it was
 
 
+@pytest.mark.parametrize("kind", ["KeepUp", "PacketQueue"])
+def test_while_nobody_reads_no_more_waits_than_comes_within_the_delay(kind, clock, reader_of):
+    """As where nobody reads the program's output: it waits in a decision, and events come on."""
+    if kind == "KeepUp":
+        reader = reader_of(Processor(CONFIG, classifier=lambda volume: [0.0]), max_delay_us=20_000)
+    else:
+        reader = PacketQueue(latest=True, max_packets=1 << 20, max_delay_us=20_000)
+    for k in range(2_000):
+        assert reader.put(packet(k))
+        clock.now_us += PACKET_US
+        assert reader.backlog <= 21 * 50
+    counters = reader.counters
+    assert (counters.received, counters.handed_out) == (100_000, 0)
+    assert counters.skipped + counters.backlog == 100_000 and counters.backlog >= 20 * 50
+    assert next(reader)["t"][0] >= 1_980 * PACKET_US
+
+
 def test_closed_while_the_processor_is_at_work_the_loop_sets_it_back(clock, reader_of):
     closing = threading.Event()
 

@@ -164,10 +164,20 @@ def dat_records(events: np.ndarray, t0_us: int) -> bytes:
     Parameters
     ----------
     events : of `EVENT_DTYPE`; x and y below `DAT_SIDE`.
-    t0_us : when the file's times begin; they wrap after 71 minutes, which readers unwrap.
+    t0_us : when the file's times begin.
+
+    Raises
+    ------
+    ValueError : a time before `t0_us`, or 71.6 minutes after it, which the format cannot say.
     """
+    t = events["t"] - t0_us
+    is_outside = (t < 0) | (t >= DAT_PERIOD_US)
+    if is_outside.any():
+        i = int(is_outside.argmax())
+        end_us = t0_us + DAT_PERIOD_US
+        raise ValueError(f"`t` must be in [{t0_us}, {end_us}) for a DAT file, got {t[i] + t0_us} at event {i}")
     words = np.empty((len(events), 2), "<u4")
-    words[:, 0] = (events["t"] - t0_us) & 0xFFFF_FFFF
+    words[:, 0] = t
     x, y, p = (events[name].astype(np.uint32) for name in "xyp")
     words[:, 1] = x | y << 14 | p << 28
     return words.tobytes()

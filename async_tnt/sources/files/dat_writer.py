@@ -1,0 +1,146 @@
+"""Write a stream to DAT files from which every reader gets the times that were written."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from async_tnt.files import naming
+from async_tnt.sources.files.prophesee import DAT_EVENT_BYTES, DAT_PERIOD_US, dat_header, dat_records
+from async_tnt.sources.sensor import Sensor
+
+LONGEST_STEP_US = DAT_PERIOD_US // 2 - 1
+"""Microseconds from an event to the next, forward or back: readers take more for a wrap of the clock."""
+
+
+@dataclass
+class DatFile:
+    """A file that was written."""
+
+    path: Path
+    first_us: int
+    """The time of the stream at which the file's times begin."""
+    events: int = 0
+    on: int = 0
+    """How many of the events are of polarity 1."""
+
+
+class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
+    """Writes packets to DAT files, one after the other. At the end of a `with` block it completes
+    the last one.
+
+    DAT's times have 32 bits. An event begins a new file where its time could not be read back:
+    before the first time of the file, 71.6 minutes after it, or 35.8 minutes before or after the
+    previous event.
+
+    When `write` returns, the events are in the file, whatever ends the process. No file that holds
+    an event is deleted.
+
+    Parameters
+    ----------
+    sensor : (width, height) in pixels, of at most `DAT_SIDE`.
+    create : opens a new file for each, unbuffered. The first is made when the first event comes.
+    completed : called with each file that holds events, once it is closed.
+
+    Attributes
+    ----------
+    n_events : events written to all files.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        create: Callable[[], io.FileIO],
+        completed: Callable[[DatFile], None] = lambda file: None,
+    ) -> None:
+        self._header = dat_header(sensor)
+        self._create = create
+        self._completed = completed
+        self._file: io.FileIO | None = None
+        self._about = DatFile(Path(), 0)
+        self._previous_us = 0
+        self.n_events = 0
+
+    def write(self, events: np.ndarray) -> None:
+        """Write events of `EVENT_DTYPE`, with x and y on the sensor, in their order.
+
+        Raises
+        ------
+        OSError : the disk is full, for example. The events that fit are kept.
+        """
+        while len(events):
+            n_fitting = self._n_fitting(events["t"])
+            if n_fitting == 0:
+                self._begin(events["t"])
+            else:
+                self._append(events[:n_fitting])
+                events = events[n_fitting:]
+
+    def close(self) -> None:
+        """Complete the file in progress; the next event begins another. May be called again."""
+        if self._file is None:
+            return
+        file, self._file = self._file, None
+        n_torn = (os.fstat(file.fileno()).st_size - len(self._header)) % DAT_EVENT_BYTES
+        with contextlib.suppress(OSError), file:
+            file.truncate(os.fstat(file.fileno()).st_size - n_torn)
+        if self._about.events:
+            self._completed(self._about)
+        else:
+            self._about.path.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _n_fitting(self, t_us: np.ndarray) -> int:
+        """How many of these times, from the first on, can stand in the file in progress."""
+        if self._file is None:
+            return 0
+        since_first = t_us - self._about.first_us
+        step = np.diff(t_us, prepend=self._previous_us)
+        is_odd = (since_first < 0) | (since_first >= DAT_PERIOD_US) | (np.abs(step) > LONGEST_STEP_US)
+        return int(is_odd.argmax()) if is_odd.any() else len(t_us)
+
+    def _begin(self, t_us: np.ndarray) -> None:
+        """Begin a new file, in which the first of these times can stand."""
+        self.close()
+        self._file = self._create()
+        # a packet may be out of order: the file's times begin with the earliest of those that
+        # belong together
+        near = t_us[np.abs(t_us - t_us[0]) <= LONGEST_STEP_US]
+        self._about = DatFile(Path(self._file.name), int(near.min()))
+        self._previous_us = int(t_us[0])
+        self._write(self._header)
+
+    def _append(self, events: np.ndarray) -> None:
+        """Write events that fit; count those that are whole in the file, also after an error."""
+        about = self._about
+        try:
+            self._write(dat_records(events, about.first_us))
+        finally:
+            assert self._file is not None  # for mypy: it was written to
+            n_in_file = (self._file.tell() - len(self._header)) // DAT_EVENT_BYTES
+            whole = events[: max(0, n_in_file - about.events)]
+            if len(whole):
+                about.events += len(whole)
+                about.on += int(whole["p"].sum())
+                self.n_events += len(whole)
+                self._previous_us = int(whole["t"][-1])
+
+    def _write(self, data: bytes) -> None:
+        """Write all bytes; an unbuffered file may take a part of them."""
+        assert self._file is not None  # for mypy
+        left = memoryview(data)
+        with naming(self._about.path):
+            while left:
+                left = left[self._file.write(left) :]
