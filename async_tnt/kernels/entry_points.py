@@ -17,7 +17,8 @@ from .trigger import schedule, until_due, why_due
 _STATE = _TRIGGER = float64[::1]
 _ARRAY = float32[:, :, ::1]
 _VOLUME = types.Array(float32, 3, "C", readonly=True)
-_NETWORK = int64[::1], float32[::1], float32[::1], uint32[::1]
+_WEIGHTS = types.Array(float32, 1, "C", readonly=True)
+_NETWORK = int64[::1], _WEIGHTS, float32[::1], uint32[::1]
 _OBJECTS = int64[::1], float64[:, ::1], uint64[:, ::1], float64[:, ::1], float64[:, ::1]
 _TRACKS = float64[:, ::1], int64, boolean
 _DECISIONS = float32[:, ::1], float64[:, ::1], int64[:, ::1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -16,8 +17,18 @@ from async_tnt.kernels.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 from async_tnt.networks.objects import ObjectReader, new_tracks
-from async_tnt.networks.program import VolumeInput, make_program
+from async_tnt.networks.program import Program, VolumeInput, make_program
 from async_tnt.volume import TNTVolume
+
+_packed: WeakKeyDictionary[Model, dict[str, dict[str, np.ndarray]]] = WeakKeyDictionary()
+"""Model -> its networks -> their packed weights, which all programs of the model share."""
+
+
+def _program_of(model: Model, network: str) -> Program:
+    """A program of one of a model's networks, with feature maps of its own."""
+    of_model = _packed.setdefault(model, {})
+    packed = of_model.setdefault(network, {})
+    return make_program(model.network[network], model.config.shape, model.weights, packed)
 
 
 class CompiledClassifier:
@@ -60,7 +71,7 @@ class CompiledClassifier:
         self.n_classes = len(model.classes)
         self.places, self.sensor = model.places, model.config.sensor
         self._running = Running("CompiledClassifier")
-        self._program = make_program(model.network[CLASSIFIER], self.shape, model.weights)
+        self._program = _program_of(model, CLASSIFIER)
         self.network, self.steps = self._program.arrays, self._program.steps
         self._input = VolumeInput(self.shape)
         self.logits_shape = model.logits_shape
@@ -173,7 +184,7 @@ class CompiledRegressor:
             )
         self.shape = config.shape
         self._running = Running("CompiledRegressor")
-        self._program = make_program(model.network[REGRESSOR], self.shape, model.weights)
+        self._program = _program_of(model, REGRESSOR)
         self._input = VolumeInput(self.shape)
 
     @one_at_a_time

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,6 +50,12 @@ class Program:
         vars(self).update(state)
         if self.lanes != LANES:
             raise ValueError("a network was pickled on a processor with other vector registers: load its model instead")
+        self.arrays.weights.flags.writeable = False  # which a pickle does not keep
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Program:
+        """A network of its own, with the same read-only weights."""
+        memo[id(self.arrays.weights)] = self.arrays.weights
+        return replace(self, arrays=copy.deepcopy(self.arrays, memo))
 
     def run(self, volume: np.ndarray) -> np.ndarray:
         """Compute the whole network: volume, as `VolumeInput` returns it -> the output's numbers, a view that begins
@@ -58,8 +65,16 @@ class Program:
         return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
 
 
-def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: Mapping[str, np.ndarray]) -> Program:
-    """The program of a network whose layers have been checked, for volumes of this shape (C, H, W)."""
+def make_program(
+    layers: Sequence[Layer],
+    shape: tuple[int, int, int],
+    tensors: Mapping[str, np.ndarray],
+    shared: dict[str, np.ndarray] | None = None,
+) -> Program:
+    """The program of a network whose layers have been checked, for volumes of this shape (C, H, W).
+
+    shared : where programs of the same layers and shape share their packed weights; those of the first one enter it.
+    """
     channels, height, width = shape
     volume = Map(channels, height, width)
     steps, output = steps_of(layers, volume, tensors)
@@ -126,14 +141,25 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
     for part in maps:
         if part.fill:
             values[firsts[part] - _first(part) :][: _size(part)] = part.fill
-    packed_weights = aligned(n_weights, np.float32)
-    np.concatenate(weights, out=packed_weights)
     arrays = ProgramArrays(
-        np.concatenate([program, np.array(tables, np.int64)]), packed_weights, values, np.zeros(places.size, np.uint32)
+        np.concatenate([program, np.array(tables, np.int64)]),
+        _shared_weights(weights, n_weights, {} if shared is None else shared),
+        values,
+        np.zeros(places.size, np.uint32),
     )
     layout = firsts[output], _pitch(output), output.channels, 1
     output_changes = [records[writer] + P.CHANGED for writer in output.writers]
     return Program(arrays, [step.name for step in steps], layout, output_changes)
+
+
+def _shared_weights(parts: list[np.ndarray], n: int, shared: dict[str, np.ndarray]) -> np.ndarray:
+    """The weights of all steps in one read-only array: that of an earlier program, if there is one."""
+    if "weights" not in shared:
+        weights = aligned(n, np.float32)
+        np.concatenate(parts, out=weights)
+        weights.flags.writeable = False
+        shared["weights"] = weights
+    return shared["weights"]
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:
