@@ -14,7 +14,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from async_tnt.checks import Method, Running, one_at_a_time
+from async_tnt import saved_state
+from async_tnt.checks import Method, Running, one_at_a_time, short
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
@@ -458,6 +459,44 @@ class Processor(TriggerAttributes):
         alone = settings.every_us is None or not overlap  # else time passes for several windows at once
         self._in_stretches = alone and self._classifier.decides_in_stretches
 
+    @one_at_a_time
+    def save_state(self) -> bytes:
+        """The stream as it is now, without classifier and regressor: much smaller than a pickle of the Processor.
+
+        `from_state` continues it, bit for bit, in any process of the same release. It is a pickle: load none that you
+        do not trust.
+        """
+        return saved_state.dumps(super().__getstate__(), _networks(self.classifier, self._windows.regressor))
+
+    @classmethod
+    def from_state(
+        cls,
+        state: bytes,
+        model: Model | TNTConfig,
+        *,
+        classifier: Classifier | None = None,
+        regressor: Regressor | None = None,
+    ) -> Processor:
+        """A Processor that continues the stream of `save_state`, with the same settings.
+
+        `model`, `classifier` and `regressor` are those that it was made with.
+
+        Raises
+        ------
+        ValueError : the state is of another configuration or of other classes; or it is none.
+        """
+        config, classifier, regressor, classes = networks_of(model, classifier, regressor, None)
+        values = saved_state.loads(state, _networks(classifier, regressor))
+        if not (isinstance(values, tuple) and len(values) == 2 and isinstance(values[1], dict)):
+            raise ValueError(f"`state` must be what `save_state` returned, got a pickle of {type(values).__name__}")
+        processor = cls.__new__(cls)
+        processor.__setstate__(values)
+        if processor.config != config:
+            raise ValueError(f"`state` must be of the configuration {config}, got one of {processor.config}")
+        if classes is not None and processor.classes != tuple(classes):
+            raise ValueError(f"`state` must be of the classes {short(classes)}, got {short(processor.classes)}")
+        return processor
+
     def __copy__(self) -> Processor:
         """A copy continues by itself; so does what `pickle` returns, in any process."""
         return copy.deepcopy(self)
@@ -470,6 +509,11 @@ class Processor(TriggerAttributes):
         for name, value in state[1].items():
             setattr(self, name, value)
         self._prepare()  # perhaps in a process that has compiled nothing yet
+
+
+def _networks(classifier: Classifier, regressor: Regressor | None) -> dict[str, Any]:
+    """What a saved state has by name."""
+    return {"classifier": classifier, "reader": getattr(classifier, "reader", None), "regressor": regressor}
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:
