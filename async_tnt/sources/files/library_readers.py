@@ -1,8 +1,8 @@
 """AEDAT4 and ES files, read by faery, and HDF5 files, read by h5py, all in a worker process (`worker_source.py`).
 
-This module is what the worker imports: nothing that takes time. A reader is a function of a path. It yields the sensor,
-(width, height) or None, then blocks of events, each as a list of four columns of integers: t, x, y, p. It raises an
-exception where the file cannot be read on.
+This module is what the worker imports: nothing that takes time. (`ros_reader.py` is another.) A reader is a function
+of a path. It yields the sensor, (width, height) or None, then blocks of events, each as a list of four columns of
+integers: t, x, y, p. It raises an exception where the file cannot be read on.
 
 HDF5 files of two layouts are read:
 
@@ -42,23 +42,27 @@ _blocks: Iterator[Any] = iter(())  # of the file that this process reads
 
 
 def start(read: Reader, path: str) -> Any:
-    """Start to read a file, and return its sensor; `next_block` then returns its events."""
+    """Start to read a file, and return what comes first, its sensor; `next_block` then returns its events."""
     global _blocks
     _limit_memory()
     _blocks = read(path)
     return next(_blocks)
 
 
-def sensor_of(read: Reader, path: str) -> Any:
-    """A file's sensor. The file is closed then: HDF5 lets nobody write one that is open."""
+def head_of(read: Reader, path: str) -> tuple[Any, Any]:
+    """What comes first, a file's sensor, and the first block, None if there is none.
+
+    The file is closed then: HDF5 lets nobody write one that is open.
+    """
     global _blocks
-    sensor = start(read, path)
+    head = start(read, path)
+    first = next(_blocks, None)
     _blocks = iter(())
-    return sensor
+    return head, first
 
 
-def next_block() -> list[np.ndarray] | None:
-    """The columns of the next events, None at the end."""
+def next_block() -> Any:
+    """The next events, mostly as columns; None at the end."""
     return next(_blocks, None)
 
 
