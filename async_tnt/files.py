@@ -19,7 +19,7 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 def user_path(path: str | os.PathLike[str]) -> Path:
     """A path with `~` and `~name` as home folders; unchanged where there is no such user.
 
-    A shell does this for words that begin with `~`, but not for `--mask=~/mask.npy`, nor does Python.
+    A shell does this only for words that begin with `~`, and Python does not.
     """
     return Path(os.path.expanduser(path))
 

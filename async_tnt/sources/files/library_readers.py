@@ -4,17 +4,19 @@ This module is what the worker imports: nothing that takes time. (`ros_reader.py
 of a path. It yields the sensor, (width, height) or None, then blocks of events, each as a list of four columns of
 integers: t, x, y, p. It raises an exception where the file cannot be read on.
 
-HDF5 files of two layouts are read:
+HDF5 files of three layouts are read:
 
 DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add to t. `ms_to_idx` is not needed here.
+RVT, eTraM   the same without t_offset; events/width, height: the sensor.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
 
-HDF5 does not include the filters that compress these two: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's by
-ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
+HDF5 does not include the filters that compress two of these: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's
+by ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
 
 References
 ----------
 Gehrig, Aarents, Gehrig, Scaramuzza 2021, DSEC: A Stereo Event Camera Dataset for Driving Scenarios, RA-L.
+Gehrig, Scaramuzza 2023, Recurrent Vision Transformers for Object Detection with Event Cameras, CVPR: its data sets.
 Prophesee, Metavision documentation: HDF5 event file format.
 """
 
@@ -32,6 +34,8 @@ MAX_BYTES = 4 << 30  # of addresses; a block takes megabytes, but a damaged file
 BLOCK_EVENTS = 1 << 16
 CACHE_BYTES = 1 << 26  # of each data set: a chunk that does not fit is decompressed again for every block
 COLUMNS = ("t", "x", "y", "p")
+MAX_SIDE = 1 << 16
+"""Pixels of the longest side that a file may state."""
 ECF = 0x8ECF
 ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
 PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
@@ -119,7 +123,7 @@ def read_hdf5(path: str) -> Iterator[Any]:
 
     with h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES) as file:
         sets, offset_us = _layout(h5py, file)
-        yield _geometry(file) if len(sets) == 1 else None
+        yield _geometry(file) if len(sets) == 1 else _sides(h5py, file)
         n_events = sets[0].size
         for start in range(0, n_events, BLOCK_EVENTS):
             columns = [data[start : start + BLOCK_EVENTS] for data in sets]
@@ -142,7 +146,7 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     else:
         what, sets = "CD/events", [_find(h5py, file, "CD/events")]
     if None in sets:
-        raise ValueError(f"expected events/t, x, y, p (DSEC) or CD/events (Metavision), got {sorted(file)[:8]}")
+        raise ValueError(f"expected events/t, x, y, p (DSEC, RVT) or CD/events (Metavision), got {sorted(file)[:8]}")
     for data in [*sets, *([] if offset is None else [offset])]:
         if not isinstance(data, h5py.Dataset):
             raise ValueError(f"{what} and `t_offset` must be data sets, but {data.name} is a {type(data).__name__}")
@@ -209,6 +213,20 @@ def _check_complete(data: Any) -> None:
         needed, have, what = -(-data.size // data.chunks[0]), data.id.get_num_chunks(), "chunks"
     if have < needed:
         raise ValueError(f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} {what}")
+
+
+def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
+    """The numbers events/width and events/height; None if the file does not have both."""
+    sides = [_find(h5py, file, f"events/{name}") for name in ("width", "height")]
+    if None in sides:
+        return None
+    values = [side[()] if isinstance(side, h5py.Dataset) and side.size == 1 else None for side in sides]
+    if not all(isinstance(value, (np.ndarray, np.integer)) and value.dtype.kind in "iu" for value in values):
+        raise ValueError(f"events/width and height must be one whole number each, got {values}")
+    width, height = (int(value.item()) for value in values)
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ValueError(f"events/width and height must be in [1, {MAX_SIDE}], got {width} and {height}")
+    return width, height
 
 
 def _geometry(file: Any) -> tuple[int, int] | None:

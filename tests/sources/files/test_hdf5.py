@@ -37,7 +37,7 @@ def replaced(path, **values):
         ({"t": np.zeros(5)}, "must be whole numbers, got float64"),
         ({"t_offset": np.zeros(2, int)}, r"`t_offset` must be one number, got shape \(2,\)"),
         ({"t_offset": np.int64(-(1 << 62))}, r"`t_offset` must be below 2\*\*62 microseconds, got -46"),
-        (None, r"expected events/t, x, y, p \(DSEC\) or CD/events .*, got \['data'\]"),
+        (None, r"expected events/t, x, y, p \(DSEC, RVT\) or CD/events .*, got \['data'\]"),
     ],
 )
 def test_another_layout_is_refused(tmp_path, values, message):

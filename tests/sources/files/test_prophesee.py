@@ -74,8 +74,10 @@ HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0
 )
 def test_evt3_by_hand(decoded, words, events):
     if events is None:
-        with pytest.warns(DamagedRecording, match="reaches beyond x = 2047"):
-            assert decoded("3.0", words) == []
+        with pytest.warns(DamagedRecording, match="byte .*: a vector of events reaches beyond x = 2047"):
+            assert decoded("3.0", [HIGH, ROW, X5, *words]) == [(4096, 5, 9, 0)]
+        with pytest.raises(ValueError, match=r"not one event can be read: byte .*: .* reaches beyond x = 2047"):
+            decoded("3.0", words)
     else:
         assert decoded("3.0", words) == events
 
@@ -86,8 +88,8 @@ def test_evt21_by_hand(decoded):
     assert decoded("2.1", [pixels, high, pixels]) == [(69, x, 9, 1) for x in (64, 66, 95)]
     last = (1 << 28 | 2016 << 11 | 9) << 32 | 1 << 31
     assert decoded("2.1", [high, last]) == [(64, 2047, 9, 1)]
-    with pytest.warns(DamagedRecording, match="reaches beyond x = 2047"):
-        assert decoded("2.1", [high, last + (1 << 43)]) == []
+    with pytest.warns(DamagedRecording, match="byte .*: a vector of events reaches beyond x = 2047"):
+        assert decoded("2.1", [high, last, last + (1 << 43)]) == [(64, 2047, 9, 1)]
 
 
 def test_evt21_without_endianness_is_legacy_only_without_a_format_line(tmp_path):
