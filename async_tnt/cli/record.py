@@ -18,7 +18,7 @@ import numpy as np
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import complain, say
 from async_tnt.events import as_events
-from async_tnt.files import check_folder, replacing, write_text
+from async_tnt.files import check_folder, replacing, user_path, write_text
 from async_tnt.package import __version__
 from async_tnt.sources.files.prophesee import DAT_EVENT_BYTES, DAT_SIDE, dat_header, dat_records
 from async_tnt.sources.opening import is_live, open_source
@@ -45,7 +45,7 @@ BLOCKS = " ▀▄█"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", help="camera[:KIND[:SERIAL]] or udp://HOST:PORT")
     parser.add_argument("--class", dest="label", metavar="NAME", required=True, help="what is shown: a folder of --out")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="the data set; made if missing")
+    parser.add_argument("--out", type=user_path, metavar="FOLDER", required=True, help="the data set; made if missing")
     parser.add_argument("--seconds", type=float, metavar="S", help="how long to record (default: until Ctrl-C)")
     parser.add_argument("--sensor", type=size_of, metavar="WxH", help="the sender's pixels, of a network stream")
 

@@ -113,7 +113,14 @@ def _decisions(task: Task, processor: Processor, pixels: PixelSelector) -> Itera
     ValueError, TypeError, OSError : the recording is damaged, anywhere, or in a part's case before its end; of another
         sensor; or without events.
     """
-    recording, select = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
+    recording, select = pixels.open(
+        task.path,
+        name=task.recording,
+        strict=True,
+        between_us=task.between_us,
+        columns=task.job.reading.columns,
+        topic=task.job.reading.topic,
+    )
     for packet in recording:
         yield from processor.push(select(packet))
     yield from processor.finish()

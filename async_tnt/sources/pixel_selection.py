@@ -134,18 +134,16 @@ class PixelSelector:
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
-    def open(
-        self, path: Path, *, name: str | None = None, strict: bool = False, between_us: tuple[int, int] | None = None
-    ) -> tuple[Recording, Callable[[Any], Any]]:
-        """A recording, or its part between two times, and the filter for its packets.
+    def open(self, path: Path, *, name: str | None = None, **reading: Any) -> tuple[Recording, Callable[[Any], Any]]:
+        """A recording and the filter for its packets.
 
-        `path`, `strict` and `between_us` are those of `open_recording`. `name` is for messages; by default the path.
+        `path` and `reading` are arguments of `open_recording`. `name` is for messages; by default the path.
 
         Raises
         ------
         ValueError, OSError : unreadable, or of another sensor than expected.
         """
-        recording = open_recording(path, strict=strict, sensor=self.expected, between_us=between_us)
+        recording = open_recording(path, sensor=self.expected, **reading)
         return recording, self.filter_of(path if name is None else name, recording.sensor)
 
     def filter_of(self, name: Any, found: Sensor | None) -> Callable[[Any], Any]:

@@ -220,10 +220,10 @@ def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
     sides = [_find(h5py, file, f"events/{name}") for name in ("width", "height")]
     if None in sides:
         return None
-    values = [side[()] if isinstance(side, h5py.Dataset) and side.size == 1 else None for side in sides]
-    if not all(isinstance(value, (np.ndarray, np.integer)) and value.dtype.kind in "iu" for value in values):
-        raise ValueError(f"events/width and height must be one whole number each, got {values}")
-    width, height = (int(value.item()) for value in values)
+    for side in sides:
+        if not isinstance(side, h5py.Dataset) or side.size != 1 or side.dtype.kind not in "iu":
+            raise ValueError(f"{side.name} must be one whole number, got {side}")
+    width, height = (int(side[()].item()) for side in sides)
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise ValueError(f"events/width and height must be in [1, {MAX_SIDE}], got {width} and {height}")
     return width, height

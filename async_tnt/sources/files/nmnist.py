@@ -20,11 +20,11 @@ there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 
 from async_tnt.events import structured
+from async_tnt.files import user_path
 from async_tnt.sources.files.source import events_on_sensor
 from async_tnt.sources.sensor import checked_sensor
 
@@ -56,7 +56,7 @@ def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None 
     ValueError : damage.
     OSError : missing, a folder, or not readable.
     """
-    path = Path(path)
+    path = user_path(path)
     raw = path.read_bytes()
     n_rows, n_left = divmod(len(raw), BYTES_PER_EVENT)
     rows = np.frombuffer(raw, np.uint8, n_rows * BYTES_PER_EVENT).reshape(n_rows, BYTES_PER_EVENT)
