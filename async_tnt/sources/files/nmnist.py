@@ -24,7 +24,7 @@ import os
 import numpy as np
 
 from async_tnt.events import structured
-from async_tnt.files import user_path
+from async_tnt.files import refuse_git_lfs, user_path
 from async_tnt.sources.files.source import events_on_sensor
 from async_tnt.sources.sensor import checked_sensor
 
@@ -57,6 +57,7 @@ def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None 
     OSError : missing, a folder, or not readable.
     """
     path = user_path(path)
+    refuse_git_lfs(path)
     raw = path.read_bytes()
     n_rows, n_left = divmod(len(raw), BYTES_PER_EVENT)
     rows = np.frombuffer(raw, np.uint8, n_rows * BYTES_PER_EVENT).reshape(n_rows, BYTES_PER_EVENT)
