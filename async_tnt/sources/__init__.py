@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, encode
     from async_tnt.sources.files.nmnist import read_nmnist
     from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
-    from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
+    from async_tnt.sources.files.source import CorruptData, DamagedRecording, ReadOptions, Source, Topic
     from async_tnt.sources.keep_up import KeepUp
     from async_tnt.sources.opening import open_source
     from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
@@ -41,7 +41,7 @@ else:
             "datagrams": "EVENT_BYTES Decoder encode",
             "files.nmnist": "read_nmnist",
             "files.recording": "READERS Recording open_recording sample_recordings",
-            "files.source": "CorruptData DamagedRecording Source",
+            "files.source": "CorruptData DamagedRecording ReadOptions Source Topic",
             "keep_up": "KeepUp",
             "opening": "open_source",
             "pixel_filter": "PixelCounts PixelFilter",
@@ -56,7 +56,7 @@ else:
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
     "DamagedRecording", "Decoder", "KeepUp", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
-    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
-    "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
+    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "ReadOptions", "Recording",
+    "Source", "Topic", "UdpSource", "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
     "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
 ]  # fmt: skip
