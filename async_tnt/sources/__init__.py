@@ -56,7 +56,7 @@ else:
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
     "DamagedRecording", "Decoder", "KeepUp", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
-    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "ReadOptions", "Recording",
-    "Source", "Topic", "UdpSource", "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
-    "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
+    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "ReadOptions", "Recording", "Source",
+    "Topic", "UdpSource", "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera",
+    "open_recording", "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
 ]  # fmt: skip
