@@ -4,13 +4,20 @@ import json
 
 import numpy as np
 import pytest
+from made import events_of
 from sources.files.ros_written import Bag
 from sources.files.written import metavision_csv
 
+from async_tnt.evaluation.job import Job
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.files.source import ReadOptions
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.training.dataset import read_dataset
+from async_tnt.training.simulated_pictures import measure_camera
 
 EVENTS = open_recording(sample_recordings()[3]).read()
 SENSOR = (34, 34)
+PIXELS = PixelSelection(sensor=SENSOR)
 START, END = 50_000, 200_000
 PART = EVENTS[(EVENTS["t"] >= START) & (EVENTS["t"] < END)]
 SINGLE = ("run", "info", "plot", "view", "check", "mask")
@@ -144,3 +151,54 @@ def test_a_file_of_another_format_gives_exit_code_2(program, tmp_path, command):
     path.write_text("t,x,y,p\nnot,an,event,at all\n")
     code, err, _ = answer(program, command, path, tmp_path)
     assert code == 2 and "notes.csv: not one event can be read: line 2: expected t,x,y,p" in err
+
+
+def test_results_of_another_topic_are_not_taken_for_these(program, tmp_path, two_topics):
+    """`evaluate --out` keeps what it has done; what the files are read as is a part of that."""
+    words = "evaluate", "digits", two_topics.parent.parent, "--out", tmp_path / "results.jsonl", "--json"
+    for _ in range(2):
+        code, out, _ = program(*words, "--topic", "/left")
+        assert code == 0 and json.loads(out)["events"] == len(EVENTS)
+    code, _, err = program(*words, "--topic", "/right")
+    assert code == 2 and "results.jsonl" in err and "--restart" in err
+    code, out, _ = program(*words, "--topic", "/right", "--restart")
+    assert code == 0 and json.loads(out)["events"] == 5
+    ids = {Job("digits", reading=ReadOptions(columns=order)).id for order in (None, "xypt", "yxpt")}
+    assert len(ids | {Job("digits", reading=ReadOptions(topic="/left")).id}) == 4
+
+
+def test_a_map_model_is_for_the_sensor_of_the_chosen_topic(program, tmp_path):
+    path = tmp_path / "a.bag"
+    with Bag(path) as bag:
+        bag.array(EVENTS[:2_000], (100, 80), topic="/left")
+        bag.array(EVENTS, (50, 40), topic="/right")
+    code, out, err = program("run", path, "--model", "digits-everywhere", "--topic", "/left", "--json")
+    assert code == 0 and out and not err
+
+
+def test_a_data_set_is_read_by_its_options(tmp_path):
+    """Each class has a file whose columns have no names, and a bag of two topics."""
+    for label, part in (("a", EVENTS[:2_000]), ("b", EVENTS[2_000:])):
+        (tmp_path / "set" / label).mkdir(parents=True)
+        (tmp_path / "set" / label / "rows.csv").write_bytes(metavision_csv(part).split(b"\n", 1)[1])
+        with Bag(tmp_path / "set" / label / "two.mcap") as bag:
+            bag.array(part[:500], SENSOR, topic="/left")
+            bag.array(part[500:900], SENSOR, topic="/right")
+        saved(tmp_path / "all" / label / "rows.npz", part)
+        saved(tmp_path / "all" / label / "two.npz", part[500:900])
+    found = read_dataset(tmp_path / "set", pixels=PIXELS, reading=ReadOptions(columns="xypt", topic="/right"))
+    expected = read_dataset(tmp_path / "all", pixels=PIXELS)
+    assert not found.left_out and found.classes == ("a", "b")
+    for name in ("t", "x", "y", "p", "labels", "offsets"):
+        np.testing.assert_array_equal(getattr(found.recordings, name), getattr(expected.recordings, name))
+    with pytest.raises(ValueError, match="no recording of class a, b is left"):
+        read_dataset(tmp_path / "set", pixels=PIXELS)
+
+
+def test_a_camera_is_measured_on_a_recording_read_by_its_options(tmp_path):
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.integers(0, 1_000_000, 20_000))
+    events = events_of(t, rng.integers(0, 34, t.size), rng.integers(0, 34, t.size), rng.integers(0, 2, t.size))
+    (tmp_path / "rows.csv").write_bytes(metavision_csv(events).split(b"\n", 1)[1])
+    found = measure_camera(tmp_path / "rows.csv", 100_000, SENSOR, columns="xypt")
+    assert found == measure_camera(saved(tmp_path / "a.npz", events), 100_000, SENSOR)
