@@ -160,7 +160,7 @@ def test_results_of_another_topic_are_not_taken_for_these(program, tmp_path, two
         code, out, _ = program(*words, "--topic", "/left")
         assert code == 0 and json.loads(out)["events"] == len(EVENTS)
     code, _, err = program(*words, "--topic", "/right")
-    assert code == 2 and "results.jsonl" in err and "--restart" in err
+    assert code == 2 and "results.jsonl was made with another model, " in err
     code, out, _ = program(*words, "--topic", "/right", "--restart")
     assert code == 0 and json.loads(out)["events"] == 5
     ids = {Job("digits", reading=ReadOptions(columns=order)).id for order in (None, "xypt", "yxpt")}
