@@ -1,21 +1,24 @@
-"""Bags of ROS, read by rosbags in a worker process: which topics they have, and the messages of one of them.
+"""Bags of ROS, read by rosbags in a worker process: their topics, and the messages of one of them.
 
-This module is what the worker imports: nothing that takes time. A bag is of ROS 1 (`.bag`), or a storage file of ROS 2
-(`.db3`, `.mcap`), which is read without the `metadata.yaml` beside it. Two types of messages hold events:
+This module is what the worker imports: nothing that takes time. A bag is of ROS 1 (`.bag`), or a
+storage file of ROS 2 (`.db3`, `.mcap`), which is read without the `metadata.yaml` beside it. Two
+types of messages hold events:
 
-event_camera_msgs/EventPacket   bytes in an encoding that the message names: `evt3`, of Prophesee's cameras, or
-                                `libcaer_cmp`, of iniVation's; others are refused
+event_camera_msgs/EventPacket   bytes in an encoding that the message names: `evt3`, of Prophesee's
+                                cameras, or `libcaer_cmp`, of iniVation's; others are refused
 dvs_msgs/EventArray             an array of x, y, ts, polarity
 
-Messages are unpacked here, by these two layouts, rather than by code that rosbags makes from the bag's own text. All
-numbers of ROS 1 follow one another in little-endian order; ROS 2 has CDR, in which each number begins at a multiple of
-its own size and the first bytes name the order.
+Messages are unpacked here, by these two layouts, rather than by code that rosbags makes from the
+bag's own text. All numbers of ROS 1 follow one another in little-endian order. ROS 2 has CDR, in
+which each number begins at a multiple of its own size, and the first bytes name the order.
 
     Header         ROS 1: seq u32, sec u32, nsec u32, frame_id; ROS 2: sec i32, nanosec u32, frame_id
-    EventPacket    Header, height u32, width u32, seq u64, time_base u64, encoding, is_bigendian u8, events: bytes
-    EventArray     Header, height u32, width u32, events: x u16, y u16, sec, nsec, polarity u8 of each
+    EventPacket    Header, height u32, width u32, seq u64, time_base u64, encoding,
+                   is_bigendian u8, events: bytes
+    EventArray     Header, height u32, width u32, events: x u16, y u16, sec, nsec, polarity u8
 
-Texts and arrays begin with their length, u32. `libcaer_cmp` has words of 16 bits, in each message from its start:
+Texts and arrays begin with their length, u32. `libcaer_cmp` has words of 16 bits, in each message
+from its start:
 
     bits 15-12     bits 11-0
     0 TIME_HIGH    bits 23-12 of the time in microseconds since `time_base`, which is in nanoseconds
@@ -23,7 +26,7 @@ Texts and arrays begin with their length, u32. `libcaer_cmp` has words of 16 bit
     2 ADDR_X       x (11 bits) of the events that follow
     3 ADDR_Y       one event: polarity (bit 11), y (11 bits)
     4 VECT_BASE_Y  polarity (bit 11), y (11 bits) of the vectors that follow
-    5 VECT_8       bits 7-0: eight pixels, of which bit 0 is the one at the base; the next vector's base is 8 higher
+    5 VECT_8       bits 7-0: eight pixels, bit 0 is the one at the base; then the base is 8 higher
 
 References
 ----------
@@ -62,7 +65,11 @@ VECT_BASE_Y = 4
 VECT_8 = 5
 """Kinds of words in `libcaer_cmp`."""
 MAX_TIME_NS = 1 << 62
+BLOCK_MESSAGES = 1_000
+"""The most messages that are sent together: some hold no events."""
 CDR_HEADER_BYTES = 4
+CDR_PADDING_BYTES = 3
+"""The most bytes without a meaning at the end of a message."""
 ROS_1_EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("sec", "<u4"), ("nsec", "<u4"), ("p", "u1")])
 CDR_EVENT_BYTES = 16
 
@@ -79,8 +86,8 @@ def read_bag(path: str, topic: str | None) -> Iterator[Any]:
 
     Yields
     ------
-    First the sensor, (width, height) or None, and all topics as (name, type, messages, whether it is read); then
-    `Block` values.
+    First the sensor, (width, height) or None, and all topics as (name, type, messages, whether it is
+    read); then `Block` values.
     """
     bag, is_ros_1 = _open(path)
     try:
@@ -159,16 +166,18 @@ def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
     """Messages together; those before damage are sent before it is raised."""
     sensor, events = first
     waiting = [events]
-    n_messages = 1
+    n_bytes = sum(column.nbytes for column in events)
     try:
-        for other_sensor, events in others:
-            n_messages += 1
+        for number, (other_sensor, events) in enumerate(others, 1):
             if other_sensor != sensor:
-                raise ValueError(f"message {n_messages - 1}: of {other_sensor} pixels, but those before of {sensor}")
-            if len(events) != len(waiting[0]) or sum(c.nbytes for e in waiting for c in e) >= BLOCK_BYTES:
+                raise ValueError(f"message {number}: of {other_sensor} pixels, but those before of {sensor}")
+            is_full = n_bytes >= BLOCK_BYTES or len(waiting) >= BLOCK_MESSAGES
+            if is_full or len(events) != len(waiting[0]):  # the latter: of another encoding
                 yield _joined(waiting)
                 waiting = []
+                n_bytes = 0
             waiting.append(events)
+            n_bytes += sum(column.nbytes for column in events)
     except BaseException:
         yield _joined(waiting)
         raise
@@ -227,7 +236,9 @@ class _Cursor:
 
     def end(self) -> None:
         """Refuse bytes that belong to no field; of these, CDR may end with up to three."""
-        if (n_left := len(self._data) - self.place) > (0 if self.is_ros_1 else CDR_HEADER_BYTES - 1):
+        n_left = len(self._data) - self.place
+        most = 0 if self.is_ros_1 else CDR_PADDING_BYTES
+        if n_left > most:
             raise ValueError(f"it has {n_left} bytes more than its fields; its type has been changed")
 
 
@@ -248,7 +259,7 @@ def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
 
 
 def _event_packet(cursor: _Cursor) -> Message:
-    """What an EventPacket holds: the words of EVT3, whose times `time_base` does not change, or events in columns."""
+    """The words of EVT3, whose times `time_base` does not change, or the events in columns."""
     sensor = _sensor_of(cursor)
     cursor.number("Q")  # seq
     time_base_ns = cursor.number("Q")
@@ -267,7 +278,10 @@ def _event_packet(cursor: _Cursor) -> Message:
 
 
 def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
-    """The columns t, x, y, p of the words of one message in `libcaer_cmp`; those before the first ADDR_X have no x."""
+    """The columns t, x, y, p of one message in `libcaer_cmp`.
+
+    Events before the first ADDR_X, and vectors before the first VECT_BASE_Y, have no place and are left out.
+    """
     kind = words >> 12
     value = words & 0xFFF
     is_event = kind == ADDR_Y
@@ -315,9 +329,9 @@ def _ros_1_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
 def _cdr_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
     """Columns sec, nsec, x, y, p of events in CDR, which begin at a multiple of 4.
 
-    Bytes 0 to 3 of the first event are x and y; 4 to 12 are sec, nsec and p. As p has one byte, each later x begins at
-    the next even place, 14, and its y at 16; then sec must begin at a multiple of 4, which is 20. So there are rows of
-    16 bytes, of which x is in the row before.
+    Bytes 0 to 3 of the first event are x and y; 4 to 12 are sec, nsec and p. As p has one byte, each
+    later x begins at the next even place, 14, and its y at 16; then sec must begin at a multiple of
+    4, which is 20. So there are rows of 16 bytes, and each x but the first is in the row before.
     """
     if n_events == 0:
         return [np.zeros(0, np.int64)] * 5

@@ -7,6 +7,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from sources.files.ros_written import Bag, unpacked
 from sources.files.written import (
     FORMATS,
     IN_WORKER,
@@ -18,6 +19,7 @@ from sources.files.written import (
     evt2,
     evt3,
     evt21,
+    evt_header,
     made_events,
     written,
 )
@@ -197,13 +199,18 @@ N_LONG = 1_000_000
 N_BLOCK = 100_000
 
 
-@pytest.mark.parametrize("name", ["plain.csv", "evt3.raw", "records.npy", "caer.aedat", "dsec.h5"])
+@pytest.mark.parametrize("name", ["plain.csv", "evt3.raw", "records.npy", "caer.aedat", "dsec.h5", "packets.bag"])
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
     """The same events ten times over: a million different ones take longer to write than to read."""
     path, sensor = tmp_path / name, sensor_for(name)
     block = made_events(N_BLOCK, sensor=sensor, step_us=4)
     if name == "dsec.h5":
         dsec(path, np.repeat(block, N_LONG // N_BLOCK), chunks=(10_000,))
+    elif name == "packets.bag":
+        words = unpacked(evt3(block)[len(evt_header("3.0")) :])
+        with Bag(path) as bag:
+            for _ in range(N_LONG // N_BLOCK):
+                bag.packet(words, sensor)
     elif name == "records.npy":
         np.save(path, np.repeat(block, N_LONG // N_BLOCK))
     else:

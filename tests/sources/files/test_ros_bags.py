@@ -56,6 +56,20 @@ def test_messages_by_hand(tmp_path, name):
     assert (topic.name, topic.type, topic.messages, topic.is_read) == ("/camera/events", EVENT_PACKET, 3, True)
 
 
+def test_a_topic_may_have_thousands_of_messages_and_change_its_encoding(tmp_path):
+    """Most without events; the words of EVT3 go on behind them, whatever they are sent together with."""
+    with Bag(tmp_path / "a.mcap") as bag:
+        bag.packet(WORDS[:3], SENSOR)
+        for _ in range(2_500):
+            bag.packet([], SENSOR)
+        bag.packet(WORDS[3:4], SENSOR)
+        bag.packet([0x2007, 0x3805], SENSOR, encoding="libcaer_cmp", time_base=8_000_000)
+        bag.packet(WORDS[4:], SENSOR)
+    recording = open_recording(tmp_path / "a.mcap")
+    assert recording.read().tolist() == [IN_TIME[0], (8_000, 7, 5, 1), IN_TIME[1]]
+    assert recording.source.topics[0].messages == 2_504
+
+
 @every_bag
 def test_libcaer_words_by_hand(tmp_path, name):
     """Each message has a time of its own: 2 us and 999 ns are 2 us."""
