@@ -97,15 +97,12 @@ def event_columns(table: Any, order: str) -> Four:
     """
     refuse_mask("table", table, UNMASKED)
     array = np.asarray(table)
-    if sorted(order) != sorted("txyp"):
-        raise ValueError(f"`order` must have the letters t, x, y and p, each once, got {short(order)}")
+    check_order("order", order)
     if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iufb":
         raise ValueError(f"`table` must be numbers in shape (N, 4), got {array.dtype} in shape {array.shape}")
+    if (likely := likely_order(array, order)) != order:
+        raise ValueError(f"the columns are not {order!r}; they look like {likely!r}")
     columns = dict(zip(order, array.T, strict=True))
-    if not any(_signs(columns)):
-        for other in permutations("txyp"):
-            if other.index("x") < other.index("y") and all(_signs(dict(zip(other, array.T, strict=True)))):
-                raise ValueError(f"the columns are not {order!r}; they look like {''.join(other)!r}")
     for field, column in columns.items():
         if column.dtype.kind == "f":
             exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)  # from here on floats may have been rounded
@@ -118,6 +115,29 @@ def event_columns(table: Any, order: str) -> Four:
                 )
             columns[field] = column.astype(np.int64)
     return columns["t"], columns["x"], columns["y"], columns["p"]
+
+
+def check_order(name: str, order: Any) -> None:
+    """A ValueError that names the parameter, if `order` does not have each of the letters t, x, y and p once."""
+    if not isinstance(order, str) or sorted(order) != sorted("txyp"):
+        raise ValueError(f"`{name}` must have the letters t, x, y and p, each once, got {short(order)}")
+
+
+def likely_order(table: np.ndarray, order: str) -> str:
+    """The order of a table's columns: `order`, unless nothing speaks for it and all for another one.
+
+    Parameters
+    ----------
+    table : numbers in shape (N, 4).
+    order : what its columns are thought to be, such as "txyp".
+    """
+    if any(_signs(dict(zip(order, table.T, strict=True)))):
+        return order
+    for letters in permutations("txyp"):  # x and y cannot be told apart: x comes first
+        other = "".join(letters)
+        if other.index("x") < other.index("y") and all(_signs(dict(zip(other, table.T, strict=True)))):
+            return other
+    return order
 
 
 def _signs(columns: Mapping[str, np.ndarray]) -> tuple[bool, bool]:

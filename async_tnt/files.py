@@ -1,4 +1,7 @@
-"""Writing files whole or not at all, replacing nothing but regular files, and one process at a time."""
+"""Files: paths as users write them, pointers of Git LFS, and writing.
+
+Files are written whole or not at all, replacing nothing but regular files, and by one process at a time.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,32 @@ import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
+
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+
+
+def user_path(path: str | os.PathLike[str]) -> Path:
+    """A path with `~` and `~name` as home folders; unchanged where there is no such user.
+
+    A shell does this only for words that begin with `~`, and Python does not.
+    """
+    return Path(os.path.expanduser(path))
+
+
+def refuse_git_lfs(path: Path) -> None:
+    """A ValueError if a pointer of Git LFS is there in place of the file; nothing else is checked.
+
+    Git leaves such a pointer, three lines of text, where a repository was cloned without its large files.
+    """
+    if not path.is_file():  # it is missing, a folder or a pipe, which others say better
+        return
+    with path.open("rb") as file:
+        is_pointer = file.read(len(LFS_POINTER)) == LFS_POINTER
+    if is_pointer:
+        raise ValueError(
+            f"{path}: only a Git LFS pointer to the file, not the file itself; fetch it with `git lfs pull` in its "
+            "repository"
+        )
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:

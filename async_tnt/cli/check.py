@@ -8,7 +8,7 @@ from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import add_files, add_start, model_of, paths_of, positive_int
+from async_tnt.cli.options import add_files, add_reading, add_start, model_of, paths_of, positive_int, reading_of
 from async_tnt.cli.output import note, say
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.progress import progress
@@ -32,6 +32,7 @@ Exit code 0 if all of it holds, 1 if anything does not.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_files(parser)
     add_start(parser)
+    add_reading(parser)
     parser.add_argument(
         "--prefixes",
         default="8",
@@ -53,7 +54,7 @@ def main(args: argparse.Namespace) -> int:
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:
-            recording = open_recording(path, sensor=model.config.sensor)
+            recording = open_recording(path, sensor=model.config.sensor, **reading_of(args))
             check_sensor(path, recording.sensor, model.config.sensor, advice="; --model FILE names one for this sensor")
             events = recording.read()
             if (events["t"] < (args.start_us or 0)).all():  # also if there are none

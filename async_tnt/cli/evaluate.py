@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.evaluate_objects import evaluate_objects
-from async_tnt.cli.options import MODELS, model_of, positive_int
+from async_tnt.cli.options import MODELS, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of
 from async_tnt.compile_ahead import fill_cache
@@ -25,9 +25,10 @@ from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import Record, evaluate_recording
 from async_tnt.evaluation.results import SUFFIXES, Run, collect
 from async_tnt.evaluation.scores import score_recordings
-from async_tnt.files import check_writable
+from async_tnt.files import check_writable, user_path
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
+from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 
 SHOWN = 200  # letters of the classes that an error names
@@ -60,12 +61,13 @@ Exit code 0, also if recordings were skipped (2 with --strict); 2 for bad usage,
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help=MODELS)
-    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
+    parser.add_argument("dataset", type=user_path, metavar="DATASET", help="folder with <class name>/<recordings>")
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
     add_pixels(parser)
+    add_reading(parser, single=False)
     parser.add_argument(
         "--out",
-        type=Path,
+        type=user_path,
         metavar="FILE",
         help="keep the results in this file, .jsonl, a record per recording; after an interruption or a kill the same "
         "command resumes",
@@ -92,7 +94,7 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(selection_of(args), model)
     found = labelled_recordings(args.dataset, model)
     fill_cache()
-    job = job_of(args.model, model, pixels.selection)
+    job = job_of(args.model, model, pixels.selection, ReadOptions(columns=args.columns, topic=args.topic))
     tasks = [
         task_of(one.name_as(one.path.relative_to(args.dataset).as_posix()), one.path, job, name, one.between_us)
         for name, recordings in found.items()

@@ -37,7 +37,14 @@ def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
         for path, file in tables:
             try:
                 table = read_table(file, model.classes)
-                recording = open_recording(path, sensor=args.sensor, strict=True, off_sensor="warn")
+                recording = open_recording(
+                    path,
+                    sensor=args.sensor,
+                    strict=True,
+                    off_sensor="warn",
+                    columns=args.columns,
+                    topic=args.topic,
+                )
                 check_sensor(path, recording.sensor, args.sensor, "--sensor says")
                 if recording.sensor is None:
                     raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")

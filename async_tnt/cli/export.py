@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
 from async_tnt.checks import one_line
 from async_tnt.cli.options import MODELS, model_of
 from async_tnt.cli.output import say
-from async_tnt.files import check_writable, replacing
+from async_tnt.files import check_writable, replacing, user_path
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.conversion_check import compare
 
@@ -33,7 +32,7 @@ written, 2 for bad usage or bad input.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help=MODELS)
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE.onnx", help="replaced if it exists")
+    parser.add_argument("--out", required=True, type=user_path, metavar="FILE.onnx", help="replaced if it exists")
     parser.add_argument("--json", action="store_true", help="one JSON object")
 
 

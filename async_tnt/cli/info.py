@@ -6,19 +6,20 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.options import READABLE, size_of
+from async_tnt.cli.options import READABLE, add_reading, reading_of, size_of
 from async_tnt.cli.output import OPTIONS, can_print, complain, say, with_options
+from async_tnt.files import user_path
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import recordings_under
 from async_tnt.sources.recording_summary import RecordingSummary, summarize
-from async_tnt.sources.sensor import Sensor, format_size
+from async_tnt.sources.sensor import format_size
 
 DESCRIPTION = """Say what recordings, folders of recordings and models hold.
 
@@ -26,6 +27,7 @@ DESCRIPTION = """Say what recordings, folders of recordings and models hold.
   async-tnt info gestures                a folder: its classes, and each recording in a line
   async-tnt info digits mine.safetensors classes, volume, network and training record of models
   async-tnt info a.npy --sensor 346x260  where the file does not state the sensor: with hot pixels, too
+  async-tnt info a.bag --topic /events   a ROS bag: all its topics, and the events of one of them
 
 Times are those of the file, in microseconds. The bars show events a second over the recording, from its earliest
 event to its latest; where something moves, they are high. Exit code 2 if something cannot be read; the rest is shown.
@@ -46,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where a recording does not state them"
     )
+    add_reading(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object for each, a line each")
 
 
@@ -53,7 +56,7 @@ def main(args: argparse.Namespace) -> int:
     failed = False
     for name in args.what:
         try:
-            report, lines = _described(name, args.sensor)
+            report, lines = _described(name, {"sensor": args.sensor, **reading_of(args)})
         except (OSError, ValueError, ImportError) as error:
             if len(args.what) == 1:
                 raise
@@ -65,20 +68,23 @@ def main(args: argparse.Namespace) -> int:
     return 2 if failed else 0
 
 
-def _described(name: str, sensor: Sensor | None) -> tuple[dict[str, Any], list[str]]:
-    """A report for programs, and its lines for people."""
-    path = Path(name)
+def _described(name: str, reading: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """A report for programs, and its lines for people; `reading` are arguments of `summarize`."""
+    path = user_path(name)
     if path.suffix.lower() == ".safetensors" or (name in bundled_models() and not path.exists()):
         model = load_model(name)
         return {"model": name, **_of_model(model)}, list(_model_lines(name, model))
     if path.is_dir():
-        return _of_folder(path, sensor)
-    found = summarize(path, sensor)
+        return _of_folder(path, reading)
+    found = summarize(path, **reading)
     return asdict(found), list(_recording_lines(found))
 
 
 def _recording_lines(found: RecordingSummary) -> Iterator[str]:
     yield f"{found.recording}: {found.format}, {found.bytes / 1e6:,.1f} MB"
+    for topic in found.topics:
+        is_read = ", which is read" if topic["is_read"] else ""
+        yield f"  topic      {topic['name']}: {topic['type']}, {topic['messages']:,} messages{is_read}"
     if not found.events:
         yield "  no events"
         return
@@ -107,7 +113,7 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
         yield f"  hot pixels {len(found.hot_pixels)} make {share:.1%} of the events: {shown}{more}; see async-tnt mask"
 
 
-def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], list[str]]:
+def _of_folder(folder: Path, reading: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """All recordings below it, and how many each folder has: in a data set, each class."""
     paths = recordings_under(folder)
     folders = Counter(str(path.parent.relative_to(folder)) for path in paths)
@@ -116,7 +122,7 @@ def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], lis
         for path in paths:
             name = f"  {path.relative_to(folder)!s:<32}"
             try:
-                found = summarize(path, sensor)
+                found = summarize(path, **reading)
                 reports.append(asdict(found))
                 size = "-" if found.sensor is None else format_size(found.sensor)
                 seconds = (found.last_us - found.first_us) * 1e-6

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.options import READABLE, size_of
+from async_tnt.cli.options import READABLE, add_reading, reading_of, size_of
 from async_tnt.cli.output import say
-from async_tnt.files import check_writable
+from async_tnt.files import check_writable, user_path
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, listed_pixels, save_mask
@@ -35,9 +37,9 @@ then leaves nothing out.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({READABLE})")
+    parser.add_argument("files", nargs="+", metavar="RECORDING", type=user_path, help=f"recordings ({READABLE})")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", required=True, help="the mask, a .npy file, overwritten if it exists"
+        "--out", type=user_path, metavar="FILE", required=True, help="the mask, a .npy file, overwritten if it exists"
     )
     parser.add_argument(
         "--sensor",
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WxH",
         help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless given here",
     )
+    add_reading(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object: the pixels and their events")
 
 
@@ -52,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
     check_writable(args.out, (".npy",))
     if args.out.exists() and any(path.exists() and path.samefile(args.out) for path in args.files):
         raise ValueError(f"--out is one of the recordings, {args.out}")
-    counts = _count(args.files, args.sensor)
+    counts = _count(args.files, args.sensor, reading_of(args))
     n_events = int(counts.sum())
     if n_events == 0:
         raise ValueError(f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found")
@@ -62,13 +65,13 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
-    """Events of each pixel over all recordings, int64 of shape (H, W)."""
+def _count(paths: list[Path], sensor: tuple[int, int] | None, reading: Mapping[str, Any]) -> np.ndarray:
+    """Events of each pixel over all recordings, int64 of shape (H, W); `reading`: see `reading_of`."""
     counts = np.zeros((), np.int64)
     given = sensor
     with progress(len(paths), "counting events") as bar:
         for path in paths:
-            recording = open_recording(path, sensor=given)
+            recording = open_recording(path, sensor=given, **reading)
             recording.sensor = recording.sensor or sensor  # or an earlier recording's
             if recording.sensor is None:
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")

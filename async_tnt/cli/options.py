@@ -11,6 +11,7 @@ from typing import Any
 
 from async_tnt.checks import short
 from async_tnt.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
+from async_tnt.files import user_path
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
@@ -40,18 +41,57 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         "files",
         nargs="?" if one else "*",
         metavar="FILE",
-        type=(lambda text: text if is_live(text) else Path(text)) if live else Path,
+        type=(lambda text: text if is_live(text) else user_path(text)) if live else user_path,
         help=f"{sources}recordings ({READABLE}); {bundled}",
     )
     parser.add_argument("--model", default="digits", metavar="NAME|FILE", help=f"{MODELS}{onnx} (default: %(default)s)")
     if live:
         parser.add_argument(
             "--config",
-            type=Path,
+            type=user_path,
             metavar="FILE",
             help="how events become the volumes of another program's .onnx network: a JSON file with `config` and "
             "`classes`, as async-tnt info MODEL --json prints them",
         )
+
+
+def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None:
+    """How recordings are read; read it with `reading_of`.
+
+    Parameters
+    ----------
+    single : also --between-us and --strict, which are for commands that take recordings one by one, not data sets.
+    """
+    group = parser.add_argument_group("how recordings are read")
+    group.add_argument(
+        "--columns",
+        metavar="ORDER",
+        help="the order of four columns, such as xypt, in text and NumPy files that do not name them",
+    )
+    group.add_argument("--topic", metavar="NAME", help="the topic to read, of a ROS bag with several topics of events")
+    if single:
+        group.add_argument(
+            "--between-us",
+            type=_times,
+            metavar="START,END",
+            help="only the events with START <= t < END, in microseconds of the recording",
+        )
+        group.add_argument(
+            "--strict", action="store_true", help="refuse a damaged recording, instead of reading it up to the damage"
+        )
+
+
+def reading_of(args: argparse.Namespace) -> dict[str, Any]:
+    """Keyword arguments of `open_recording`, of the options of `add_reading` that were given."""
+    names = ("columns", "topic", "between_us", "strict")
+    return {name: value for name in names if (value := getattr(args, name, None))}
+
+
+def check_reading(args: argparse.Namespace) -> None:
+    """Refuse the options of `add_reading` for a camera or the network."""
+    given = [f"--{name.replace('_', '-')}" for name in reading_of(args)]
+    if given and (live := [path for path in paths_of(args) if isinstance(path, str)]):
+        raise ValueError(f"{', '.join(given)} must come with recordings, got {live[0]}")
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
@@ -102,6 +142,16 @@ def model_of(name: str) -> Model:
     if Path(name).suffix.lower() == ".onnx":
         raise ValueError(f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed")
     return load_model(name)
+
+
+def _times(text: str) -> tuple[int, int]:
+    """An argparse type: `1000,2000` as two times, the first before the second."""
+    start, _, end = text.partition(",")
+    if not (start.isdecimal() and end.isdecimal() and len(text) < 40 and int(start) < int(end)):
+        raise argparse.ArgumentTypeError(
+            f"must be START,END in whole microseconds, START before END, such as 0,500000, got {short(text)}"
+        )
+    return int(start), int(end)
 
 
 def positive_int(text: str) -> int:
@@ -199,7 +249,7 @@ def command_words(
     words = [program]
     for action in parser._actions:
         value = getattr(args, action.dest)
-        if action.type is Path or value == action.default or action.dest in leave_out:
+        if action.type is user_path or value == action.default or action.dest in leave_out:
             continue
         if isinstance(value, tuple):  # a region, a range, or a size
             separator = {"roi": ",", "size": "-"}.get(action.dest, "x")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from pathlib import Path
 
-from async_tnt.cli.options import paths_of, size_of
+from async_tnt.cli.options import paths_of, reading_of, size_of
 from async_tnt.config import TNTConfig
+from async_tnt.files import user_path
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixel_masks import PackedMask, load_mask
@@ -40,7 +40,9 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
         action="store_true",
         help="with --roi: the region becomes the sensor, so that a large camera fits a model for W x H pixels",
     )
-    parser.add_argument("--mask", type=Path, metavar="FILE", help="leave out hot pixels, found by `async-tnt mask`")
+    parser.add_argument(
+        "--mask", type=user_path, metavar="FILE", help="leave out hot pixels, found by `async-tnt mask`"
+    )
 
 
 def selector_of(selection: PixelSelection, model: Model | TNTConfig) -> PixelSelector:
@@ -73,7 +75,7 @@ def sensor_to_read(selection: PixelSelection, args: argparse.Namespace) -> Senso
         return given
     for path in paths_of(args)[:1]:
         with contextlib.suppress(OSError, ValueError, ImportError):  # which is told when it is read
-            return None if isinstance(path, str) else open_recording(path).sensor
+            return None if isinstance(path, str) else open_recording(path, **reading_of(args)).sensor
     return None
 
 

@@ -5,10 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import MODELS, READABLE, add_volume, model_of, positive_int, size_of, volume_of
+from async_tnt.cli.options import (
+    MODELS,
+    READABLE,
+    add_reading,
+    add_volume,
+    model_of,
+    positive_int,
+    reading_of,
+    size_of,
+    volume_of,
+)
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
-from async_tnt.files import check_ours
+from async_tnt.files import check_ours, user_path
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
@@ -46,13 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=user_path,
         metavar="FILE",
         help=f"{', '.join(FORMATS)} (default: <recording>.png in the current folder)",
     )
     parser.add_argument(
         "--model", metavar="NAME|FILE", help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)"
     )
+    add_reading(parser)
     what = parser.add_argument_group("what is drawn")
     what.add_argument(
         "--window", type=positive_int, default=1, metavar="K", help="the window, counted from 1 (default: 1)"
@@ -67,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     samples = sample_recordings()
     is_digit = args.file.isdecimal() and int(args.file) in samples and not Path(args.file).exists()
-    path = samples[int(args.file)] if is_digit else Path(args.file)
+    path = samples[int(args.file)] if is_digit else user_path(args.file)
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
     if args.out is None:
@@ -93,7 +104,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     ValueError : empty or damaged, of another sensor, or options that do not fit each other or the model.
     OSError : a file is missing or not readable.
     """
-    recording = open_recording(path, sensor=args.sensor)
+    recording = open_recording(path, sensor=args.sensor, **reading_of(args))
     check_sensor(path, recording.sensor, args.sensor, "--sensor says")
     name = args.model or DEFAULT_MODEL
     trained = model_of(name)

@@ -25,7 +25,7 @@ from async_tnt.cli.options import size_of
 from async_tnt.cli.output import can_print, complain, say
 from async_tnt.cli.program import handled_by
 from async_tnt.events import EVENT_DTYPE, as_events
-from async_tnt.files import check_folder, write_text
+from async_tnt.files import check_folder, user_path, write_text
 from async_tnt.package import __version__
 from async_tnt.sources.files.dat_writer import DatFile, DatWriter
 from async_tnt.sources.files.prophesee import DAT_SIDE
@@ -112,7 +112,7 @@ def _class_name(text: str) -> str:
 def _folder(text: str) -> Path:
     if not text.strip() or "\0" in text:
         raise argparse.ArgumentTypeError(f"must be a folder, got {text!r}")
-    return Path(text)
+    return user_path(text)
 
 
 def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int:

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_int, triggers_of
+from async_tnt.cli.options import (
+    add_files,
+    add_reading,
+    add_start,
+    add_triggers,
+    check_reading,
+    paths_of,
+    positive_int,
+    reading_of,
+    triggers_of,
+)
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
 from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
@@ -60,12 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what to do with an event older than the newest one (default: %(default)s)",
     )
     add_pixels(parser)
+    add_reading(parser)
     add_keep_up(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
 
 
 def main(args: argparse.Namespace) -> int:
     check_keep_up(args)
+    check_reading(args)
     selection = selection_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
     pixels = selector_of(selection, engine.model)
@@ -83,7 +95,7 @@ def main(args: argparse.Namespace) -> int:
                 if stopped:
                     break
                 continue
-            recording, select = pixels.open(path)
+            recording, select = pixels.open(path, **reading_of(args))
             if headers:
                 say(headers.pop())
             print_decisions(recording, map(select, recording), processor, engine, pixels, line, summary=not args.json)

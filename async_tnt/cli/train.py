@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import command_words, model_of, of_windows, volume_of
+from async_tnt.cli.options import command_words, model_of, of_windows, reading_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
@@ -22,6 +22,7 @@ from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.labelled_recordings import has_test
 from async_tnt.sources.sensor import format_size
 
@@ -191,7 +192,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     if args.camera is not None:
         if pixels.sensor is None:
             raise ValueError("--camera needs --sensor WxH, the camera's pixels")
-        camera = measure_camera(args.camera, config.window_us, pixels.sensor)
+        camera = measure_camera(args.camera, config.window_us, pixels.sensor, **reading_of(args))
         note(
             f"{args.camera.name}: thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, after-pulses "
             f"{camera.after_share:.0%}, noise {camera.noise_hz:.2g} events a pixel and second, refractory time up to "
@@ -209,6 +210,7 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
         args.dataset,
         config,
         pixels=pixels,
+        reading=ReadOptions(**reading_of(args)),
         sensor_source="`sensor`" if args.sensor else "--mask",
         classes=teachers[0].classes if teachers else None,
         validation=args.validation,

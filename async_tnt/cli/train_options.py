@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import add_volume, number, positive_int, size_of, whole_number
+from async_tnt.cli.options import add_reading, add_volume, number, positive_int, size_of, whole_number
 from async_tnt.cli.pixel_options import add_selection
+from async_tnt.files import user_path
 from async_tnt.simulation.picture_scene import LIGHTS, SceneSettings
 
 USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"
@@ -32,14 +33,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = USAGE
     parser.add_argument(
         "dataset",
-        type=Path,
+        type=user_path,
         metavar="DATASET",
         help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...)",
     )
     parser.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's, where recordings do not state it")
+    add_reading(parser, single=False)
     parser.add_argument(
         "--out",
-        type=Path,
+        type=user_path,
         default=Path("model.safetensors"),
         metavar="FILE",
         help="the trained model (default: %(default)s)",
@@ -81,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--light", choices=LIGHTS, default="both", metavar="LIGHT", help="positive, negative, or both (default)"
     )
     pictures.add_argument(
-        "--camera", type=Path, metavar="RECORDING", help="a minute of anything from your camera, to measure it"
+        "--camera", type=user_path, metavar="RECORDING", help="a minute of anything from your camera, to measure it"
     )
     pictures.add_argument("--follow", action="store_true", help="as crops that follow the object")
     network = parser.add_argument_group("volume and network")

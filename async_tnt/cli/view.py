@@ -5,16 +5,26 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import printable
-from async_tnt.cli.options import add_files, add_start, add_triggers, number, paths_of, positive_number, triggers_of
+from async_tnt.cli.options import (
+    add_files,
+    add_reading,
+    add_start,
+    add_triggers,
+    check_reading,
+    number,
+    paths_of,
+    positive_number,
+    reading_of,
+    triggers_of,
+)
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
 from async_tnt.compile_ahead import fill_cache
-from async_tnt.files import check_writable
+from async_tnt.files import check_writable, user_path
 from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import Recording
@@ -44,8 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_start(parser)
     add_triggers(parser)
     add_pixels(parser)
+    add_reading(parser)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--out", type=Path, metavar="FILE.rrd", help="write a file for the viewer instead")
+    where.add_argument("--out", type=user_path, metavar="FILE.rrd", help="write a file for the viewer instead")
     where.add_argument("--connect", metavar="URL", help="show it in a running viewer: rerun+http://HOST:9876/proxy")
     parser.add_argument(
         "--speed",
@@ -66,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     check_keep_up(args)
+    check_reading(args)
     path = paths_of(args)[0]
     live = isinstance(path, str)
     if args.speed is not None and live:
@@ -76,7 +88,7 @@ def main(args: argparse.Namespace) -> int:
     selection = selection_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
     pixels = selector_of(selection, engine.model)
-    opened = None if live else pixels.open(path)
+    opened = None if live else pixels.open(path, **reading_of(args))
     speed = args.speed or (1.0 if args.out is None else math.inf)
     fill_cache(model=engine.model, first=lambda: find_sources([path], pixels))
     view = RerunView(

@@ -8,13 +8,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from async_tnt.files import user_path
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.networks.model_file import checksum
 from async_tnt.package import __version__
+from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.pixel_selection import PixelSelection
 
 
@@ -27,6 +29,7 @@ class Job:
     model : a bundled name, or an absolute path.
     model_sha256 : of the model's content, without its training record.
     version : of this package.
+    reading : how files are read that do not say it themselves; its sensor is that of `pixels`.
     pixels : what the model sees of a recording; with the mask itself, so that workers need no file of it.
     """
 
@@ -34,11 +37,13 @@ class Job:
     model_sha256: str = ""
     version: str = __version__
     pixels: PixelSelection = field(default_factory=PixelSelection)
+    reading: ReadOptions = field(default_factory=ReadOptions)
 
     @property
     def id(self) -> str:
         """12 hexadecimal digits that stand for everything that the records depend on."""
-        about = {"version": self.version, **self.pixels.about, "model_sha256": self.model_sha256}
+        reading = {name: value for name, value in asdict(self.reading).items() if value is not None}
+        about = {"version": self.version, **self.pixels.about, **reading, "model_sha256": self.model_sha256}
         return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -65,10 +70,10 @@ class Task:
     between_us: tuple[int, int] | None = None
 
 
-def job_of(name_or_path: str, model: Model, pixels: PixelSelection) -> Job:
+def job_of(name_or_path: str, model: Model, pixels: PixelSelection, reading: ReadOptions | None = None) -> Job:
     """The job of a model that `load_model` has loaded under this name."""
-    where = name_or_path if name_or_path in bundled_models() else os.path.abspath(name_or_path)
-    return Job(where, sha256_of(model), pixels=pixels)
+    where = name_or_path if name_or_path in bundled_models() else os.path.abspath(user_path(name_or_path))
+    return Job(where, sha256_of(model), pixels=pixels, reading=reading or ReadOptions())
 
 
 def task_of(

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from async_tnt.files import refuse_git_lfs
 from async_tnt.sources.files.numpy_files import map_npy
 from async_tnt.sources.labelled_recordings import is_recording
 
@@ -92,6 +93,7 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
 
 
 def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
+    refuse_git_lfs(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)

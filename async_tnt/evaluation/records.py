@@ -42,7 +42,13 @@ def evaluate_recording(task: Task) -> Record:
     window: list[Decision] = []
     try:
         recording, select = pixels.open(
-            task.path, name=task.recording, strict=True, between_us=task.between_us, off_sensor="count"
+            task.path,
+            name=task.recording,
+            strict=True,
+            between_us=task.between_us,
+            columns=task.job.reading.columns,
+            topic=task.job.reading.topic,
+            off_sensor="count",
         )
         for decision in _decisions(map(select, recording), processor, pixels):
             window.append(decision)

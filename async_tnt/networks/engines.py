@@ -10,6 +10,7 @@ from typing import Any
 
 from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
+from async_tnt.files import user_path
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.networks.onnx_network import OnnxClassifier
@@ -43,7 +44,7 @@ def choose_engine(
     ValueError : the file is damaged; an .onnx file of another program without `config`, or `config` for another model.
     """
     if config is not None:
-        return _of_other_program(Path(name_or_path), config)
+        return _of_other_program(user_path(name_or_path), config)
     if is_onnx(name_or_path):
         classifier = OnnxClassifier(name_or_path)
         if classifier.exported is None:

@@ -12,6 +12,7 @@ from safetensors import SafetensorError
 
 from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
+from async_tnt.files import refuse_git_lfs, user_path
 from async_tnt.networks.from_onnx import load_onnx
 from async_tnt.networks.model import FORMAT, Model
 from async_tnt.networks.model_file import checksum_of, read_description, read_tensors
@@ -31,7 +32,7 @@ def load_model(
 
     Parameters
     ----------
-    name_or_path : one of `bundled_models()`, or the path of a .safetensors or .onnx file.
+    name_or_path : one of `bundled_models()`, or the path of a .safetensors or .onnx file; `~` is the home folder.
     config : how events become volumes, for an .onnx network of another program. Other files contain it.
     classes : class names in the order of the outputs, for the same networks; by default "0", "1", ...
 
@@ -46,15 +47,17 @@ def load_model(
     TypeError : `config` or `classes` for a model that has its own, or no `config` for a network that has none.
     NotImplementedError : names the first node of an .onnx network that has no compiled form; or its layers compute
         other numbers than onnxruntime.
-    ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
+    ValueError : the file is damaged, a pointer of Git LFS, needs a network that this release cannot run, or is not a
+        model of this package.
     """
     if str(name_or_path) in bundled_models():
         path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
     else:
-        path = Path(name_or_path)
+        path = user_path(name_or_path)
         if not path.is_file():
             names = ", ".join(bundled_models())
             raise FileNotFoundError(f"no model file {path}, and no bundled model of that name (bundled: {names})")
+        refuse_git_lfs(path)
     if path.suffix.lower() == ".onnx":
         return load_onnx(path, config, classes)
     if config is not None or classes is not None:

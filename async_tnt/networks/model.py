@@ -14,7 +14,7 @@ import numpy as np
 
 from async_tnt.checks import plain_array, short
 from async_tnt.config import TNTConfig
-from async_tnt.files import replacing
+from async_tnt.files import replacing, user_path
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
 from async_tnt.networks.layer_operations import Shape
 from async_tnt.networks.model_file import checksum_of, tensor_bytes
@@ -190,7 +190,7 @@ class Model:
         OSError : the file cannot be written, or its path is not that of a regular file.
         TypeError : the record holds something that JSON cannot represent.
         """
-        path = Path(path)
+        path = user_path(path)
         metadata = self.description() | {"network": json.dumps(self.network)}
         metadata["sha256"] = checksum_of(self.weights, metadata)
         content = tensor_bytes(self.weights, metadata)

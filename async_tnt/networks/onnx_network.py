@@ -12,6 +12,7 @@ import numpy as np
 
 import async_tnt.config as limits
 from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
+from async_tnt.files import refuse_git_lfs, user_path
 from async_tnt.networks.objects import LOGITS, Places, logits_shape, places_of
 from async_tnt.networks.onnx_export import Exported, read_metadata
 
@@ -145,9 +146,10 @@ def source_of(path_or_bytes: Any) -> str | bytes:
         raise TypeError(
             f"`path_or_bytes` must be a path, bytes or an onnx.ModelProto, got {type(path_or_bytes).__name__}"
         )
-    path = Path(path_or_bytes)
+    path = user_path(path_or_bytes)
     if not path.exists():
         raise FileNotFoundError(f"no file {path}")
+    refuse_git_lfs(path)
     return str(path)
 
 

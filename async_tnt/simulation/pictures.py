@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.checks import needs_extra
+from async_tnt.files import refuse_git_lfs
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 LARGEST_SIDE = 512
@@ -46,8 +47,9 @@ def read_picture(path: Path) -> Picture:
 
     Raises
     ------
-    ValueError : no picture, a damaged one, or nothing on it. OSError : it cannot be read.
+    ValueError : no picture, a damaged one, a pointer of Git LFS, or nothing on it. OSError : it cannot be read.
     """
+    refuse_git_lfs(path)
     try:
         colours = _colours(path)
     except Exception as error:  # a damaged file surfaces as any of a dozen types

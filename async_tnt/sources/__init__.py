@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         open_recording,
         sample_recordings,
     )
-    from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
+    from async_tnt.sources.files.source import CorruptData, DamagedRecording, ReadOptions, Source, Topic
     from async_tnt.sources.keep_up import KeepUp
     from async_tnt.sources.opening import open_source
     from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
@@ -49,7 +49,7 @@ else:
             "files.nmnist": "read_nmnist",
             "files.off_sensor": "EventsOffSensor",
             "files.recording": "READERS Recording RecordingCounts open_recording sample_recordings",
-            "files.source": "CorruptData DamagedRecording Source",
+            "files.source": "CorruptData DamagedRecording ReadOptions Source Topic",
             "keep_up": "KeepUp",
             "opening": "open_source",
             "pixel_filter": "PixelCounts PixelFilter",
@@ -65,7 +65,8 @@ __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock",
     "CorruptData", "DamagedRecording", "Decoder", "EventsOffSensor", "KeepUp", "NetworkCounts",
     "PackedMask", "PacketQueue", "PixelCounts", "PixelFilter", "PixelSelection", "PixelSelector",
-    "QueueCounters", "Recording", "RecordingCounts", "Source", "UdpSource", "count_pixels",
-    "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
-    "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
+    "QueueCounters", "ReadOptions", "Recording", "RecordingCounts", "Source", "Topic", "UdpSource",
+    "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera",
+    "open_recording", "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings",
+    "save_mask",
 ]  # fmt: skip

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from async_tnt.files import refuse_git_lfs, user_path
 from async_tnt.sources.files.recording import READERS
 
 TABLE = "_labels.csv"
@@ -65,8 +66,8 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
 
     Parameters
     ----------
-    folder : holds a folder for each class, with the name of the class, or sessions. Hidden files and folders
-        (".cache"), files that are not recordings, and deeper ones are ignored.
+    folder : holds a folder for each class, with the name of the class, or sessions; `~` is the home folder. Hidden
+        files and folders (".cache"), files that are not recordings, and deeper ones are ignored.
     part : such as "Train": they are in `folder/part` if that exists and has any; of sessions, those that the list for
         this part names or, without one, those that the other part's list does not name.
 
@@ -91,7 +92,7 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     >>> {name: [recording.path.name for recording in recordings] for name, recordings in found.items()}
     {'left': ['a.npy', 'b.npz'], 'right': ['a.npy']}
     """
-    folder = Path(folder)
+    folder = user_path(folder)
     if not folder.exists():
         raise FileNotFoundError(f"no folder {folder}; expected one with a folder of recordings for each class")
     if not folder.is_dir():
@@ -246,6 +247,7 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
 
 def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int, dict[str, str]]]:
     """The rows of a CSV file, with their lines and these columns, each of which may have one of several names."""
+    refuse_git_lfs(path)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file, skipinitialspace=True)

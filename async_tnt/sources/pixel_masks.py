@@ -35,7 +35,6 @@ import os
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from async_tnt.checks import plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.events import EventDecoder
-from async_tnt.files import check_writable, replacing
+from async_tnt.files import check_writable, replacing, user_path
 from async_tnt.kernels.pixels import count_events
 from async_tnt.sources.files.numpy_files import map_npy
 from async_tnt.sources.sensor import Sensor, checked_sensor, format_size
@@ -83,7 +82,7 @@ def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.
 
     Parameters
     ----------
-    path : the `.npy` file.
+    path : the `.npy` file; `~` is the home folder.
     sensor : (width, height) that the mask must have; None: any.
 
     Raises
@@ -91,6 +90,7 @@ def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.
     ValueError : damaged, or not a mask of this sensor.
     OSError : missing or not readable.
     """
+    path = user_path(path)
     try:
         return np.array(checked_mask(map_npy(path), sensor))
     except ValueError as error:
@@ -106,9 +106,10 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     ValueError : not a bool array of two dimensions, or another suffix.
     OSError : not writable.
     """
-    check_writable(Path(path), (".npy",))
+    path = user_path(path)
+    check_writable(path, (".npy",))
     mask = checked_mask(mask)
-    with replacing(Path(path)) as part, part.open("wb") as file:
+    with replacing(path) as part, part.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.sources.files.recording import OffSensor, Recording, open_recording
+from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.pixel_filter import PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixel_masks import PackedMask
 from async_tnt.sources.sensor import Sensor, check_sensor, checked_sensor, format_size
@@ -134,26 +134,16 @@ class PixelSelector:
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
-    def open(
-        self,
-        path: Path,
-        *,
-        name: str | None = None,
-        strict: bool = False,
-        between_us: tuple[int, int] | None = None,
-        off_sensor: OffSensor | None = None,
-    ) -> tuple[Recording, Callable[[Any], Any]]:
-        """A recording, or its part between two times, and the filter for its packets.
+    def open(self, path: Path, *, name: str | None = None, **reading: Any) -> tuple[Recording, Callable[[Any], Any]]:
+        """A recording and the filter for its packets.
 
-        `name` is for messages, by default the path; the others are those of `open_recording`.
+        `path` and `reading` are arguments of `open_recording`. `name` is for messages; by default the path.
 
         Raises
         ------
         ValueError, OSError : unreadable, or of another sensor than expected.
         """
-        recording = open_recording(
-            path, strict=strict, sensor=self.expected, between_us=between_us, off_sensor=off_sensor
-        )
+        recording = open_recording(path, sensor=self.expected, **reading)
         return recording, self.filter_of(path if name is None else name, recording.sensor)
 
     def filter_of(self, name: Any, found: Sensor | None) -> Callable[[Any], Any]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class RecordingSummary:
     events, on, unsorted : how many there are, are ON, and are earlier than the one before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
     events_a_second : in each of N_PARTS equal parts of the recording; empty without events.
+    topics : `name`, `type`, `messages` and `is_read` of each topic of a ROS bag; empty for other files.
     hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixel_masks`; empty where the sensor is not known.
     """
 
@@ -54,21 +56,23 @@ class RecordingSummary:
     last_us: int
     events_a_second: list[float]
     hot_pixels: list[dict[str, int]]
+    topics: list[dict[str, Any]]
 
 
-def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> RecordingSummary:
+def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None, **reading: Any) -> RecordingSummary:
     """Read a recording, in little memory.
 
     Parameters
     ----------
     path : of any format that `open_recording` knows.
     sensor : (width, height), where the file does not state it.
+    reading : other options of `open_recording`.
 
     Raises
     ------
     As `open_recording`. A damaged recording is summarized up to the damage.
     """
-    recording = open_recording(path, PACKET_EVENTS, sensor=sensor, off_sensor="count")
+    recording = open_recording(path, PACKET_EVENTS, sensor=sensor, off_sensor="count", **reading)
     known = recording.sensor
     counted = known is not None and known[0] * known[1] <= MOST_PIXELS
     pixels = np.zeros(known[::-1] if known and counted else (0, 0), np.int64)
@@ -104,6 +108,7 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None) -> Rec
         last_us=first_us + duration_us,
         events_a_second=(counts / (np.diff(edges) * 1e-6)).tolist() if recording.n_events else [],
         hot_pixels=listed_pixels(pixels, hot_pixels(pixels)) if counted else [],
+        topics=[asdict(topic) for topic in recording.source.topics],
     )
 
 

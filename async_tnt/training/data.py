@@ -14,6 +14,7 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.progress import Bar
 from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
@@ -61,6 +62,7 @@ def dataset_data(
     config: TNTConfig,
     *,
     pixels: PixelSelection,
+    reading: ReadOptions | None = None,
     sensor_source: str = "`sensor`",
     classes: tuple[str, ...] | None = None,
     validation: float = 0.2,
@@ -82,7 +84,7 @@ def dataset_data(
     ----------
     folder : has a folder for each class.
     config : its sensor is replaced by that of the events.
-    pixels, sensor_source, classes : as for `read_dataset`.
+    pixels, reading, sensor_source, classes : as for `read_dataset`.
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
     groups : a regular expression, see `groups_by_pattern`; by default the last recordings of each class by number, or
         some at random.
@@ -101,6 +103,7 @@ def dataset_data(
     dataset = read_dataset(
         folder,
         pixels=pixels,
+        reading=reading,
         sensor_source=sensor_source,
         classes=classes,
         with_pictures=pictures,
@@ -185,6 +188,7 @@ def dataset_data(
             folder / "Test" if (folder / "Test").is_dir() else folder,
             part="Test",
             pixels=replace(pixels, sensor=dataset.camera),
+            reading=reading,
             sensor_source="the recordings to train on",
             classes=classes,
             known=dataset.known,

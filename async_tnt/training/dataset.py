@@ -6,14 +6,15 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from async_tnt.progress import Bar
 from async_tnt.sources.files.off_sensor import likely_side
-from async_tnt.sources.files.recording import READERS, open_recording
+from async_tnt.sources.files.recording import READERS, Recording, open_recording
+from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -59,6 +60,7 @@ def read_dataset(
     *,
     part: str = "Train",
     pixels: PixelSelection | None = None,
+    reading: ReadOptions | None = None,
     sensor_source: str = "`sensor`",
     classes: tuple[str, ...] | None = None,
     with_pictures: Collection[str] = (),
@@ -83,6 +85,7 @@ def read_dataset(
     part : the folder in it that is read, where there is one.
     pixels : which events to learn from; by default all. The others are removed as if they had never been recorded:
         times count from the first event that is left.
+    reading : how files are read that do not say it themselves; its sensor is that of `pixels`.
     sensor_source : where `pixels.camera` comes from, for messages.
     classes : the class names that may occur; by default the folders there are, at least two.
     with_pictures : classes that need no recordings, as they have pictures.
@@ -98,14 +101,15 @@ def read_dataset(
     OSError : no such folder.
     """
     pixels = PixelSelection() if pixels is None else pixels
+    reading = replace(reading or ReadOptions(), sensor=pixels.camera)
     found = find_recordings(folder, part)
     _check_classes(folder, found, classes, with_pictures)
     names = tuple(found) if classes is None else classes
     labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
     camera, source = pixels.camera, sensor_source
     if camera is None:
-        camera, source = _stated_sensor([file for _, file in labelled])
-    reader = _Reader(str(folder), pixels, camera, source, {} if known is None else known)
+        camera, source = _stated_sensor([file for _, file in labelled], reading)
+    reader = _Reader(str(folder), pixels, reading, camera, source, {} if known is None else known)
     left_out: list[tuple[int, str]] = []
     with RecordingsWriter(store) as writer, progress(len(labelled), "reading") as bar:
         for label, file in labelled:
@@ -145,13 +149,18 @@ def read_dataset(
     )
 
 
-def _stated_sensor(files: list[LabelledRecording]) -> tuple[Sensor | None, str]:
+def _stated_sensor(files: list[LabelledRecording], reading: ReadOptions) -> tuple[Sensor | None, str]:
     """The sensor of the first recording that states one, and its name."""
     for file in files:
         with contextlib.suppress(ValueError, OSError):  # told when it is read
-            if (stated := open_recording(file.path, strict=True, between_us=file.between_us).stated_sensor) is not None:
+            if (stated := _opened(file, reading).stated_sensor) is not None:
                 return (int(stated[0]), int(stated[1])), file.name
     return None, ""
+
+
+def _opened(file: LabelledRecording, reading: ReadOptions) -> Recording:
+    """A recording, or the part that is labelled."""
+    return open_recording(file.path, strict=True, between_us=file.between_us, off_sensor="count", **asdict(reading))
 
 
 class _LeftOut(Exception):
@@ -167,9 +176,17 @@ class _Reader:
     known : recordings that have been read before.
     """
 
-    def __init__(self, folder: str, pixels: PixelSelection, camera: Sensor | None, source: str, known: Known) -> None:
+    def __init__(
+        self,
+        folder: str,
+        pixels: PixelSelection,
+        reading: ReadOptions,
+        camera: Sensor | None,
+        source: str,
+        known: Known,
+    ) -> None:
         self._folder = folder
-        self._given = pixels.camera
+        self._reading = reading
         self._camera = camera
         self._source = source
         self.known = known
@@ -188,15 +205,13 @@ class _Reader:
         ValueError : another sensor, or none; the same recording is in another class; it is too long.
         """
         try:
-            recording = open_recording(
-                file.path, strict=True, sensor=self._given, between_us=file.between_us, off_sensor="count"
-            )
+            recording = _opened(file, self._reading)
             recording.sensor = recording.sensor or self._camera  # another recording's
             events = recording.read()
         except (ValueError, OSError) as error:
             raise _LeftOut(_message(error, file)) from None
         if len(events) == 0:
-            raise _LeftOut(f"{file.name}: no events{_times_of(file)}")
+            raise _LeftOut(f"{file.name}: no events{_times_of(file, self._reading)}")
         self._check_sensor(file, recording.stated_sensor)
         self.n_off_sensor += recording.counts.off_sensor
         if self._camera is None:
@@ -247,9 +262,12 @@ class _Reader:
         return seen
 
 
-def _times_of(file: LabelledRecording) -> str:
+def _times_of(file: LabelledRecording, reading: ReadOptions) -> str:
     """For a part without events: which times the file has. Often they count from another origin, or in another unit."""
-    if file.between_us is None or not (whole := open_recording(file.path, off_sensor="count")).n_events:
+    if file.between_us is None:
+        return ""
+    whole = open_recording(file.path, off_sensor="count", **asdict(reading))
+    if not whole.n_events:
         return ""
     return f"; the file has {whole.earliest_us} to {whole.earliest_us + whole.duration_us} us"
 

@@ -285,14 +285,14 @@ def example_recordings(
     return shown
 
 
-def measure_camera(path: Path, window_us: int, sensor: tuple[int, int]) -> MeasuredPixels:
-    """What a recording tells about the pixels of its camera.
+def measure_camera(path: Path, window_us: int, sensor: tuple[int, int], **reading: Any) -> MeasuredPixels:
+    """What a recording tells about the pixels of its camera; `reading` are other options of `open_recording`.
 
     Raises
     ------
     ValueError : not a recording, of another sensor, or without a window of events. OSError : it cannot be read.
     """
-    recording = open_recording(path, sensor=sensor)
+    recording = open_recording(path, sensor=sensor, **reading)
     if recording.stated_sensor not in (None, sensor):
         raise ValueError(f"{path}: a camera of {recording.stated_sensor} pixels, expected {sensor}")
     events = recording.read()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import warnings
-from pathlib import Path
 
 import torch
 from torch.utils.data import Dataset
 
 from async_tnt.config import TNTConfig
+from async_tnt.files import user_path
 from async_tnt.sources.labelled_recordings import has_test
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.batches import BatchVolumes
@@ -57,7 +57,7 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     ) -> None:
         if config.needs_regressor:
             raise ValueError("landmark 'regressor' needs a network; volumes of a data set have none")
-        if part == "Test" and not has_test(Path(folder)):
+        if part == "Test" and not has_test(user_path(folder)):
             raise FileNotFoundError(f"{folder} has neither a folder Test nor lists of what belongs to it")
         self._volumes = BatchVolumes(config)
         pixels = PixelSelection(sensor=config.sensor)

@@ -18,7 +18,7 @@ from async_tnt.checks import needs_extra, positive_int
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import EVENT_DTYPE, as_events
-from async_tnt.files import Replacement, check_writable
+from async_tnt.files import Replacement, check_writable, user_path
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
 from async_tnt.streams import Settings, as_processor
@@ -92,7 +92,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         self._stream = rr.RecordingStream("async_tnt")
         self._file: Replacement | None = None
         if out is not None:
-            self._file = _save(self._stream, Path(out))
+            self._file = _save(self._stream, user_path(out))
         elif connect is not None:
             _connect(self._stream, connect)
         else:

@@ -74,6 +74,16 @@ def test_counts_by_hand(folder, saved, program, write, name):
     assert "off the sensor cannot be found: 1; is the table in" in program("evaluate", saved, folder)[2]
 
 
+def test_recordings_are_read_by_the_options(folder, saved, program):
+    write_points(folder / "a_td_objects.csv")
+    expected = json.loads(program("evaluate", saved, folder, "--json")[1])
+    (folder / "a_td.npz").unlink()
+    (folder / "a_td.csv").write_text("".join(f"{x},{y},{p},{t}\n" for t, x, y, p in sorted(EVENTS)))
+    assert program("evaluate", saved, folder, "--sensor", "64x40")[0] == 2
+    code, out, _ = program("evaluate", saved, folder, "--sensor", "64x40", "--columns", "xypt", "--json")
+    assert code == 0 and json.loads(out) == expected
+
+
 def test_prophesees_names(folder, saved, program):
     """By the dictionary beside the boxes; of a class that the model does not know, they do not count."""
     write_boxes(folder / "a_bbox.npy")

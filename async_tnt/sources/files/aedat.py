@@ -9,7 +9,8 @@ All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that 
           DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
 
       Addresses count x from the right and y from the bottom (jAER, DavisBaseCamera and DVS128): both are turned round.
-      Of a file that names no camera they are x and y. The clock wraps after 71.6 minutes; times are unwrapped.
+      Of a file that names no camera they are x and y; if the caller states the size of a DAVIS, it is of one, such as
+      v2e writes. The clock wraps after 71.6 minutes; times are unwrapped.
 3.1   up to `#!END-HEADER`, with a line `#Source 1: DVS128`; then packets, little-endian, of 28 bytes of header (16 bits
       each: type, source; 32 bits each: size of an event, place of the time in it, overflows of the clock, capacity,
       events, valid events) and their events. Those of type 1 are of pixels:
@@ -32,7 +33,7 @@ from typing import BinaryIO
 import numpy as np
 
 from async_tnt.kernels.evt import unwrap_times
-from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, is_text, valid_events
+from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, ReadOptions, Source, is_text, valid_events
 from async_tnt.sources.sensor import Sensor
 
 SENSORS: dict[str, Sensor] = {
@@ -45,6 +46,8 @@ SENSORS: dict[str, Sensor] = {
     "DAVIS640": (640, 480),
 }
 """Name of a camera, in capitals, without the letter of a version -> its pixels."""
+DAVIS_SIZES = {size: name for name, size in SENSORS.items() if name.startswith("DAVIS") and size != SENSORS["DVS128"]}
+"""(width, height) -> the DAVIS that has as many pixels; 128x128 are a DVS128's."""
 EVENT_BYTES = 8
 MAX_LINE, MAX_LINES = 1 << 16, 4096
 PERIOD_US = 1 << 32
@@ -55,13 +58,17 @@ class Aedat2Source(Source):
 
     format = "AEDAT 2.0"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
         camera, self._start = _read_header(path, rb"#\s*AEChip:\s*(\S+)", None)
         self.sensor = SENSORS.get(camera)
         if not camera:
-            self.sensor_hint = "addresses are read as those of a DVS128, as the header names no other camera"
-        self._camera = camera
+            camera = DAVIS_SIZES.get(options.sensor, "") if options.sensor else ""
+            self.sensor_hint = (
+                f"addresses are read as those of a {camera or 'DVS128'}, as the header names no other camera; if it is "
+                "of a DAVIS, a header line such as `# AEChip: DAVIS346` or its size as `sensor` says so"
+            )
+        self._davis: Sensor | None = SENSORS[camera] if camera.startswith("DAVIS") else None
 
     def blocks(self) -> Iterator[np.ndarray]:
         newest_us = np.int64(-1)
@@ -79,8 +86,10 @@ class Aedat2Source(Source):
 
     def _pixels(self, address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """x, y, p, and whether the event is a pixel's; x or y is below 0 in an address of another camera."""
-        if self.sensor is not None and self._camera.startswith("DAVIS"):
-            x, y = self.sensor[0] - 1 - (address >> 12 & 0x3FF), self.sensor[1] - 1 - (address >> 22 & 0x1FF)
+        if self._davis is not None:
+            width, height = self._davis
+            x = width - 1 - (address >> 12 & 0x3FF)
+            y = height - 1 - (address >> 22 & 0x1FF)
             return x, y, address >> 11 & 1, address & 0x8000_0400 == 0
         turned = 0 if self.sensor is None else 0x7F  # 127 - n
         x = np.where(address >> 16 == 0, (address >> 1 & 0x7F) ^ turned, -1)
@@ -92,7 +101,7 @@ class Aedat3Source(Source):
 
     format = "AEDAT 3.1"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
         camera, self._start = _read_header(path, rb"#\s*Source\s+\d+:\s*(\S+)", b"#!END-HEADER")
         self.sensor = SENSORS.get(camera)

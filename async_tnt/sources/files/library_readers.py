@@ -1,20 +1,22 @@
 """AEDAT4 and ES files, read by faery, and HDF5 files, read by h5py, all in a worker process (`worker_source.py`).
 
-This module is what the worker imports: nothing that takes time. A reader is a function of a path. It yields the sensor,
-(width, height) or None, then blocks of events, each as a list of four columns of integers: t, x, y, p. It raises an
-exception where the file cannot be read on.
+This module is what the worker imports: nothing that takes time. (`ros_reader.py` is another.) A reader is a function
+of a path. It yields the sensor, (width, height) or None, then blocks of events, each as a list of four columns of
+integers: t, x, y, p. It raises an exception where the file cannot be read on.
 
-HDF5 files of two layouts are read:
+HDF5 files of three layouts are read:
 
 DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add to t. `ms_to_idx` is not needed here.
+RVT, eTraM   the same without t_offset; events/width, height: the sensor.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
 
-HDF5 does not include the filters that compress these two: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's by
-ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
+HDF5 does not include the filters that compress two of these: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's
+by ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
 
 References
 ----------
 Gehrig, Aarents, Gehrig, Scaramuzza 2021, DSEC: A Stereo Event Camera Dataset for Driving Scenarios, RA-L.
+Gehrig, Scaramuzza 2023, Recurrent Vision Transformers for Object Detection with Event Cameras, CVPR: its data sets.
 Prophesee, Metavision documentation: HDF5 event file format.
 """
 
@@ -34,6 +36,8 @@ BLOCK_EVENTS = 1 << 16
 CACHE_BYTES = 1 << 26  # of each data set: a chunk that does not fit is decompressed again for every block
 COLUMNS = ("t", "x", "y", "p")
 ES_SENSOR_AT = 16  # the byte of a file's header where width and height begin, 16 bits each
+MAX_SIDE = 1 << 16
+"""Pixels of the longest side that a file may state."""
 ECF = 0x8ECF
 ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
 PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
@@ -44,23 +48,27 @@ _blocks: Iterator[Any] = iter(())  # of the file that this process reads
 
 
 def start(read: Reader, path: str) -> Any:
-    """Start to read a file, and return its sensor; `next_block` then returns its events."""
+    """Start to read a file, and return what comes first, its sensor; `next_block` then returns its events."""
     global _blocks
     _limit_memory()
     _blocks = read(path)
     return next(_blocks)
 
 
-def sensor_of(read: Reader, path: str) -> Any:
-    """A file's sensor. The file is closed then: HDF5 lets nobody write one that is open."""
+def head_of(read: Reader, path: str) -> tuple[Any, Any]:
+    """What comes first, a file's sensor, and the first block, None if there is none.
+
+    The file is closed then: HDF5 lets nobody write one that is open.
+    """
     global _blocks
-    sensor = start(read, path)
+    head = start(read, path)
+    first = next(_blocks, None)
     _blocks = iter(())
-    return sensor
+    return head, first
 
 
-def next_block() -> list[np.ndarray] | None:
-    """The columns of the next events, None at the end."""
+def next_block() -> Any:
+    """The next events, mostly as columns; None at the end."""
     return next(_blocks, None)
 
 
@@ -151,7 +159,7 @@ def read_hdf5(path: str) -> Iterator[Any]:
 
     with h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES) as file:
         sets, offset_us = _layout(h5py, file)
-        yield _geometry(file) if len(sets) == 1 else None
+        yield _geometry(file) if len(sets) == 1 else _sides(h5py, file)
         n_events = sets[0].size
         for start in range(0, n_events, BLOCK_EVENTS):
             columns = [data[start : start + BLOCK_EVENTS] for data in sets]
@@ -174,7 +182,7 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     else:
         what, sets = "CD/events", [_find(h5py, file, "CD/events")]
     if None in sets:
-        raise ValueError(f"expected events/t, x, y, p (DSEC) or CD/events (Metavision), got {sorted(file)[:8]}")
+        raise ValueError(f"expected events/t, x, y, p (DSEC, RVT) or CD/events (Metavision), got {sorted(file)[:8]}")
     for data in [*sets, *([] if offset is None else [offset])]:
         if not isinstance(data, h5py.Dataset):
             raise ValueError(f"{what} and `t_offset` must be data sets, but {data.name} is a {type(data).__name__}")
@@ -241,6 +249,20 @@ def _check_complete(data: Any) -> None:
         needed, have, what = -(-data.size // data.chunks[0]), data.id.get_num_chunks(), "chunks"
     if have < needed:
         raise ValueError(f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} {what}")
+
+
+def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
+    """The numbers events/width and events/height; None if the file does not have both."""
+    sides = [_find(h5py, file, f"events/{name}") for name in ("width", "height")]
+    if None in sides:
+        return None
+    for side in sides:
+        if not isinstance(side, h5py.Dataset) or side.size != 1 or side.dtype.kind not in "iu":
+            raise ValueError(f"{side.name} must be one whole number, got {side}")
+    width, height = (int(side[()].item()) for side in sides)
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ValueError(f"events/width and height must be in [1, {MAX_SIDE}], got {width} and {height}")
+    return width, height
 
 
 def _geometry(file: Any) -> tuple[int, int] | None:

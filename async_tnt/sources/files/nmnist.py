@@ -20,11 +20,11 @@ there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 
 from async_tnt.events import structured
+from async_tnt.files import refuse_git_lfs, user_path
 
 SENSOR = (34, 34)
 """Width and height of N-MNIST's sensor crop, in pixels."""
@@ -54,7 +54,8 @@ def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
     ValueError : damage.
     OSError : missing, a folder, or not readable.
     """
-    path = Path(path)
+    path = user_path(path)
+    refuse_git_lfs(path)
     raw = path.read_bytes()
     n_rows, n_left = divmod(len(raw), BYTES_PER_EVENT)
     rows = np.frombuffer(raw, np.uint8, n_rows * BYTES_PER_EVENT).reshape(n_rows, BYTES_PER_EVENT)

@@ -24,9 +24,17 @@ from typing import IO
 import numpy as np
 
 from async_tnt.checks import one_line
-from async_tnt.event_forms import NAMES, Four, event_columns, named_columns, the_name
+from async_tnt.event_forms import NAMES, Four, event_columns, likely_order, named_columns, the_name
 from async_tnt.events import ANY_SENSOR, checked_columns
-from async_tnt.sources.files.source import BLOCK_EVENTS, ArraySource, CorruptData, Source, valid_blocks
+from async_tnt.files import refuse_git_lfs, user_path
+from async_tnt.sources.files.source import (
+    BLOCK_EVENTS,
+    ArraySource,
+    CorruptData,
+    ReadOptions,
+    Source,
+    valid_blocks,
+)
 from async_tnt.sources.sensor import Sensor
 
 MAGIC = b"\x93NUMPY"  # the first bytes of every .npy file
@@ -70,8 +78,10 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
 
 def map_npy(path: str | os.PathLike[str]) -> np.memmap:
-    """Map the array of a `.npy` file, read-only; a ValueError if it is damaged."""
-    with Path(path).open("rb") as file:
+    """Map the array of a `.npy` file, read-only; a ValueError if it is damaged or a pointer of Git LFS."""
+    path = user_path(path)
+    refuse_git_lfs(path)
+    with path.open("rb") as file:
         try:
             claimed, is_fortran = read_npy_header(file, os.fstat(file.fileno()).st_size)
         except ValueError as error:
@@ -84,11 +94,12 @@ class NpySource(Source):
 
     format = "NumPy array"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
+        self._order = options.columns
         array = map_npy(path)
         try:
-            _columns(array[:BLOCK_EVENTS] if array.ndim else array)
+            _columns(self._order, array[:BLOCK_EVENTS] if array.ndim else array)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {one_line(error)}") from None
         self._n_events = len(array)
@@ -98,19 +109,19 @@ class NpySource(Source):
 
     def _block(self, start: int) -> Four:
         try:  # mapped again for each: pages that were read stay in memory as long as their map does
-            return _columns(map_npy(self.path)[start : start + BLOCK_EVENTS])
+            return _columns(self._order, map_npy(self.path)[start : start + BLOCK_EVENTS])
         except ValueError as error:
             raise CorruptData(f"after {start} events: {one_line(error)}") from None
 
 
-def open_npz(path: Path) -> Source:
+def open_npz(path: Path, options: ReadOptions) -> Source:
     """Open a `.npz` recording; all of it is read and checked."""
     path.open("rb").close()  # raises the OSError of a missing file
     try:
         with zipfile.ZipFile(path) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             sensor = _sensor(_read(archive, members.pop("sensor"))) if "sensor" in members else None
-            columns = _columns(*(_read(archive, info) for info in _event_members(members)))
+            columns = _columns(options.columns, *(_read(archive, info) for info in _event_members(members)))
         sizes = [len(column) for column in columns]
         if len(set(sizes)) != 1:
             raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}")
@@ -155,8 +166,13 @@ def _sensor(array: np.ndarray) -> Sensor:
     return sides[0], sides[1]
 
 
-def _columns(*arrays: np.ndarray) -> Four:
-    """The columns t, x, y, p of one array of events, or of four arrays; whole numbers, of unchecked values."""
+def _columns(order: str | None, *arrays: np.ndarray) -> Four:
+    """The columns t, x, y, p of one array of events, or of four arrays; whole numbers, of unchecked values.
+
+    Parameters
+    ----------
+    order : of a plain array's columns, as the caller states it; None: t, x, y, p.
+    """
     array = arrays[0]
     if len(arrays) == 1 and (array.dtype.names is None or array.ndim == 0):
         if array.ndim != 2 or array.shape[1] != 4:
@@ -164,9 +180,20 @@ def _columns(*arrays: np.ndarray) -> Four:
                 "expected a structured array with fields t, x, y, p or an (N, 4) array of those columns, "
                 f"got shape {array.shape} of {array.dtype}"
             )
-        arrays = event_columns(array, "txyp") if array.dtype.kind in "iu" else tuple(array.T)
+        arrays = _in_order(array, order) if array.dtype.kind in "iu" else tuple(array.T)
     columns = named_columns(arrays if len(arrays) > 1 else array) or (np.empty(0, np.int64),) * 4
     if not all(c.ndim == 1 and c.dtype.kind in ("iub" if i == 3 else "iu") for i, c in enumerate(columns)):
         t, x, y, p = (column[:0] if column.ndim == 1 else column for column in columns)
         checked_columns(t, x, y, p, ANY_SENSOR)  # raises an error that names what is wrong
     return columns
+
+
+def _in_order(table: np.ndarray, order: str | None) -> Four:
+    """The columns t, x, y, p of a table; a ValueError if they are seen to be in another order than stated."""
+    usual = "txyp"
+    if order is None and (likely := likely_order(table, usual)) != usual:
+        raise ValueError(
+            f"the columns are not {usual!r}; they look like {likely!r}: state their order with `columns`, or save a "
+            "structured array"
+        )
+    return event_columns(table, order or usual)

@@ -12,7 +12,7 @@ DAT's clock of 32 bits wraps after 71.6 minutes; times are unwrapped.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from async_tnt.events import empty_columns, structured
 from async_tnt.kernels.evt import INITIAL, UNPLACED, decode_evt2, decode_evt3, decode_evt21, unwrap_times
-from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, is_text, valid_events
+from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, ReadOptions, Source, is_text, valid_events
 from async_tnt.sources.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
@@ -102,7 +102,7 @@ class Header:
 class EvtSource(Source):
     """The events of a RAW file; triggers and other words are skipped."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions) -> None:
         header = Header(path)
         version = EVT_NAMES.get(header.format) or header.fields.get("evt", "").removesuffix(".0")
         if version not in EVT_VERSIONS:
@@ -134,21 +134,41 @@ class EvtSource(Source):
                 words = np.frombuffer(chunk, dtype, len(chunk) // size * size // dtype.itemsize)
                 if self._halves_swapped:
                     words = np.ascontiguousarray(words.reshape(-1, 2)[:, ::-1]).ravel()
-                done = 0
-                while done < len(words):
-                    n, done = decode(words, done, state, *columns)
-                    n_events += n
-                    if n:
-                        events = structured(columns, n)
-                        events["t"] += self._t0_us
-                        yield events
+                for events in decoded_words(words, decode, state, columns):
+                    n_events += len(events)
+                    events["t"] += self._t0_us
+                    yield events
                 place += len(chunk)
                 if len(chunk) % size:
                     raise CorruptData(f"the file ends at byte {place}, {len(chunk) % size} bytes into a word of {size}")
-        if state[UNPLACED] and n_events == 0:
-            raise CorruptData(
-                f"{state[UNPLACED]} words of events have no time or no row: no TIME_HIGH or ADDR_Y before"
-            )
+        refuse_unplaced(state, n_events)
+
+
+def decoded_words(
+    words: np.ndarray,
+    decode: Callable[..., tuple[int, int]],
+    state: np.ndarray,
+    columns: Sequence[np.ndarray],
+) -> Iterator[np.ndarray]:
+    """The events of EVT words, in arrays of at most `columns`' length.
+
+    Parameters
+    ----------
+    decode : of the kernels in `kernels.evt`.
+    state : what these words depend on, `INITIAL` before the first; updated in place.
+    columns : t, x, y, p, for the kernel to write to.
+    """
+    done = 0
+    while done < len(words):
+        n, done = decode(words, done, state, *columns)
+        if n:
+            yield structured(columns, n)
+
+
+def refuse_unplaced(state: np.ndarray, n_events: int) -> None:
+    """A `CorruptData` if words had events, but none of these had a time and a row."""
+    if state[UNPLACED] and n_events == 0:
+        raise CorruptData(f"{state[UNPLACED]} words of events have no time or no row: no TIME_HIGH or ADDR_Y before")
 
 
 def dat_header(sensor: Sensor) -> bytes:
@@ -188,7 +208,7 @@ class DatSource(Source):
 
     format = "DAT"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, options: ReadOptions) -> None:
         header = Header(path)
         version = header.fields.get("version", "2")
         if version not in DAT_FIELDS:

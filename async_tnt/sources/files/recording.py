@@ -1,7 +1,7 @@
 """A recording of any known format, as packets of events.
 
 Its reader is found by its suffix, and by its first bytes where a suffix can mean several formats. A further format is
-one more entry in `READERS`: its suffix, and a function from a path to a `Source`.
+one more entry in `READERS`: its suffix, and a function of a path and `ReadOptions` that returns a `Source`.
 """
 
 from __future__ import annotations
@@ -16,23 +16,34 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from async_tnt.checks import positive_int, short
+from async_tnt.checks import is_whole, positive_int, short
 from async_tnt.events import EVENT_DTYPE
+from async_tnt.files import refuse_git_lfs, user_path
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.numpy_files import NpySource, open_npz
 from async_tnt.sources.files.off_sensor import EventsOffSensor, SensorCheck
 from async_tnt.sources.files.prophesee import DatSource, EvtSource
-from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, gathered
+from async_tnt.sources.files.ros_bags import open_ros_bag
+from async_tnt.sources.files.source import (
+    ArraySource,
+    CorruptData,
+    DamagedRecording,
+    ReadOptions,
+    Source,
+    gathered,
+)
 from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
-from async_tnt.sources.sensor import Sensor, checked_sensor
+from async_tnt.sources.sensor import Sensor
+
+Reader = Callable[[Path, ReadOptions], Source]
 
 OffSensor = Literal["warn", "raise", "count"]
 OFF_SENSOR = get_args(OffSensor)
 NMNIST = "N-MNIST"
-BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
+BY_FIRST_BYTES: dict[bytes, Reader] = {
     b"\x89HDF\r\n\x1a\n": open_hdf5,
     b"#!AER-DAT4": open_aedat4,
     b"#!AER-DAT2.": Aedat2Source,
@@ -41,42 +52,46 @@ BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
 }
 
 
-def _open_by_content(path: Path) -> Source:
+def _open_by_content(path: Path, options: ReadOptions) -> Source:
     """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it is."""
     with path.open("rb") as file:
         start = file.read(4096)
     for magic, open_it in BY_FIRST_BYTES.items():
         if start.startswith(magic):
-            return open_it(path)
+            return open_it(path, options)
     if not start:
         raise ValueError(f"{path}: the file is empty")
     header = start.lower()
     if header.startswith(b"%") and (b"% evt " in header or b"% format evt" in header):
-        return EvtSource(path)
+        return EvtSource(path, options)
     if header.startswith(b"%") and path.suffix.lower() == ".dat":
-        return DatSource(path)
+        return DatSource(path, options)
     raise ValueError(
         f"{path}: its first bytes are not those of a known format: expected a header of EVT (with a line `% evt 3.0` "
         f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 or 4, ES or HDF5; got {start[:16]!r}"
     )
 
 
-def _open_nmnist(path: Path) -> Source:
-    source = ArraySource(read_nmnist(path), NMNIST_SENSOR, NMNIST)
-    source.sensor_hint = "a .bin is of N-MNIST's sensor unless `sensor` says another"
+def _open_nmnist(path: Path, options: ReadOptions) -> Source:
+    """N-MNIST's format, of its 34 x 34 pixels or of the stated sensor, which the file does not state."""
+    is_other = options.sensor not in (None, NMNIST_SENSOR)
+    source = ArraySource(read_nmnist(path), None if is_other else NMNIST_SENSOR, NMNIST)
+    if not is_other:
+        source.sensor_hint = "a .bin is of N-MNIST's sensor unless `sensor` says another"
     return source
 
 
-READERS: dict[str, Callable[[Path], Source]] = {
+READERS: dict[str, Reader] = {
     ".bin": _open_nmnist,
     ".npy": NpySource,
     ".npz": open_npz,
     ".txt": open_txt,
     ".csv": open_csv,
     ".tsv": open_csv,
+    **dict.fromkeys((".bag", ".db3", ".mcap"), open_ros_bag),
     **dict.fromkeys((".raw", ".dat", ".aedat", ".aedat4", ".es", ".h5", ".hdf5"), _open_by_content),
 }
-"""Suffix, in lower case -> function that opens such a file."""
+"""Suffix, in lower case -> function of (path, options) that opens such a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,13 +287,15 @@ def open_recording(
     strict: bool = False,
     sensor: Sensor | None = None,
     between_us: tuple[int, int] | None = None,
+    columns: str | None = None,
+    topic: str | None = None,
     off_sensor: OffSensor | None = None,
 ) -> Recording:
     """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it may mean several.
 
     Parameters
     ----------
-    path : file to read.
+    path : file to read; `~` is the home folder.
     packet_events : events per packet when iterating; the last packet has what is left.
     strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises a
         ValueError when reading gets there. Either way, a file that cannot be understood at all, a damaged `.bin` or
@@ -292,6 +309,10 @@ def open_recording(
         a ValueError. (It is judged with every 65,536 events; later than in the first, it counts as damage.)
     between_us : (start, end): only the events with start <= t < end. The file is read up to the first block of events
         that all come later.
+    columns : the order of four columns, such as "xypt", in text and NumPy files that do not name them.
+    topic : the topic to read, of a ROS bag with several topics of events.
+
+    Options that a format does not need, because its files state the same or have no such thing, change nothing.
 
     Returns
     -------
@@ -299,8 +320,8 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, a pipe or device, `packet_events` below 1, or an invalid `sensor` or
-        `off_sensor`.
+    ValueError : unknown suffix, damaged file, one of which not even the first event can be read, a pointer of Git LFS,
+        a pipe or device, `packet_events` below 1, or another invalid option.
     OSError : missing, a folder, or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
@@ -312,24 +333,39 @@ def open_recording(
     >>> sum(len(packet) for packet in recording) == recording.n_events
     True
     """
-    path = Path(path)
+    path = user_path(path)
     suffix = path.suffix.lower()
     packet_events = positive_int("packet_events", packet_events)
-    if sensor is not None:
-        sensor = checked_sensor(sensor)
+    options = ReadOptions(sensor, columns, topic)
+    between_us = _checked_between(between_us)
     if off_sensor not in (None, *OFF_SENSOR):
         raise ValueError(f"`off_sensor` must be one of {', '.join(OFF_SENSOR)}, got {short(off_sensor)}")
+    off_sensor = ("raise" if strict else "warn") if off_sensor is None else off_sensor
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder, expected a recording; `async-tnt info` says what is in it")
+    refuse_git_lfs(path)
     if suffix not in READERS and path.exists():  # else it is missing, whatever its suffix
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
-    off_sensor = ("raise" if strict else "warn") if off_sensor is None else off_sensor
-    source = READERS.get(suffix, _open_by_content)(path)
-    if suffix == ".bin" and sensor is not None:
-        source.sensor = None if sensor != NMNIST_SENSOR else sensor
-    return Recording(path, source, source.sensor or sensor, packet_events, strict, between_us, off_sensor)
+    source = READERS.get(suffix, _open_by_content)(path, options)
+    try:
+        source.check_first()
+    except CorruptData as error:
+        raise ValueError(f"{path}: not one event can be read: {error}") from None
+    return Recording(path, source, source.sensor or options.sensor, packet_events, strict, between_us, off_sensor)
+
+
+def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | None:
+    """(start, end) as Python integers; a ValueError if it is no range of times."""
+    if between_us is None:
+        return None
+    is_pair = isinstance(between_us, (tuple, list, np.ndarray)) and len(between_us) == 2
+    if not (is_pair and all(map(is_whole, between_us)) and between_us[0] < between_us[1]):
+        raise ValueError(
+            f"`between_us` must be (start, end), whole microseconds with start < end, got {short(between_us)}"
+        )
+    return int(between_us[0]), int(between_us[1])
 
 
 def sample_recordings() -> dict[int, Path]:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.event_forms import Four
+from async_tnt.checks import short
+from async_tnt.event_forms import Four, check_order
 from async_tnt.events import structured
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.sources.files.off_sensor import WIDE_DTYPE
-from async_tnt.sources.sensor import Sensor
+from async_tnt.sources.sensor import Sensor, checked_sensor
 
 BLOCK_EVENTS = 1 << 16
 ONLY_ASCII = bytes(range(128)) + b"?" * 128
@@ -28,6 +30,51 @@ class CorruptData(Exception):
     """
 
 
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a caller knows of a file, for formats that do not state it; others do not use it.
+
+    Parameters
+    ----------
+    sensor : (width, height) of the camera.
+    columns : the order of four columns without names, such as "xypt".
+    topic : the name of the topic to read, of a file with several.
+
+    Raises
+    ------
+    ValueError : an impossible sensor; `columns` without each of t, x, y and p; a topic that is no name.
+    """
+
+    sensor: Sensor | None = None
+    columns: str | None = None
+    topic: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.sensor is not None:
+            object.__setattr__(self, "sensor", checked_sensor(self.sensor))
+        if self.columns is not None:
+            check_order("columns", self.columns)
+        if self.topic is not None and (not isinstance(self.topic, str) or not self.topic):
+            raise ValueError(f"`topic` must be the name of a topic, got {short(self.topic)}")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A stream of messages in a file that holds several.
+
+    Parameters
+    ----------
+    name, type : such as "/event_camera/events" and "event_camera_msgs/msg/EventPacket".
+    messages : how many there are.
+    is_read : whether the events come from this one.
+    """
+
+    name: str
+    type: str
+    messages: int
+    is_read: bool = False
+
+
 class Source(ABC):
     """The events of one file, block by block. Holds no more than one block in memory.
 
@@ -36,11 +83,13 @@ class Source(ABC):
     sensor : (width, height) in pixels, or None where the file does not state it.
     format : the name of the file's format.
     sensor_hint : what may be wrong where many events lie off the sensor, for messages; "" where nothing is known.
+    topics : all streams of messages in the file; empty for formats that have none.
     """
 
     sensor: Sensor | None = None
     format: str = ""
     sensor_hint: str = ""
+    topics: tuple[Topic, ...] = ()
 
     @abstractmethod
     def blocks(self) -> Iterator[np.ndarray]:
@@ -54,6 +103,12 @@ class Source(ABC):
         CorruptData : reading cannot continue. All events before that place have been yielded.
         OSError : the file is missing or not readable.
         """
+
+    def check_first(self) -> None:
+        """Raise `CorruptData` if not even one event can be read: the file is then of another format."""
+        for block in self.blocks():
+            if len(block):
+                return
 
 
 class ArraySource(Source):

@@ -6,9 +6,13 @@ UZH    t x y p between blanks, t in seconds; before them, optionally, a line wit
        Seconds become microseconds, to the nearest one.
 CSV    commas, semicolons or tabs between the columns, t in whole microseconds; a header says which column is which
        (t|ts|timestamp, x, y, p|on|polarity|pol; others are skipped), without one they are t, x, y, p
+       Metavision's has the sensor instead of a header, and other columns:
+       %geometry:1280,720
+       96,133,0,3811
 
-Polarity is 0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments. NumPy's `loadtxt` reads the
-rows, as float64: whole numbers below 2**53 are exact.
+Columns without a header that are seen to be in another order are refused, unless the caller states it. Polarity is
+0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments. NumPy's `loadtxt` reads the rows, as
+float64: whole numbers below 2**53 are exact.
 
 References
 ----------
@@ -26,17 +30,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.event_forms import NAMES, Four, the_name
-from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
+from async_tnt.event_forms import NAMES, Four, likely_order, the_name
+from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
 from async_tnt.sources.sensor import Sensor
 
 CHUNK_BYTES = 1 << 18
+FIRST_BYTES = 1 << 12
+"""Of a file's rows, among which the first event is looked for before all of them are read."""
+ORDER_ROWS = 1_000
+"""The first rows of a file, by which the order of its columns is judged."""
 MAX_ROW_BYTES = 1 << 16
 COMMENTS = ("#", "%")
 SEPARATORS = ",;\t"
-UZH_ROW = "`t x y p`, t in seconds"
+UZH_ORDER = "txyp"
+CSV_ORDER = "txyp"
+METAVISION_ORDER = "xypt"
+"""Of a CSV file with a line `%geometry:WIDTH,HEIGHT`."""
+MAX_SIDE = 1 << 16
+"""Pixels of the longest side that a file may state."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _WORD = re.compile("true|false", re.IGNORECASE)
+_GEOMETRY = re.compile(r"%\s*geometry\s*:\s*(.*)", re.IGNORECASE)
 _NO_EVENT = re.compile(rb"^[ \t\r]*(?:[#%].*)?$", re.MULTILINE)
 
 
@@ -65,12 +79,17 @@ class TextSource(Source):
     sensor: Sensor | None = None
 
     def blocks(self) -> Iterator[np.ndarray]:
-        return valid_blocks(self._parsed())
+        return valid_blocks(self._parsed(CHUNK_BYTES))
 
-    def _parsed(self) -> Iterator[Four]:
+    def check_first(self) -> None:
+        for block in valid_blocks(self._parsed(FIRST_BYTES)):
+            if len(block):
+                return
+
+    def _parsed(self, chunk_bytes: int) -> Iterator[Four]:
         """Columns of whole numbers, part by part."""
         line = self.line
-        for text, is_whole in self._chunks():
+        for text, is_whole in self._chunks(chunk_bytes):
             rows = _NO_EVENT.sub(b"", text).decode("utf-8", "backslashreplace").split("\n")
             # the last number of the file may have lost its last digits, a polarity has one
             whole = is_whole or self.columns[-1] in ("", "p") or not rows[-2]
@@ -107,12 +126,12 @@ class TextSource(Source):
         t, x, y, p = (column.astype(np.int64) for column in columns)
         return t, x, y, p
 
-    def _chunks(self) -> Iterator[tuple[bytes, bool]]:
+    def _chunks(self, chunk_bytes: int) -> Iterator[tuple[bytes, bool]]:
         """Whole rows, and whether the last of them has a line end (the file's last may not; here it gets one)."""
         with self.path.open("rb") as file:
             file.seek(self.start)
             rest, line = b"", self.line
-            while chunk := file.read(CHUNK_BYTES):
+            while chunk := file.read(chunk_bytes):
                 if len(rest) > MAX_ROW_BYTES:
                     got = f"got {rest[:80].decode('utf-8', 'backslashreplace')!r} and more than {MAX_ROW_BYTES:,} bytes"
                     raise CorruptData(f"line {line}: expected {self.expected}, {got}")
@@ -161,46 +180,55 @@ def _first_rows(path: Path) -> list[_Row]:
     return rows
 
 
-def open_txt(path: Path) -> Source:
+def open_txt(path: Path, options: ReadOptions) -> Source:
     """Open a `.txt` file: CSV if there are commas or semicolons between the columns, else UZH's layout."""
     first = next((row.text for row in _first_rows(path) if not row.is_comment), "")
-    return open_csv(path) if "," in first or ";" in first else open_uzh_text(path)
+    return open_csv(path, options) if "," in first or ";" in first else open_uzh_text(path, options)
 
 
-def open_uzh_text(path: Path) -> Source:
+def open_uzh_text(path: Path, options: ReadOptions) -> Source:
     """Open a text file in UZH's layout; whole numbers as times are refused: they may be seconds or microseconds."""
-    rows = [row for row in _first_rows(path) if not row.is_comment]
-    sensor: Sensor | None = None
-    start, line = 0, 1
+    all_rows = _first_rows(path)
+    order = options.columns or UZH_ORDER
+    expected = f"`{' '.join(order)}`, t in seconds"
+    sensor = _geometry(path, all_rows)
+    rows = [row for row in all_rows if not row.is_comment]
+    start = 0
+    line = 1
     if rows:
         text, start, end, line = rows[0]
         columns = text.split()
         if len(columns) == 2 and all(column.isdecimal() for column in columns):
-            sensor = int(columns[0]), int(columns[1])
-            if not (1 <= sensor[0] <= 1 << 16 and 1 <= sensor[1] <= 1 << 16):
-                raise ValueError(f"{path}: a sensor must have 1 to 65536 pixels a side, got {text!r}")
+            sensor = _checked_sides(path, columns, text)
             if len(rows) == 1 and path.stat().st_size == end:
                 raise ValueError(f"{path}: the file ends in its first line, {text!r}: no events, and perhaps no sensor")
             start = end  # a line end, which the first row may begin with
+            rows = rows[1:]
         elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
-            raise ValueError(f"{path}: expected {UZH_ROW}, or first `width height`, got {text[:80]!r} at line {line}")
-        times = [row.text.split()[0] for row in rows[1 if sensor else 0 :]]
-        whole = [float(time) for time in times if _NUMBER.fullmatch(time) and float(time).is_integer()]
-        if len(whole) == len(times) > 1 and any(whole):
-            raise ValueError(
-                f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, {times[1]}, ...); "
-                "if they are microseconds, write t,x,y,p with commas: CSV's times are microseconds"
-            )
-    return TextSource(path, start, line, tuple("txyp"), None, 1e6, UZH_ROW, sensor)
+            raise ValueError(f"{path}: expected {expected}, or first `width height`, got {text[:80]!r} at line {line}")
+        _refuse_whole_times(path, rows, order.index("t"))
+    return TextSource(path, start, line, tuple(order), None, 1e6, expected, sensor)
 
 
-def open_csv(path: Path) -> Source:
+def _refuse_whole_times(path: Path, rows: list[_Row], column: int) -> None:
+    """Refuse a file in which the times of all rows, in this column, are whole numbers."""
+    times = [words[column] for row in rows if len(words := row.text.split()) > column]
+    whole = [float(time) for time in times if _NUMBER.fullmatch(time) and float(time).is_integer()]
+    if len(whole) == len(times) > 1 and any(whole):
+        raise ValueError(
+            f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, {times[1]}, ...); "
+            "if they are microseconds, write t,x,y,p with commas: CSV's times are microseconds"
+        )
+
+
+def open_csv(path: Path, options: ReadOptions) -> Source:
     """Open a CSV file; without a header, it must have four columns."""
     rows = _first_rows(path)
+    sensor = _geometry(path, rows)
     first = next((row for row in rows if not row.is_comment), None)
     if first is None:
         _, start, _, line = rows[-1] if rows else _Row("", 0, 0, 1)
-        return TextSource(path, start, line, tuple("txyp"), ",", 1.0, "t,x,y,p")
+        return TextSource(path, start, line, tuple(CSV_ORDER), ",", 1.0, ",".join(CSV_ORDER), sensor)
     text, start, end, line = first
     separator, columns = _split(text)
     if len(columns) < 4:
@@ -224,14 +252,67 @@ def open_csv(path: Path) -> Source:
                 f"{path}: without a header there must be four columns t, x, y, p, got {len(columns)} in "
                 f"{text[:80]!r} at line {line}; with one, further columns are skipped"
             )
-        header = list("txyp")
+        header = list(_order_without_header(path, rows, separator, options, sensor))
     roles = [""] * len(header)
     for field in "txyp":
         try:
             roles[header.index(the_name(field, header, "the header"))] = field
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
-    return TextSource(path, start, line, roles, separator, 1.0, separator.join(header) + ", t in whole microseconds")
+    expected = separator.join(header) + ", t in whole microseconds"
+    return TextSource(path, start, line, roles, separator, 1.0, expected, sensor)
+
+
+def _order_without_header(
+    path: Path, rows: list[_Row], separator: str, options: ReadOptions, sensor: Sensor | None
+) -> str:
+    """The order of four columns: as the caller states it, or as the format has it, if the numbers look like that.
+
+    Raises
+    ------
+    ValueError : they look like another order.
+    """
+    usual = CSV_ORDER if sensor is None else METAVISION_ORDER
+    order = options.columns or usual
+    table = _numbers(rows, separator)
+    likely = order if table is None else likely_order(table, order)
+    if likely == order:
+        return order
+    raise ValueError(
+        f"{path}: the columns are not {order!r}; they look like {likely!r}: state their order with `columns`, or "
+        "write a header"
+    )
+
+
+def _numbers(rows: list[_Row], separator: str) -> np.ndarray | None:
+    """The first rows as numbers in shape (N, 4); None if one of them is something else."""
+    events = [row.text for row in rows if not row.is_comment]
+    if len(events) > 1:
+        events.pop()  # it may be cut off
+    try:
+        words = [[word.strip(" \r\"'") for word in text.split(separator)] for text in events[:ORDER_ROWS]]
+        table = np.array([[_polarity(word) for word in row] for row in words])
+    except ValueError:  # not a number, or rows of different lengths
+        return None
+    return table if table.ndim == 2 and table.shape[1] == 4 else None
+
+
+def _geometry(path: Path, rows: list[_Row]) -> Sensor | None:
+    """The sensor in a line `%geometry:WIDTH,HEIGHT` before the first row; None without one."""
+    for row in rows:
+        if not row.is_comment:
+            return None
+        if found := _GEOMETRY.fullmatch(row.text):
+            return _checked_sides(path, found[1].split(","), row.text)
+    return None
+
+
+def _checked_sides(path: Path, words: list[str], text: str) -> Sensor:
+    """Two words as (width, height); a ValueError that quotes the text if they are not sides of a sensor."""
+    sides = [int(word) for word in words if word.strip().isdecimal() and len(word) < 20]
+    if len(words) != 2 or len(sides) != 2 or not all(1 <= side <= MAX_SIDE for side in sides):
+        raise ValueError(f"{path}: a sensor must have 1 to {MAX_SIDE} pixels a side, got {text[:80]!r}")
+    return sides[0], sides[1]
 
 
 def _split(text: str) -> tuple[str, list[str]]:

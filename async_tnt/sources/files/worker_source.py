@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from async_tnt.checks import one_line
-from async_tnt.event_forms import Four
 from async_tnt.sources.files import library_readers
-from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
+from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
 from async_tnt.sources.worker import Worker
 
 SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
@@ -35,7 +35,13 @@ class WorkerSource(Source):
     ----------
     read : how, see `library_readers.py`.
     format : its name, for messages.
+
+    Attributes
+    ----------
+    unit : what the reader's blocks are counted in, for messages.
     """
+
+    unit = "event"
 
     def __init__(self, path: Path, read: library_readers.Reader, format: str) -> None:
         self._path = str(path.absolute())  # the worker's own folder may be another
@@ -43,33 +49,50 @@ class WorkerSource(Source):
         self.format = format
         path.open("rb").close()  # raises the OSError of a missing file
         with _worker() as worker:
-            worker.submit(library_readers.sensor_of, read, self._path, limit_s=READ_S)
+            worker.submit(library_readers.head_of, read, self._path, limit_s=READ_S)
             try:
-                self.sensor = worker.result(SILENCE_S)
+                head, self._first = worker.result(SILENCE_S)
             except Exception as error:
                 raise ValueError(f"{path}: not a readable {format} file: {one_line(error)}") from None
+        self._take_head(head)
 
     def blocks(self) -> Iterator[np.ndarray]:
         with _worker() as worker:
             worker.submit(library_readers.start, self._read, self._path, limit_s=READ_S)
             for _ in range(AHEAD):
                 worker.submit(library_readers.next_block, limit_s=READ_S)
-            yield from valid_blocks(_columns(worker))
+            yield from self._events_of(self._received(worker))
 
+    def check_first(self) -> None:
+        for events in self._events_of([] if self._first is None else [self._first]):
+            if len(events):
+                return
 
-def _columns(worker: Worker) -> Iterator[Four]:
-    """The columns of a file that the worker has started to read; it reads on while a block is used."""
-    n_read = 0
-    try:
-        worker.result(SILENCE_S)  # the sensor
-        while (columns := worker.result(SILENCE_S)) is not None:
-            worker.submit(library_readers.next_block, limit_s=READ_S)
-            yield columns
-            n_read += len(columns[0])
-        for _ in range(AHEAD - 1):  # the answers behind the end
-            worker.result(SILENCE_S)
-    except Exception as error:
-        raise CorruptData(f"after event {n_read}: {one_line(error)}") from None
+    def _take_head(self, head: Any) -> None:
+        """Store what the reader yields first."""
+        self.sensor = head
+
+    def _size_of(self, block: Any) -> int:
+        """How many units a block has."""
+        return len(block[0])
+
+    def _events_of(self, blocks: Iterable[Any]) -> Iterator[np.ndarray]:
+        """Blocks of the reader as events."""
+        return valid_blocks(blocks)
+
+    def _received(self, worker: Worker) -> Iterator[Any]:
+        """The blocks of a file that the worker has started to read; it reads on while a block is used."""
+        n_read = 0
+        try:
+            worker.result(SILENCE_S)  # the sensor
+            while (block := worker.result(SILENCE_S)) is not None:
+                worker.submit(library_readers.next_block, limit_s=READ_S)
+                yield block
+                n_read += self._size_of(block)
+            for _ in range(AHEAD - 1):  # the answers behind the end
+                worker.result(SILENCE_S)
+        except Exception as error:
+            raise CorruptData(f"after {self.unit} {n_read}: {one_line(error)}") from None
 
 
 _idle: dict[int, Worker] = {}  # one at most, by process: a forked one must not use that of its parent
@@ -98,7 +121,9 @@ def _end_idle() -> None:
         worker.end()
 
 
-def _open(read: library_readers.Reader, format: str, library: str, extra: str, path: Path) -> Source:
+def _open(
+    read: library_readers.Reader, format: str, library: str, extra: str, path: Path, options: ReadOptions
+) -> Source:
     if find_spec(library) is None:
         raise ImportError(f"{path}: {format} is read by {library}, which is missing: pip install 'async_tnt[{extra}]'")
     return WorkerSource(path, read, format)
@@ -107,4 +132,4 @@ def _open(read: library_readers.Reader, format: str, library: str, extra: str, p
 open_aedat4 = partial(_open, library_readers.read_aedat4, "AEDAT4", "faery", "files")
 open_es = partial(_open, library_readers.read_es, "ES", "faery", "files")
 open_hdf5 = partial(_open, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
-"""Each opens a file of its format: a function from a path to a `Source`."""
+"""Each opens a file of its format: a function of a path and `ReadOptions` that returns a `Source`."""

@@ -3,9 +3,11 @@
 import os
 import struct
 import tracemalloc
+from itertools import permutations
 
 import numpy as np
 import pytest
+from sources.files.ros_written import Bag, unpacked
 from sources.files.written import (
     FORMATS,
     IN_WORKER,
@@ -17,6 +19,7 @@ from sources.files.written import (
     evt2,
     evt3,
     evt21,
+    evt_header,
     made_events,
     written,
 )
@@ -73,6 +76,67 @@ def test_every_bit_of_a_pixel_is_read(tmp_path, name):
     np.testing.assert_array_equal(open_recording(capitals).read(), events)
 
 
+SMALL = (128, 128)
+ORDERS = ["".join(order) for order in permutations("txyp")]
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.tsv", "a.txt", "blanks.txt", "a.npy", "a.npz"])
+def test_the_order_of_columns_without_names_can_be_stated(tmp_path, name):
+    """In every format that may have such columns; times between blanks are seconds."""
+    events = made_events(50)
+    separator = {"a.csv": ",", "a.tsv": "\t", "a.txt": ";", "blanks.txt": " "}.get(name)
+    for order in ORDERS:
+        table = np.stack([events[field].astype(np.int64) for field in order], axis=1)
+        path = tmp_path / name
+        if separator is None:
+            np.savez(path, table) if name.endswith("z") else np.save(path, table)
+        else:
+            rows = table.tolist()
+            if name == "blanks.txt":
+                rows = [[n if f != "t" else f"{n / 1e6:.6f}" for f, n in zip(order, row, strict=True)] for row in rows]
+            path.write_text("".join(separator.join(map(str, row)) + "\n" for row in rows))
+        np.testing.assert_array_equal(open_recording(path, columns=order).read(), events, err_msg=order)
+        if order.index("x") > order.index("y"):  # of these two, nothing tells which is which
+            continue
+        if order != "txyp" and name != "blanks.txt":
+            with pytest.raises(ValueError, match=f"{name}: .*the columns are not 'txyp'; they look like '{order}'"):
+                open_recording(path)
+            with pytest.raises(ValueError, match=f"{name}: .*the columns are not 'txyp'; they look like '{order}'"):
+                open_recording(path, columns="txyp")
+
+
+@pytest.mark.parametrize("name", sorted(set(FORMATS) - {"table.npz"}))
+def test_options_that_a_format_does_not_need_change_nothing(tmp_path, name):
+    """Its files name their columns, or have none, and have one topic or none."""
+    events = made_events(20, sensor=(34, 34))
+    path = written(tmp_path / name, events, (34, 34))
+    topic = "/camera/events" if name.endswith((".bag", ".db3", ".mcap")) else "/any"
+    columns = "xypt" if name == "metavision.csv" else "txyp" if name == "uzh.txt" else "pyxt"
+    np.testing.assert_array_equal(open_recording(path, columns=columns, topic=topic).read(), events)
+
+
+DAVIS = [(346, 260), (240, 180), (208, 192), (640, 480)]
+
+
+@pytest.mark.parametrize("size", DAVIS)
+def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts(tmp_path, size):
+    """As v2e writes them. The addresses are not those of a DVS128, and a DVS128's are taken as they are."""
+    path = tmp_path / "v2e.aedat"
+    events = made_events(500, sensor=size)
+    path.write_bytes(aedat2(events, size, "", size))
+    recording = open_recording(path, sensor=size)
+    np.testing.assert_array_equal(recording.read(), events)
+    assert (recording.sensor, recording.stated_sensor) == (size, None)
+    for sensor in (None, (128, 128), (345, 260)):
+        with pytest.raises(ValueError, match=r"those of a DVS128, .* a header line such as `# AEChip: DAVIS346` or i"):
+            open_recording(path, sensor=sensor).read()
+    named = tmp_path / "named.aedat"
+    named.write_bytes(path.read_bytes().replace(b"2.0\r\n", f"2.0\r\n# AEChip: DAVIS{size[0]}\r\n".encode(), 1))
+    np.testing.assert_array_equal(open_recording(named, sensor=(9, 9)).read(), events)
+    dvs128 = written(tmp_path / "dvs128.aedat", made_events(50, sensor=SMALL), SMALL)
+    np.testing.assert_array_equal(open_recording(dvs128, sensor=SMALL).read(), made_events(50, sensor=SMALL))
+
+
 def test_addresses_of_cameras_by_hand(tmp_path):
     """The address (50, 20) is 50 from the right and 20 from the bottom; where no camera is named it is as it is."""
     of_davis, of_dvs128 = 20 << 22 | 50 << 12 | 1 << 11, 20 << 8 | 50 << 1
@@ -103,7 +167,6 @@ def test_the_content_tells_the_format_where_suffixes_are_shared(tmp_path, suffix
     np.testing.assert_array_equal(open_recording(renamed).read(), made_events(50))
 
 
-SMALL = (128, 128)
 CLOCKS = [
     ("a.dat", dat, 1 << 32),
     ("a.raw", evt2, 1 << 34),
@@ -136,13 +199,18 @@ N_LONG = 1_000_000
 N_BLOCK = 100_000
 
 
-@pytest.mark.parametrize("name", ["plain.csv", "evt3.raw", "records.npy", "caer.aedat", "dsec.h5"])
+@pytest.mark.parametrize("name", ["plain.csv", "evt3.raw", "records.npy", "caer.aedat", "dsec.h5", "packets.bag"])
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
     """The same events ten times over: a million different ones take longer to write than to read."""
     path, sensor = tmp_path / name, sensor_for(name)
     block = made_events(N_BLOCK, sensor=sensor, step_us=4)
     if name == "dsec.h5":
         dsec(path, np.repeat(block, N_LONG // N_BLOCK), chunks=(10_000,))
+    elif name == "packets.bag":
+        words = unpacked(evt3(block)[len(evt_header("3.0")) :])
+        with Bag(path) as bag:
+            for _ in range(N_LONG // N_BLOCK):
+                bag.packet(words, sensor)
     elif name == "records.npy":
         np.save(path, np.repeat(block, N_LONG // N_BLOCK))
     else:
@@ -188,9 +256,20 @@ def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
 @pytest.mark.parametrize(
     ("name", "how", "message"),
     [
-        (__file__, {}, r"\.py: unknown suffix '\.py', expected one of \.aedat, \.aedat4, \.bin, .*\.txt$"),
+        (__file__, {}, r"\.py: unknown suffix '\.py', expected one of \.aedat, \.aedat4, \.bag, .*\.txt$"),
         ("a.bin", {"packet_events": 0}, "`packet_events` must be at least 1, got 0"),
         ("a.bin", {"sensor": (0, 5)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(0, 5\)"),
+        ("a.bin", {"columns": "xyt"}, "`columns` must have the letters t, x, y and p, each once, got 'xyt'"),
+        ("a.bin", {"columns": tuple("xypt")}, "`columns` must have the letters t, x, y and p, each once, got "),
+        ("a.bin", {"topic": ""}, "`topic` must be the name of a topic, got ''"),
+        *(
+            (
+                "a.bin",
+                {"between_us": value},
+                r"`between_us` must be \(start, end\), whole microseconds with start < end",
+            )
+            for value in ((5, 5), (6, 5), (1.5, 3), (1,), 7, (0, 1, 2), "12", (None, 4))
+        ),
     ],
 )
 def test_wrong_arguments(name, how, message):

@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from sources.files.written import dsec, made_events, metavision
+from sources.files.written import dsec, made_events, metavision, rvt
 
 from async_tnt.sources.files.library_readers import read_hdf5
 
@@ -37,7 +37,7 @@ def replaced(path, **values):
         ({"t": np.zeros(5)}, "must be whole numbers, got float64"),
         ({"t_offset": np.zeros(2, int)}, r"`t_offset` must be one number, got shape \(2,\)"),
         ({"t_offset": np.int64(-(1 << 62))}, r"`t_offset` must be below 2\*\*62 microseconds, got -46"),
-        (None, r"expected events/t, x, y, p \(DSEC\) or CD/events .*, got \['data'\]"),
+        (None, r"expected events/t, x, y, p \(DSEC, RVT\) or CD/events .*, got \['data'\]"),
     ],
 )
 def test_another_layout_is_refused(tmp_path, values, message):
@@ -113,3 +113,34 @@ def test_only_a_geometry_with_pixels_is_a_sensor(tmp_path, geometry, sensor):
     with h5py.File(tmp_path / "a.h5", "a") as file:
         file.attrs["geometry"] = geometry
     assert next(read_hdf5(str(tmp_path / "a.h5"))) == sensor
+
+
+@pytest.mark.parametrize(
+    ("width", "message"),
+    [
+        (np.uint16(0), r"events/width and height must be in \[1, 65536\], got 0 and 240"),
+        (np.int64(65_537), r"events/width and height must be in \[1, 65536\], got 65537 and 240"),
+        (np.int64(-320), r"events/width and height must be in \[1, 65536\], got -320 and 240"),
+        (np.float64(320), "/events/width must be one whole number, got "),
+        (np.array([320, 240]), "/events/width must be one whole number, got "),
+        (np.bytes_(b"320"), "/events/width must be one whole number, got "),
+        ("a group", "/events/width must be one whole number, got "),
+    ],
+)
+def test_a_width_that_is_none_is_refused(tmp_path, width, message):
+    rvt(tmp_path / "a.h5", EVENTS)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        del file["events/width"]
+        if isinstance(width, str):
+            file.create_group("events/width")
+        else:
+            file["events/width"] = width
+    with pytest.raises(ValueError, match=message):
+        next(read_hdf5(str(tmp_path / "a.h5")))
+
+
+def test_one_side_alone_states_no_sensor(tmp_path):
+    rvt(tmp_path / "a.h5", EVENTS)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        del file["events/height"]
+    assert next(read_hdf5(str(tmp_path / "a.h5"))) is None

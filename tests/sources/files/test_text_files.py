@@ -102,3 +102,29 @@ def test_csv_columns_are_found_by_name(text, content):
     for name in ("a.csv", "a.tsv", *(["a.txt"] if "\t" not in content else [])):
         assert text(name, content).read().tolist() == [(7, 1, 2, 1)]
     assert text("a.csv", "\ufeff" + content.replace("\n", "\r\n")).read().tolist() == [(7, 1, 2, 1)]
+
+
+METAVISION = "96,133,0,3811\n97,134,1,3812\n96,133,1,4000\n"
+IN_TIME = [(3811, 96, 133, 0), (3812, 97, 134, 1), (4000, 96, 133, 1)]
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.txt"])
+def test_a_line_with_the_geometry_is_the_sensor_and_says_that_the_columns_are_x_y_p_t(text, name):
+    """Metavision writes no header."""
+    recording = text(name, "%geometry:1280,720\n" + METAVISION)
+    assert recording.read().tolist() == IN_TIME
+    assert (recording.sensor, recording.stated_sensor) == ((1280, 720), (1280, 720))
+    named = text(name, "% Geometry: 1280,720\nt,x,y,p\n7,1,2,1\n")  # names count more
+    assert named.read().tolist() == [(7, 1, 2, 1)] and named.sensor == (1280, 720)
+
+
+def test_the_geometry_is_the_sensor_of_rows_between_blanks_too(text):
+    recording = text("a.txt", "%geometry:1280,720\n0.5 1 2 1\n")
+    assert recording.sensor == (1280, 720) and recording.read().tolist() == [(500_000, 1, 2, 1)]
+
+
+def test_columns_in_another_order_are_refused_and_their_order_is_named(text):
+    with pytest.raises(ValueError, match=r"a.csv: the columns are not 'txyp'; they look like 'xypt': .* `columns`"):
+        text("a.csv", METAVISION)
+    with pytest.raises(ValueError, match=r"a.csv: the columns are not 'xypt'; they look like 'txyp': .* `columns`"):
+        text("a.csv", "%geometry:9,9\n5,1,2,0\n6,1,2,1\n7,2,1,1\n")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sources.files.written import made_events, written
 
-from async_tnt.sources.files import worker_source
+from async_tnt.sources.files import ros_bags, worker_source
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import CorruptData
 from async_tnt.sources.files.worker_source import WorkerSource
@@ -40,10 +40,15 @@ def misbehave(how):
         ("a.aedat4", b"#!AER-DAT4.0\r\n", r"AEDAT4 is read by faery, .*: pip install 'async_tnt\[files\]'"),
         ("a.es", b"Event Stream", r"ES is read by faery, .*: pip install 'async_tnt\[files\]'"),
         ("a.h5", b"\x89HDF\r\n\x1a\n", r"HDF5 is read by h5py, .*: pip install 'async_tnt\[hdf5\]'"),
+        *(
+            (f"a{suffix}", b"", r"ROS bags are read by rosbags, .*: pip install 'async_tnt\[ros\]'")
+            for suffix in (".bag", ".db3", ".mcap")
+        ),
     ],
 )
 def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, name, start, message):
     monkeypatch.setattr(worker_source, "find_spec", lambda name: None)
+    monkeypatch.setattr(ros_bags, "find_spec", lambda name: None)
     (tmp_path / name).write_bytes(start)
     with pytest.raises(ImportError, match=rf"{name}: {message}"):
         open_recording(tmp_path / name)

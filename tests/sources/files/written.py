@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from made import events_of
+from sources.files.ros_written import array_bag, evt3_bag, libcaer_bag, unpacked
 
 SENSOR = (320, 240)
 ANY_TEXT = "von José in Zürich\t1"  # headers may name people and places
@@ -99,13 +100,18 @@ def es(events, sensor=SENSOR):
     return b"".join(out)
 
 
-def aedat2(events, sensor, chip):
-    """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a pixel's."""
+def aedat2(events, sensor, chip, davis=None):
+    """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a pixel's.
+
+    With `davis`, a size, the addresses are those of a DAVIS of these pixels, which the header need not name.
+    """
     lines = ["#!AER-DAT2.0", f"# {ANY_TEXT}", *([f"# AEChip: eu.chips.{chip}"] if chip else [])]
     out = ["".join(line + "\r\n" for line in lines).encode("latin-1")]  # jAER uses the encoding of its system
     for t, x, y, p in events.tolist():
-        if chip:
-            address, other = (179 - y) << 22 | (239 - x) << 12 | p << 11, 1 << 31 | 7 << 22
+        if chip or davis:
+            size = davis or (240, 180)
+            address = (size[1] - 1 - y) << 22 | (size[0] - 1 - x) << 12 | p << 11
+            other = 1 << 31 | 7 << 22
         else:
             address, other = y << 8 | x << 1 | 1 - p, 1 << 15
         out.append(struct.pack(">IIII", other, t & 0xFFFFFFFF, address, t & 0xFFFFFFFF))
@@ -156,6 +162,30 @@ def metavision(path, events, sensor=SENSOR, **how):
         file.create_dataset("CD/events", data=records, **how)
 
 
+def rvt(path, events, sensor=SENSOR, **how):
+    """As DSEC's without an offset, and with the sides of the sensor beside the columns."""
+    dsec(path, events, sensor, **how)
+    import h5py
+
+    with h5py.File(path, "a") as file:
+        offset = file["t_offset"][()]
+        del file["t_offset"]
+        times = file["events/t"][()].astype("i8") + offset
+        del file["events/t"]
+        file.create_dataset("events/t", data=times, **how)
+        file["events/width"], file["events/height"] = np.array(sensor, "u4")
+
+
+def metavision_csv(events, sensor=SENSOR):
+    rows = "".join(f"{x},{y},{p},{t}\n" for t, x, y, p in events.tolist())
+    return f"%geometry:{sensor[0]},{sensor[1]}\n{rows}".encode()
+
+
+def packets_bag(path, events, sensor=SENSOR):
+    """Words of EVT3, cut into messages."""
+    evt3_bag(path, unpacked(evt3(events, sensor)[len(evt_header("3.0", sensor)) :]), sensor)
+
+
 def columns_of(events):
     return {name: events[name] for name in "txyp"}
 
@@ -184,6 +214,7 @@ def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True):
 FORMATS = {
     "uzh.txt": _bytes(uzh_text),
     "plain.csv": _bytes(csv, states_sensor=False),
+    "metavision.csv": _bytes(metavision_csv),
     "evt2.raw": _bytes(evt2, (2048, 2048)),
     "evt21.raw": _bytes(evt21, (2048, 2048)),
     "legacy.raw": _bytes(lambda events, sensor: evt21(events, sensor, "legacy"), (2048, 2048)),
@@ -200,10 +231,17 @@ FORMATS = {
     "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
     "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
     "dsec.h5": Format(dsec, states_sensor=False),
+    "rvt.h5": Format(rvt),
     "metavision.hdf5": Format(metavision),
+    "packets.bag": Format(packets_bag, (2048, 2048)),
+    "packets.db3": Format(packets_bag, (2048, 2048)),
+    "caer.mcap": Format(libcaer_bag, (2048, 2048)),
+    "arrays.bag": Format(array_bag),
+    "arrays.mcap": Format(array_bag),
 }
 """File name -> `Format`."""
-IN_WORKER = (".aedat4", ".es", ".h5", ".hdf5")  # suffixes that are read in a worker process, which takes a while
+IN_WORKER = (".aedat4", ".es", ".h5", ".hdf5", ".bag", ".db3", ".mcap")
+"""Suffixes that are read in a worker process, which takes a while."""
 
 
 def written(path, events, sensor=SENSOR):
