@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.sources.files.numpy_files import map_npy
-from async_tnt.sources.labelled_recordings import is_recording
+from async_tnt.sources.labelled_recordings import check_once, is_recording
 
 CSV, BOXES, OF_BOXES = "_objects.csv", "_bbox.npy", "_td"
 NAMES_FILE = "label_map_dictionary.json"
@@ -101,6 +101,7 @@ def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
     of_boxes = {"w", "h", "width", "height"}.intersection(name.strip().lower() for name in columns)
     if missing := [name for name in ("t", "class", "x", "y", *("wh" if of_boxes else "")) if name not in columns]:
         raise ValueError(f"{path}: needs the columns t, class, x, y (and w, h of boxes), lacks {', '.join(missing)}")
+    check_once(path, ("t", "class", "x", "y", "w", "h"), columns)
     try:
         t = np.array([int(row["t"]) for row in rows], np.int64)
         corner = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)

@@ -23,7 +23,7 @@ from typing import IO
 
 import numpy as np
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, short
 from async_tnt.event_forms import NAMES, Four, event_columns, named_columns, the_name
 from async_tnt.events import ANY_SENSOR, checked_columns
 from async_tnt.sources.files.source import (
@@ -115,7 +115,7 @@ def open_npz(path: Path) -> Source:
     path.open("rb").close()  # raises the OSError of a missing file
     try:
         with zipfile.ZipFile(path) as archive:
-            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            members = _members(archive)
             sensor = _sensor(_read(archive, members.pop("sensor"))) if "sensor" in members else None
             columns = _columns(*(_read(archive, info) for info in _event_members(members)))
         sizes = [len(column) for column in columns]
@@ -128,6 +128,17 @@ def open_npz(path: Path) -> Source:
     except Exception as error:  # a damaged archive raises exceptions of any type
         raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
     return ArraySource(events, sensor, "NumPy archive")
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """The files of an archive by their names without `.npy`; a ValueError where two have the same name."""
+    members: dict[str, zipfile.ZipInfo] = {}
+    for info in archive.infolist():
+        name = info.filename.removesuffix(".npy")
+        if name in members:
+            raise ValueError(f"it holds the array {short(name)} more than once; leave out all but one")
+        members[name] = info
+    return members
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
