@@ -9,7 +9,8 @@
     None, or an empty list, tuple or array: no events
 
 Times are integer microseconds, or NumPy's datetime64 and timedelta64; polarity is bool, 0/1 or -1/+1. A field under two
-names, two columns of one name, and masked arrays are rejected. Plain arrays do not say what their columns are: see `event_columns`.
+names, two columns of one name, and masked arrays are rejected. Plain arrays do not say what their columns are, see
+`event_columns`.
 """
 
 from __future__ import annotations

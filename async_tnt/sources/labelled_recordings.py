@@ -11,8 +11,10 @@ import csv
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 
+from async_tnt.files import open_regular, read_regular
 from async_tnt.sources.files.recording import READERS
 
 TABLE = "_labels.csv"
@@ -204,7 +206,7 @@ def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
     if not file.is_file():
         return None
     try:
-        wanted = {name for line in file.read_text(encoding="utf-8-sig").splitlines() if (name := line.strip())}
+        wanted = {name for line in read_regular(file).decode("utf-8-sig").splitlines() if (name := line.strip())}
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: not a text in UTF-8: {error}") from None
     if missing := sorted(wanted - {path.name for path in sessions}):
@@ -257,7 +259,7 @@ def check_once(path: Path, wanted: Iterable[str | None], names: Sequence[str]) -
 def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int, dict[str, str]]]:
     """The rows of a CSV file, with their lines and these columns, each of which may have one of several names."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file, skipinitialspace=True)
             names_there = [name.strip() for name in rows.fieldnames or () if name]
             given = {name.strip(): name for name in rows.fieldnames or () if name}

@@ -16,7 +16,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.evaluation.job import sha256_of
-from async_tnt.files import replacing, write_text
+from async_tnt.files import open_regular, read_regular, replacing, write_text
 from async_tnt.networks.model import Model
 from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
@@ -78,10 +78,11 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
     import torch
 
     try:
-        with zipfile.ZipFile(path) as archive:
-            if archive.testzip() is not None:  # torch.load does not compare checksums
-                raise zipfile.BadZipFile
-        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        with open_regular(path) as file:
+            with zipfile.ZipFile(file) as archive:
+                if archive.testzip() is not None:  # torch.load does not compare checksums
+                    raise zipfile.BadZipFile
+            state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
         written = state["identity"]["format"]
     except Exception as error:  # a damaged archive surfaces as any of a dozen types
         kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
@@ -115,7 +116,7 @@ def identity_of(
             "data": windows_checksum(training, validation),
             "classes": classes,
             "motions": None if motions is None else asdict(motions),
-            "network_file": zlib.crc32(Path(own_file).read_bytes()) if own_file else None,
+            "network_file": zlib.crc32(read_regular(own_file)) if own_file else None,
             "start": 0 if start is None else sha256_of(start),
             "teachers": [sha256_of(teacher) for teacher in teachers],
         }

@@ -26,6 +26,7 @@ import numpy as np
 from async_tnt.checks import one_line, short
 from async_tnt.event_forms import NAMES, Four, event_columns, named_columns, the_name
 from async_tnt.events import ANY_SENSOR, checked_columns
+from async_tnt.files import open_regular
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
@@ -78,7 +79,7 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
 def map_npy(path: str | os.PathLike[str]) -> np.memmap:
     """Map the array of a `.npy` file, read-only; a ValueError if it is damaged."""
-    with Path(path).open("rb") as file:
+    with open_regular(path) as file:
         try:
             claimed, is_fortran = read_npy_header(file, os.fstat(file.fileno()).st_size)
         except ValueError as error:
