@@ -74,7 +74,7 @@ def refuse_mask(name: str, values: Any, advice: str) -> None:
         raise TypeError(f"`{name}` must not be a masked array, whose mask would be ignored; pass {advice}")
 
 
-def one_line(error: Exception, limit: int = 300) -> str:
+def one_line(error: Exception | str, limit: int = 300) -> str:
     """Text from a library or a file for a message: on one line, cut after `limit` characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= limit else text[:limit] + " ..."
@@ -150,7 +150,7 @@ def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _check_depth(value: Any) -> None:
     """Refuse a value with more than `MAX_JSON_DEPTH` lists and objects within each other."""
     level = [value]
-    for _ in range(MAX_JSON_DEPTH + 1):
+    for _ in range(MAX_JSON_DEPTH):
         inner = [one.values() if type(one) is dict else one for one in level if type(one) in (dict, list)]
         level = [one for some in inner for one in some if type(one) in (dict, list)]
         if not level:

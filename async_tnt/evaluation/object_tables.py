@@ -150,21 +150,25 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
             raise ValueError(f"expected one dimension, got shape {boxes.shape}")
         t = _whole(boxes["t" if "t" in (boxes.dtype.names or ()) else "ts"])
         numbers = _whole(boxes["class_id"]).tolist()
+        for name in "xywh":
+            if boxes[name].ndim != 1 or boxes.dtype[name].kind not in "iuf":
+                raise ValueError(f"{name} must be a number, got {boxes.dtype[name]}")
         corner = np.stack([boxes["x"], boxes["y"]], axis=-1).astype(np.float64)
         size = np.stack([boxes["w"], boxes["h"]], axis=-1).astype(np.float64)
-        if corner.shape != (len(t), 2) or size.shape != (len(t), 2):
-            raise ValueError("x, y, w and h must be single numbers")
     except (ValueError, IndexError, TypeError, AttributeError, EOFError, OverflowError) as error:
         why = one_line(error)
         raise ValueError(f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {why}") from None
     named: Mapping[str, str] = dict(zip(map(str, range(len(classes))), classes, strict=True))
     if (names := path.parent / NAMES_FILE).is_file():
         try:
-            named = {str(k): str(name) for k, name in parse_json(read_regular(names)).items()}
-        except (ValueError, AttributeError) as error:
+            content = parse_json(read_regular(names))
+            if not isinstance(content, dict):
+                raise ValueError(f"got {short(content)}")
+        except ValueError as error:
             raise ValueError(
                 f"{names}: must be an object of class numbers and names, in JSON: {one_line(error)}"
             ) from None
+        named = {k: str(name) for k, name in content.items()}
     return np.array([named.get(str(k), str(k)) for k in numbers], object), t, corner, size
 
 

@@ -69,12 +69,14 @@ def _of_other_program(path: Path, config: Path) -> Engine:
         raise ValueError(f"`config` is for .onnx files of other programs; {path} has its own")
     try:
         given = parse_json(read_regular(config))
+        if not isinstance(given, dict) or "config" not in given:
+            raise ValueError(f"no config in it, got {short(given)}")
         volume = TNTConfig.from_dict(given["config"])
         classes = given.get("classes")
         if classes is not None and not (isinstance(classes, list) and 0 < len(set(map(str, classes))) == len(classes)):
             raise ValueError(f"`classes` must be different names, got {short(classes)}")
-    except (ValueError, TypeError, LookupError, AttributeError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
+    except (ValueError, TypeError) as error:
+        what = one_line(error)
         raise ValueError(f'{config}: expected a JSON object with "config", and maybe "classes": {what}') from None
     try:
         model = load_model(path, config=volume, classes=classes)

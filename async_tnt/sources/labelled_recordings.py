@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 
+from async_tnt.checks import one_line
 from async_tnt.files import open_regular, read_regular
 from async_tnt.sources.files.recording import READERS
 
@@ -235,7 +236,7 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
             except ValueError:
                 between = 0, 0
             if not 0 <= between[0] < between[1] or not row["class"]:
-                got = ", ".join(row.values())
+                got = one_line(", ".join(row.values()))
                 raise ValueError(f"{table}: line {number}: expected a class, and whole start < end in us, got {got}")
             if names and row["class"] not in names:
                 raise ValueError(f"{table}: line {number}: {NAMES_FILE} does not name class {row['class']}")
