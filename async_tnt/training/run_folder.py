@@ -71,22 +71,24 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
     Raises
     ------
     ValueError : the folder holds another run, and what differs; the checkpoint is damaged, or of another release.
+    OSError : the checkpoint is no regular file, or cannot be read.
     """
     path = run_folder / CHECKPOINT
     if not path.exists():
         return None
     import torch
 
-    try:
-        with open_regular(path) as file:
+    with open_regular(path) as file:
+        try:
             with zipfile.ZipFile(file) as archive:
                 if archive.testzip() is not None:  # torch.load does not compare checksums
                     raise zipfile.BadZipFile
+            file.seek(0)
             state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
-        written = state["identity"]["format"]
-    except Exception as error:  # a damaged archive surfaces as any of a dozen types
-        kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
-        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
+            written = state["identity"]["format"]
+        except Exception as error:  # a damaged archive surfaces as any of a dozen types
+            kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
+            raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
     if written != FORMAT:
         raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
     if differ := [name for name, value in _plain(known).items() if state["identity"].get(name) != value]:
