@@ -29,8 +29,8 @@ of shape (height, width), True where a pixel is hot:
   async_tnt.stream(map(pixel_filter, camera), model)
 
 A pixel is hot when it has 5 times more events than the 4th busiest of the 24 pixels around it and than the mean
-pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also if none is found: the mask
-then leaves nothing out.
+pixel, and when chance would not do that in one of a hundred sensors. A sensor may have up to 2^24 pixels. Exit code 0
+also if none is found: the mask then leaves nothing out.
 """
 
 
@@ -74,7 +74,10 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
             sensor = sensor or recording.sensor
             check_sensor(path, recording.sensor, sensor, "--sensor or an earlier recording has")
-            counts = counts + count_pixels(recording, sensor)
+            try:
+                counts = counts + count_pixels(recording, sensor)
+            except ValueError as error:
+                raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
             bar.update()
     return counts
 
