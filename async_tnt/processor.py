@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.trigger import NOT_DUE, until_due, why_due
 from async_tnt.networks.model import Model
-from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings
+from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings, warn_if_never_due
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import STRETCH, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
@@ -36,7 +37,7 @@ class Processor(TriggerAttributes):
 
     Parameters
     ----------
-    model : a Model, or a TNTConfig together with `classifier`.
+    model : a Model, its name or path, or a TNTConfig together with `classifier`.
     classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
         to finite logits; by default the model's own network, compiled, which computes only what has changed
         since the last decision. Others are in `async_tnt.networks`.
@@ -72,7 +73,7 @@ class Processor(TriggerAttributes):
 
     def __init__(
         self,
-        model: Model | TNTConfig,
+        model: Model | TNTConfig | str | Path,
         *,
         classifier: Classifier | None = None,
         regressor: Regressor | None = None,
@@ -88,6 +89,7 @@ class Processor(TriggerAttributes):
         self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
+        warn_if_never_due(self._triggers.settings, self.config)
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._windows = WindowScheduler(self.config, hop_us, start_us, regressor)
         self._prepare(regressor)

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.options import READABLE, size_of
+from async_tnt.cli.options import READABLE, sample_or_path, size_of
 from async_tnt.cli.output import OPTIONS, complain, say, with_options
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
@@ -38,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="WHAT",
-        help=f"recordings ({READABLE}), folders, .safetensors files or bundled models ({', '.join(bundled_models())})",
+        help=f"recordings ({READABLE}), or digits of bundled ones, folders, .safetensors files or bundled models "
+        f"({', '.join(bundled_models())})",
     )
     parser.add_argument(
         "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where a recording does not state them"
@@ -70,7 +71,7 @@ def _described(name: str, sensor: Sensor | None) -> tuple[dict[str, Any], list[s
         return {"model": name, **_of_model(model)}, list(_model_lines(name, model))
     if path.is_dir():
         return _of_folder(path, sensor)
-    found = summarize(path, sensor)
+    found = summarize(sample_or_path(path), sensor)
     return asdict(found), list(_recording_lines(found))
 
 
@@ -109,7 +110,7 @@ def _of_folder(folder: Path, sensor: Sensor | None) -> tuple[dict[str, Any], lis
         for path in paths:
             name = f"  {path.relative_to(folder)!s:<32}"
             try:
-                found = summarize(path, sensor)
+                found = summarize(sample_or_path(path), sensor)
                 reports.append(asdict(found))
                 size = "-" if found.sensor is None else format_size(found.sensor)
                 seconds = (found.last_us - found.first_us) * 1e-6

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.options import READABLE, size_of
+from async_tnt.cli.options import READABLE, sample_or_path, size_of
 from async_tnt.cli.output import say
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
@@ -35,7 +35,9 @@ also if none is found: the mask then leaves nothing out.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({READABLE})")
+    parser.add_argument(
+        "files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({READABLE}), or digits of bundled ones"
+    )
     parser.add_argument(
         "--out", type=Path, metavar="FILE", required=True, help="the mask, a .npy file, overwritten if it exists"
     )
@@ -52,7 +54,7 @@ def main(args: argparse.Namespace) -> int:
     check_writable(args.out, (".npy",))
     if args.out.exists() and any(path.exists() and path.samefile(args.out) for path in args.files):
         raise ValueError(f"--out is one of the recordings, {args.out}")
-    counts = _count(args.files, args.sensor)
+    counts = _count([sample_or_path(path) for path in args.files], args.sensor)
     n_events = int(counts.sum())
     if n_events == 0:
         raise ValueError(f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found")

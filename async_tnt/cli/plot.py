@@ -5,12 +5,21 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import MODELS, READABLE, add_volume, model_of, positive_int, size_of, volume_of
+from async_tnt.cli.options import (
+    MODELS,
+    READABLE,
+    add_volume,
+    model_of,
+    positive_int,
+    sample_or_path,
+    size_of,
+    volume_of,
+)
 from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.files import check_ours
 from async_tnt.networks.model import Model
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_objects import draw_window_objects
 from async_tnt.views.figure_overview import draw_overview
@@ -65,9 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    samples = sample_recordings()
-    is_digit = args.file.isdecimal() and int(args.file) in samples and not Path(args.file).exists()
-    path = samples[int(args.file)] if is_digit else Path(args.file)
+    path = sample_or_path(args.file)
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
     if args.out is None:

@@ -17,7 +17,7 @@ from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.training.simulated_pictures import check_pictures, find_pictures
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-NOT_REGULAR = "a pipe or a device|no model file|must be a file that can be read more than once|no recordings NAME|no class folders"
+NOT_REGULAR = "a pipe or a device|no model file|must be a file that can be read|no recordings NAME|no class folders"
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def test_an_error_is_one_line(words, message, tmp_path, program, monkeypatch):
 def test_a_sensor_may_have_so_many_pixels(tmp_path, program):
     """A file of a few hundred bytes may state any number: their counts would take gigabytes."""
     assert count_pixels([], (4096, 4096)).shape == (4096, 4096)
-    with pytest.raises(ValueError, match="^a sensor must have at most 16,777,216 pixels to count .*, got 4097x4096$"):
+    with pytest.raises(ValueError, match=r"^a sensor must have at most 16,777,216 pixels to count .*, got 4097x4096$"):
         learn_mask([], (4097, 4096))
     columns = dict(t=[5], x=[1], y=[2], p=[1])
     np.savez(tmp_path / "a.npz", **columns, sensor=[32768, 32768])
