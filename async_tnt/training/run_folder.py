@@ -24,7 +24,7 @@ from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-FORMAT = 8  # of the checkpoint
+FORMAT = 9  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 
 
