@@ -70,7 +70,7 @@ def _of_other_program(path: Path, config: Path) -> Engine:
     try:
         given = parse_json(read_regular(config))
         if not isinstance(given, dict) or "config" not in given:
-            raise ValueError(f"no config in it, got {short(given)}")
+            raise ValueError(f"no 'config' in it, got {short(given)}")
         volume = TNTConfig.from_dict(given["config"])
         classes = given.get("classes")
         if classes is not None and not (isinstance(classes, list) and 0 < len(set(map(str, classes))) == len(classes)):

@@ -153,6 +153,7 @@ def test_a_mistyped_word_gets_a_hint(command, refused):
         ("run --modle digits", "unrecognized arguments: --modle; did you mean --model? (async-tnt run --help)"),
         ("mask a.npy --otu m.npy", "are required: --out; --otu: did you mean --out? (async-tnt mask --help)"),
         ("run -json", "unrecognized arguments: -json; did you mean --json? (async-tnt run --help)"),
+        ("run --mod digits --xyzzy", "unrecognized arguments: --xyzzy (async-tnt run --help)"),
         ("run --xyzzy", "unrecognized arguments: --xyzzy (async-tnt run --help)"),
         ("--verison", "are required: COMMAND; --verison: did you mean --version? (async-tnt --help)"),
         ("xyzzy --modle", "'view', 'plot') (async-tnt --help)"),
