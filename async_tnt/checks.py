@@ -1,13 +1,15 @@
-"""Checks: of arguments (whole numbers as Python's int, arrays without a mask), of installed extras, and of calls that
-must not overlap; text for messages."""
+"""Checks: of arguments (whole numbers as Python's int, arrays without a mask), of JSON from outside, of installed
+extras, and of calls that must not overlap; text for messages."""
 
 from __future__ import annotations
 
 import functools
+import json
 import math
 import operator
 import reprlib
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from numbers import Real
@@ -72,7 +74,7 @@ def refuse_mask(name: str, values: Any, advice: str) -> None:
         raise TypeError(f"`{name}` must not be a masked array, whose mask would be ignored; pass {advice}")
 
 
-def one_line(error: Exception, limit: int = 300) -> str:
+def one_line(error: Exception | str, limit: int = 300) -> str:
     """Text from a library or a file for a message: on one line, cut after `limit` characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= limit else text[:limit] + " ..."
@@ -96,6 +98,64 @@ def printable(text: str) -> str:
     a\\nb: no events
     """
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+MAX_JSON_DEPTH = 100
+"""Lists and objects within each other. Python's reader and writer would end in a RecursionError at some thousand."""
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text that comes from outside.
+
+    Raises
+    ------
+    ValueError : it is not JSON, is nested deeper than `MAX_JSON_DEPTH`, has a whole number of thousands of digits, or
+        an object names a value twice, of which Python would silently use the last. One line.
+
+    Examples
+    --------
+    >>> parse_json('{"bins": 9}')
+    {'bins': 9}
+    """
+    try:
+        value = json.loads(text, object_pairs_hook=_json_object)
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    except _JsonError:
+        raise
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"it is not JSON: {one_line(error)}") from None
+    except ValueError:  # of Python's limit of digits
+        raise ValueError("it has a whole number of thousands of digits; expected numbers of float64 or int64") from None
+    _check_depth(value)
+    return value
+
+
+_TOO_DEEP = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
+
+
+class _JsonError(ValueError):
+    """Of `_json_object`, in our words."""
+
+
+def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON, each of whose names is there once."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        twice = next(name for name, n in Counter(name for name, _ in pairs).items() if n > 1)
+        raise _JsonError(f"it names {short(twice)} twice in one object")
+    return values
+
+
+def _check_depth(value: Any) -> None:
+    """Refuse a value with more than `MAX_JSON_DEPTH` lists and objects within each other."""
+    level = [value]
+    for _ in range(MAX_JSON_DEPTH):
+        inner = [one.values() if type(one) is dict else one for one in level if type(one) in (dict, list)]
+        level = [one for some in inner for one in some if type(one) in (dict, list)]
+        if not level:
+            return
+    raise ValueError(_TOO_DEEP)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import short
@@ -16,6 +17,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.kernels.entry_points import ENTRY_POINTS, MAP_PARTS, PARTS
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.package import available_cores
 from async_tnt.triggers import TriggerSettings
@@ -33,7 +35,7 @@ OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
 EVENT_TRIGGERS = {"until_due", "why_due"}
 
 
-def warmup(model: Model | TNTConfig | None = None) -> float:
+def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
     """Compile everything that a stream may call, or load it from Numba's cache.
 
     The first time on a machine this takes some seconds: a line on stderr says so, and a second process compiles the
@@ -41,15 +43,17 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
 
     Parameters
     ----------
-    model : for streams of this model or configuration only; by default, for any.
+    model : for streams of this model, given also by its name or path, or configuration only; by default, for any.
 
     Returns
     -------
     float : seconds it took.
     """
     started = time.perf_counter()
+    if isinstance(model, (str, Path)):
+        model = load_model(model)
     if not isinstance(model, (Model, TNTConfig, type(None))):
-        raise TypeError(f"`model` must be a Model or a TNTConfig, got {short(model)}; load_model(name) loads one")
+        raise TypeError(f"`model` must be a Model, the name or path of one, or a TNTConfig, got {short(model)}")
     config = model.config if isinstance(model, Model) else model
     names = EVENTS | LATE | OTHER_CLASSIFIERS | EVENT_TRIGGERS
     if config is None or config.needs_replay:

@@ -34,7 +34,11 @@ class Object:
         return {"id": self.id, "label": self.label, **numbers}
 
 
-@dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
+LIKELIEST = 3
+"""Classes, or objects, that the `repr` of a decision names."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)  # arrays have no truth value to compare by
 class Decision:
     """What a window shows at one moment: its class, or with a map model the objects in it."""
 
@@ -67,6 +71,21 @@ class Decision:
         if self.objects is None:
             return float(self.probabilities[self.index])
         return self.objects[0].probability if self.objects else 0.0
+
+    def __repr__(self) -> str:
+        """What was decided, why and when, on one line: the arrays may hold thousands of numbers."""
+        if self.objects is None:
+            best = np.argsort(-self.probabilities, kind="stable")[:LIKELIEST].tolist()
+            listed = ", ".join(f"{k}: {self.probabilities[k]:.3f}" for k in best)
+            rest = f"likeliest={{{listed}}}"
+        else:
+            named = [f"{one.label!r} at ({one.x:.1f}, {one.y:.1f})" for one in self.objects[:LIKELIEST]]
+            more = len(self.objects) - len(named)
+            rest = f"objects=[{', '.join([*named, *([f'{more} more'] if more else [])])}]"
+        return (
+            f"Decision(label={self.label!r}, probability={self.probability:.3f}, trigger={self.trigger!r}, "
+            f"time_us={self.time_us}, events={self.events}, {rest})"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; probabilities to six decimals, no logits. With a map model `objects` in place of

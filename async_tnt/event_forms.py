@@ -9,13 +9,16 @@
     None, or an empty list, tuple or array: no events
 
 Times are integer microseconds, or NumPy's datetime64 and timedelta64; polarity is bool, 0/1 or -1/+1. A field under two
-names and masked arrays are rejected. Plain arrays do not say what their columns are: see `event_columns`.
+names, two columns of one name, and masked arrays are rejected. Plain arrays do not say what their columns are, see
+`event_columns`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from itertools import permutations
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,6 +32,25 @@ NAMES = {
     "p": ("p", "on", "polarity", "pol"),
 }
 UNMASKED = "`.compressed()` of each column, or `.data` to use every event"
+MAX_INT64 = (1 << 63) - 1
+UNITS_AS = MappingProxyType(
+    {
+        "as": 1,
+        "fs": 10**3,
+        "ps": 10**6,
+        "ns": 10**9,
+        "us": 10**12,
+        "ms": 10**15,
+        "s": 10**18,
+        "m": 60 * 10**18,
+        "h": 3_600 * 10**18,
+        "D": 86_400 * 10**18,
+        "W": 604_800 * 10**18,
+    }
+)
+"""NumPy's units of time, in attoseconds."""
+CALENDAR_DAYS = MappingProxyType({"M": 31, "Y": 366})
+"""Days that NumPy's months and years have at most."""
 MAX_DEPTH = 4  # `.numpy()` may return events in another form, but not endlessly
 FORMS = (
     "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict or table of such columns, a tuple "
@@ -201,12 +223,35 @@ def _as_column(field: str, values: Any) -> np.ndarray:
 
 
 def _microseconds(t: np.ndarray) -> np.ndarray:
-    """Dates and durations with a unit as whole microseconds, rounded down; others as they are."""
+    """Dates and durations with a unit as whole microseconds, rounded down; others as they are.
+
+    NumPy's own conversion would wrap around silently where microseconds do not fit into int64.
+    """
     if t.dtype.kind not in "mM" or np.datetime_data(t.dtype)[0] == "generic":
         return t
     if np.isnat(t).any():
         raise ValueError(f"`t` must be a time, got NaT at event {int(np.argmax(np.isnat(t)))}")
-    return t.astype(f"{t.dtype.kind}8[us]").astype(np.int64)
+    unit, multiple = np.datetime_data(t.dtype)
+    in_calendar = unit in CALENDAR_DAYS
+    if in_calendar and t.dtype.kind == "m":
+        raise ValueError(f"`t` must be durations of a fixed length, got {t.dtype}; convert them to microseconds")
+    length = multiple * (CALENDAR_DAYS[unit] * UNITS_AS["D"] if in_calendar else UNITS_AS[unit])
+    factor = length // math.gcd(length, UNITS_AS["us"])
+    divisor = UNITS_AS["us"] // math.gcd(length, UNITS_AS["us"])
+    count = t.astype(np.int64)
+    beyond = np.abs(count) > min(MAX_INT64, MAX_INT64 * divisor // factor)
+    if beyond.any():
+        i = int(np.argmax(beyond))
+        step = unit if multiple == 1 else f"x {multiple} {unit}"
+        raise ValueError(f"`t` must be in [0, 2**62) microseconds, got {count[i]} {step} at event {i}")
+    if in_calendar:
+        return t.astype("M8[us]").astype(np.int64)
+    if factor == 1:
+        return count // divisor
+    if divisor == 1:
+        return count * factor
+    exact = [value * factor // divisor for value in count.tolist()]  # such as of units of 1500 ns
+    return np.array(exact, np.int64)
 
 
 def the_name(field: str, have: Collection[str], what: str) -> str:
@@ -220,5 +265,6 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
     if len(found) == 1:
         return found[0]
     if found:
-        raise ValueError(f"events need one field `{field}`, got {' and '.join(found)} in {what}; leave out all but one")
+        got = " and ".join(found) if len(set(found)) > 1 else f"{found[0]} {len(found)} times"
+        raise ValueError(f"events need one field `{field}`, got {got} in {what}; leave out all but one")
     raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")

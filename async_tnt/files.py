@@ -1,4 +1,4 @@
-"""Files: paths as users write them, pointers of Git LFS, and writing.
+"""Files: paths as users write them, pointers of Git LFS, reading regular files alone, and writing.
 
 Files are written whole or not at all, replacing nothing but regular files, and by one process at a time.
 """
@@ -6,6 +6,7 @@ Files are written whole or not at all, replacing nothing but regular files, and 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import stat
@@ -38,6 +39,27 @@ def refuse_git_lfs(path: Path) -> None:
             f"{path}: only a Git LFS pointer to the file, not the file itself; fetch it with `git lfs pull` in its "
             "repository"
         )
+
+
+def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
+    """Open a regular file, or a link to one, to read its bytes.
+
+    A pipe without a writer would wait forever, and a device may never end.
+
+    Raises
+    ------
+    OSError : something else, such as a pipe or a device; missing, or not readable.
+    """
+    mode = os.stat(path).st_mode
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # `open` itself refuses folders
+        raise OSError(errno.EINVAL, "a pipe or a device, expected a regular file", os.fspath(path))
+    return Path(path).open("rb")
+
+
+def read_regular(path: str | os.PathLike[str]) -> bytes:
+    """All bytes of a regular file, see `open_regular`."""
+    with open_regular(path) as file:
+        return file.read()
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:

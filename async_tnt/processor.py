@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -25,7 +26,7 @@ from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, until_due, why_due
 from async_tnt.networks.model import Model
 from async_tnt.restarts import OnRestart, RestartWatch, part_of
-from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings
+from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings, warn_if_never_due
 from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import STRETCH, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
@@ -55,7 +56,7 @@ class Processor(TriggerAttributes):
 
     Parameters
     ----------
-    model : a Model, or a TNTConfig together with `classifier`.
+    model : a Model, its name or path, or a TNTConfig together with `classifier`.
     classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
         to finite logits; by default the model's own network, compiled, which computes only what has changed
         since the last decision. Others are in `async_tnt.networks`.
@@ -95,7 +96,7 @@ class Processor(TriggerAttributes):
 
     def __init__(
         self,
-        model: Model | TNTConfig,
+        model: Model | TNTConfig | str | Path,
         *,
         classifier: Classifier | None = None,
         regressor: Regressor | None = None,
@@ -112,6 +113,7 @@ class Processor(TriggerAttributes):
         self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
+        warn_if_never_due(self._triggers.settings, self.config)
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._accepts_late = late == "accept"
         self._restarts = RestartWatch(on_restart, self.config.window_us)

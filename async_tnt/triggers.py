@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from async_tnt.checks import positive_int, real_number, short
+from async_tnt.config import TNTConfig
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.state import NEVER_US
 
@@ -41,6 +43,23 @@ class TriggerSettings:
     def each_event(self) -> bool:
         """Whether `confidence` is checked after every event, as no other trigger is set."""
         return self.confidence is not None and self.every_us is None and self.every_events is None
+
+
+def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: int = 3) -> None:
+    """Warn of triggers that no window is long enough for.
+
+    As often as a window's duration, or its number of events, is no mistake: windows themselves are decided so often.
+    """
+    never = []
+    if config.window_events is None:
+        if settings.every_us is not None and settings.every_us > config.window_us:
+            never.append(f"`every_us` = {settings.every_us} is longer than a window, {config.window_us} us")
+    elif settings.every_events is not None and settings.every_events > config.window_events:
+        never.append(f"`every_events` = {settings.every_events} is more than a window has, {config.window_events}")
+    for which in never:
+        warnings.warn(
+            f"{which}: it never makes a decision due, windows are decided at their ends", stacklevel=stacklevel
+        )
 
 
 class Triggers:
@@ -101,10 +120,18 @@ class TriggerAttributes:
 
     __slots__ = ()
     _triggers: Triggers
+    config: TNTConfig
 
     def _set_triggers(self, settings: TriggerSettings) -> None:
         """Use these settings, for the open window, too."""
         raise NotImplementedError
+
+    def _change(self, **changes: Any) -> None:
+        """Use the settings with some of them changed; called by a setter, which is called by the user."""
+        before = self._triggers.settings
+        self._set_triggers(replace(before, **changes))
+        if self._triggers.settings != before:
+            warn_if_never_due(self._triggers.settings, self.config, stacklevel=4)
 
     @property
     def every_us(self) -> int | None:
@@ -113,7 +140,7 @@ class TriggerAttributes:
 
     @every_us.setter
     def every_us(self, every_us: int | None) -> None:
-        self._set_triggers(replace(self._triggers.settings, every_us=every_us))
+        self._change(every_us=every_us)
 
     @property
     def every_events(self) -> int | None:
@@ -122,7 +149,7 @@ class TriggerAttributes:
 
     @every_events.setter
     def every_events(self, every_events: int | None) -> None:
-        self._set_triggers(replace(self._triggers.settings, every_events=every_events))
+        self._change(every_events=every_events)
 
     @property
     def confidence(self) -> float | None:
@@ -131,7 +158,7 @@ class TriggerAttributes:
 
     @confidence.setter
     def confidence(self, confidence: float | None) -> None:
-        self._set_triggers(replace(self._triggers.settings, confidence=confidence))
+        self._change(confidence=confidence)
 
 
 def _level(name: str, value: Any) -> float:

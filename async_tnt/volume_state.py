@@ -219,6 +219,10 @@ def checked_landmark(answer: Any) -> tuple[float, float]:
 
 def check_regressor(config: TNTConfig, regressor: Any) -> None:
     """Raise unless there is a regressor if and only if the configuration needs one."""
+    if not isinstance(config, TNTConfig):
+        has_one = isinstance(getattr(config, "config", None), TNTConfig)
+        hint = "pass its `config`" if has_one else "load_model(name).config is that of a model"
+        raise TypeError(f"`config` must be a TNTConfig, got {short(config)}; {hint}")
     here = f"landmark={config.landmark!r}, transform={config.transform!r}"
     if regressor is None:
         if config.needs_regressor:

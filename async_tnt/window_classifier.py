@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from async_tnt.kernels import trigger as T
 from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
 from async_tnt.kernels.objects import N_KNOWN, NEXT_NUMBER
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.networks.objects import LOGITS, ObjectReader, even_places, logits_shape, new_tracks
 from async_tnt.volume import TNTVolume
@@ -31,9 +33,11 @@ STRETCH = 500  # events for which such a call is worth its time where decisions 
 
 
 def networks_of(
-    model: Model | TNTConfig, classifier: Classifier | None, regressor: Any, classes: Sequence[str] | None
+    model: Model | TNTConfig | str | Path, classifier: Classifier | None, regressor: Any, classes: Sequence[str] | None
 ) -> tuple[TNTConfig, Classifier, Any, Sequence[str] | None]:
     """Configuration, classifier, regressor and class names: those passed, otherwise those of the model."""
+    if isinstance(model, (str, Path)):
+        model = load_model(model)
     if isinstance(model, Model):
         classes = model.classes if classes is None else classes
         classifier = CompiledClassifier(model) if classifier is None else classifier
@@ -41,9 +45,7 @@ def networks_of(
             regressor = CompiledRegressor(model)
         return model.config, classifier, regressor, classes
     if not isinstance(model, TNTConfig):
-        raise TypeError(
-            f"`model` must be a Model or a TNTConfig, got {type(model).__name__}; load_model(name) loads one"
-        )
+        raise TypeError(f"`model` must be a Model, the name or path of one, or a TNTConfig, got {type(model).__name__}")
     if classifier is None:
         raise TypeError("`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable")
     return model, classifier, regressor, classes

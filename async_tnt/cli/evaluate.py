@@ -7,7 +7,7 @@ import contextlib
 import functools
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
@@ -22,7 +22,7 @@ from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
-from async_tnt.evaluation.records import Record, evaluate_recording
+from async_tnt.evaluation.records import Record, check_record, evaluate_recording
 from async_tnt.evaluation.results import SUFFIXES, Run, collect
 from async_tnt.evaluation.scores import score_recordings
 from async_tnt.files import check_writable, user_path
@@ -100,7 +100,8 @@ def main(args: argparse.Namespace) -> int:
         for name, recordings in found.items()
         for one in recordings
     ]
-    records = _stream(args, tasks, run)
+    check = functools.partial(check_record, classes=model.classes, config=model.config)
+    records = _stream(args, tasks, run, check)
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:
@@ -136,7 +137,9 @@ def _how_to_run(args: argparse.Namespace) -> Run:
     return functools.partial(run_on_dask, address=args.dask)
 
 
-def _stream(args: argparse.Namespace, tasks: Sequence[Task], run: Run) -> list[Record]:
+def _stream(
+    args: argparse.Namespace, tasks: Sequence[Task], run: Run, check: Callable[[Record], object]
+) -> list[Record]:
     """All records in order of the recordings' names, with a progress bar; written to the file of --out, if given.
 
     Raises
@@ -147,7 +150,14 @@ def _stream(args: argparse.Namespace, tasks: Sequence[Task], run: Run) -> list[R
         with contextlib.ExitStack() as stack:
             out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")
             return collect(
-                evaluate_recording, tasks, run, out, restart=args.restart, progress=progress, report=complain
+                evaluate_recording,
+                tasks,
+                run,
+                out,
+                restart=args.restart,
+                check=check,
+                progress=progress,
+                report=complain,
             )
     except KeyboardInterrupt as error:
         n_done = f": {error}" if str(error) else ""

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.options import READABLE, add_reading, reading_of, size_of
+from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import OPTIONS, can_print, complain, say, with_options
 from async_tnt.files import user_path
 from async_tnt.networks.loading import bundled_models, load_model
@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="WHAT",
-        help=f"recordings ({READABLE}), folders, .safetensors files or bundled models ({', '.join(bundled_models())})",
+        help=f"recordings ({READABLE}), or digits of bundled ones, folders, .safetensors files or bundled models "
+        f"({', '.join(bundled_models())})",
     )
     parser.add_argument(
         "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where a recording does not state them"
@@ -76,7 +77,7 @@ def _described(name: str, reading: Mapping[str, Any]) -> tuple[dict[str, Any], l
         return {"model": name, **_of_model(model)}, list(_model_lines(name, model))
     if path.is_dir():
         return _of_folder(path, reading)
-    found = summarize(path, **reading)
+    found = summarize(sample_or_path(path), **reading)
     return asdict(found), list(_recording_lines(found))
 
 
@@ -122,7 +123,7 @@ def _of_folder(folder: Path, reading: Mapping[str, Any]) -> tuple[dict[str, Any]
         for path in paths:
             name = f"  {path.relative_to(folder)!s:<32}"
             try:
-                found = summarize(path, **reading)
+                found = summarize(sample_or_path(path), **reading)
                 reports.append(asdict(found))
                 size = "-" if found.sensor is None else format_size(found.sensor)
                 seconds = (found.last_us - found.first_us) * 1e-6

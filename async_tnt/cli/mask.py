@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.options import READABLE, add_reading, reading_of, size_of
+from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import say
 from async_tnt.files import check_writable, user_path
 from async_tnt.progress import progress
@@ -31,13 +31,19 @@ of shape (height, width), True where a pixel is hot:
   async_tnt.stream(map(pixel_filter, camera), model)
 
 A pixel is hot when it has 5 times more events than the 4th busiest of the 24 pixels around it and than the mean
-pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also if none is found: the mask
-then leaves nothing out.
+pixel, and when chance would not do that in one of a hundred sensors. A sensor may have up to 2^24 pixels. Exit code 0
+also if none is found: the mask then leaves nothing out.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", nargs="+", metavar="RECORDING", type=user_path, help=f"recordings ({READABLE})")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        metavar="RECORDING",
+        type=user_path,
+        help=f"recordings ({READABLE}), or digits of bundled ones",
+    )
     parser.add_argument(
         "--out", type=user_path, metavar="FILE", required=True, help="the mask, a .npy file, overwritten if it exists"
     )
@@ -55,7 +61,7 @@ def main(args: argparse.Namespace) -> int:
     check_writable(args.out, (".npy",))
     if args.out.exists() and any(path.exists() and path.samefile(args.out) for path in args.files):
         raise ValueError(f"--out is one of the recordings, {args.out}")
-    counts = _count(args.files, args.sensor, reading_of(args))
+    counts = _count([sample_or_path(path) for path in args.files], args.sensor, reading_of(args))
     n_events = int(counts.sum())
     if n_events == 0:
         raise ValueError(f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found")
@@ -77,7 +83,10 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None, reading: Mapping[s
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
             sensor = sensor or recording.sensor
             check_sensor(path, recording.sensor, sensor, "--sensor or an earlier recording has")
-            counts = counts + count_pixels(recording, sensor)
+            try:
+                counts = counts + count_pixels(recording, sensor)
+            except ValueError as error:
+                raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
             bar.update()
     return counts
 

@@ -42,7 +42,7 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         nargs="?" if one else "*",
         metavar="FILE",
         type=(lambda text: text if is_live(text) else user_path(text)) if live else user_path,
-        help=f"{sources}recordings ({READABLE}); {bundled}",
+        help=f"{sources}recordings ({READABLE}), or digits of bundled ones, such as 3; {bundled}",
     )
     parser.add_argument("--model", default="digits", metavar="NAME|FILE", help=f"{MODELS}{onnx} (default: %(default)s)")
     if live:
@@ -121,12 +121,29 @@ def triggers_of(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def paths_of(args: argparse.Namespace) -> list[Any]:
-    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file exists."""
+    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file exists.
+
+    A digit names its bundled recording, see `sample_or_path`.
+    """
     bundled = list(sample_recordings().values())
     if not args.files:
         return bundled
     given = args.files if isinstance(args.files, list) else [args.files]
-    return [f for file in given for f in (bundled if file == SAMPLES and not SAMPLES.exists() else [file])]
+    paths: list[Any] = []
+    for file in given:
+        if file == SAMPLES and not SAMPLES.exists():
+            paths += bundled
+        else:
+            paths.append(sample_or_path(file) if isinstance(file, Path) else file)
+    return paths
+
+
+def sample_or_path(name: str | Path) -> Path:
+    """The bundled recording of a digit, such as "3", unless a file has this name; else the path itself."""
+    path = Path(name)
+    if path.exists() or str(path) not in (samples := {str(digit): file for digit, file in sample_recordings().items()}):
+        return path
+    return samples[str(path)]
 
 
 def of_windows(model: Model, name: str | Path) -> Model:

@@ -13,6 +13,7 @@ from async_tnt.cli.options import (
     model_of,
     positive_int,
     reading_of,
+    sample_or_path,
     size_of,
     volume_of,
 )
@@ -20,7 +21,7 @@ from async_tnt.cli.output import complain, say
 from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.files import check_ours, user_path
 from async_tnt.networks.model import Model
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_objects import draw_window_objects
 from async_tnt.views.figure_overview import draw_overview
@@ -76,9 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    samples = sample_recordings()
-    is_digit = args.file.isdecimal() and int(args.file) in samples and not Path(args.file).exists()
-    path = samples[int(args.file)] if is_digit else user_path(args.file)
+    path = sample_or_path(user_path(args.file))
     out = args.out or Path(f"{path.stem}.png")
     check_picture(out)
     if args.out is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import gc
 import importlib
 import itertools
@@ -40,7 +41,7 @@ COMMANDS = {  # name of a module beside this one, with DESCRIPTION, add_argument
 }
 
 
-def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+def build_parser(argv: Sequence[str]) -> _Parser:
     """The parser; only the command that `argv` names is imported."""
     parser = _Parser(
         prog="async-tnt",
@@ -54,11 +55,14 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     _refuse_dashes(f"async-tnt {wanted or ''}".strip(), argv)
     for name, help_line in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=help_line, formatter_class=argparse.RawDescriptionHelpFormatter)
+        parser.commands[name] = subparser
         if name == wanted:
             module = importlib.import_module(f"async_tnt.cli.{name}")
             subparser.description = module.DESCRIPTION
             module.add_arguments(subparser)
             subparser.set_defaults(main=module.main)
+            subparser.mistyped = mistyped(argv[argv.index(name) + 1 :], subparser.options)
+    parser.mistyped = mistyped(argv, parser.options, list(COMMANDS))
     return parser
 
 
@@ -67,6 +71,38 @@ def _refuse_dashes(prog: str, argv: Sequence[str]) -> None:
     for word in itertools.takewhile(lambda word: word != "--", argv):
         if word.startswith("-") and word.endswith("=--"):
             _Parser(prog=prog).error(f"argument {word.removesuffix('=--')}: expected a value, got '--'")
+
+
+def mistyped(words: Sequence[str], options: Sequence[str], commands: Sequence[str] = ()) -> tuple[str, str] | None:
+    """The first word that is no option, or no command where there are some, and what it was probably meant to be.
+
+    Parameters
+    ----------
+    words : as they were typed; of those before a command and the command, if `commands` are given.
+
+    Examples
+    --------
+    >>> mistyped(["a.npz", "--modle", "x"], ["--model", "--out"])
+    ('--modle', '--model')
+    >>> mistyped(["a.npz", "--mod", "x"], ["--model", "--out"]) is None  # argparse takes the beginning of an option
+    True
+    """
+    for word in words:
+        if word == "--":  # files follow
+            return None
+        name = word.partition("=")[0]
+        if word.startswith("-") and len(word) > 1 and not word[1].isdigit():
+            known, alike = options, 0.7  # all begin alike
+            is_known = any(option.startswith(name) for option in options)
+        else:
+            known, alike = commands, 0.6
+            is_known = word in commands
+        meant = [] if is_known else difflib.get_close_matches(name.lower(), known, n=1, cutoff=alike)
+        if meant:
+            return name, meant[0]
+        if known is commands and commands:
+            return None  # what follows belongs to the command
+    return None
 
 
 def run(argv: Sequence[str]) -> int:
@@ -116,9 +152,10 @@ def _run(argv: Sequence[str]) -> int:
     code, told = 0, ""
     sys.unraisablehook = signals.report
     try:
-        args, unknown = build_parser(argv).parse_known_args(argv)
+        parser = build_parser(argv)
+        args, unknown = parser.parse_known_args(argv)
         if unknown:
-            _Parser(prog=f"async-tnt {args.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
+            parser.commands[args.command].error(f"unrecognized arguments: {' '.join(unknown)}")
         OPTIONS.clear()
         OPTIONS.update(vars(args))
         with warnings.catch_warnings(), handled_by(signals.interrupt) as signals.before:
@@ -182,9 +219,28 @@ def _flushed(code: int) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports a mistake in one line, as all commands do; `--help` has the rest."""
+    """Reports a mistake in one line, as all commands do; `--help` has the rest.
+
+    Attributes
+    ----------
+    mistyped : a word of the command line, and what it was probably meant to be, for the error.
+    commands : name -> the parser of its options.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.mistyped: tuple[str, str] | None = None
+        self.commands: dict[str, _Parser] = {}
+
+    @property
+    def options(self) -> list[str]:
+        """All options, such as "--out"."""
+        return [option for action in self._actions for option in action.option_strings]
 
     def error(self, message: str) -> NoReturn:
+        if self.mistyped is not None:
+            word, meant = self.mistyped
+            message += f"; did you mean {meant}?" if word in message else f"; {word}: did you mean {meant}?"
         self.exit(2, f"{self.prog}: {printable(message)} ({self.prog} --help)\n")
 
 

@@ -95,6 +95,7 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
+    from async_tnt.training.early_end import COOLING, PATIENCE
     from async_tnt.training.fitting import fit
     from async_tnt.training.run_folder import begin_again, plot_curves
 
@@ -119,6 +120,13 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         progress=progress,
         report=_reporter(settings.n_epochs(len(data.training))),
     )
+
+    n_epochs, n_done = settings.n_epochs(len(data.training)), len(fitted.history)
+    if n_done < n_epochs:
+        note(
+            f"ended after {n_done} of {n_epochs} epochs: all that is held out was right in the last "
+            f"{PATIENCE + COOLING}, and its loss fell no more; --epochs N makes N"
+        )
 
     def save() -> list[Path]:
         """The model with its record so far, and the numbers beside it."""

@@ -106,7 +106,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="passes, of few windows several in one (default: 20, or as many as make 4000 steps)",
+        help="passes, of few windows several in one (default: 20, or as many as make 4000 steps; fewer where all that "
+        "is held out stays right and its loss falls no more)",
     )
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"

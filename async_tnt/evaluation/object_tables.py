@@ -9,16 +9,19 @@ NAME_bbox.npy     Prophesee's boxes: t (or ts), x, y, w, h, class_id; of NAME.* 
 from __future__ import annotations
 
 import csv
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from async_tnt.files import refuse_git_lfs
+from async_tnt.checks import one_line, parse_json, short
+from async_tnt.files import open_regular, read_regular, refuse_git_lfs
 from async_tnt.sources.files.numpy_files import map_npy
-from async_tnt.sources.labelled_recordings import is_recording
+from async_tnt.sources.labelled_recordings import check_once, is_recording
 
 CSV, BOXES, OF_BOXES = "_objects.csv", "_bbox.npy", "_td"
 NAMES_FILE = "label_map_dictionary.json"
@@ -95,39 +98,86 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
 def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
     refuse_git_lfs(path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
             columns, rows = reader.fieldnames or (), list(reader)
     except (ValueError, csv.Error) as error:
-        raise ValueError(f"{path}: not a table of comma-separated values: {error}") from None
+        raise ValueError(f"{path}: not a table of comma-separated values: {one_line(error)}") from None
     of_boxes = {"w", "h", "width", "height"}.intersection(name.strip().lower() for name in columns)
     if missing := [name for name in ("t", "class", "x", "y", *("wh" if of_boxes else "")) if name not in columns]:
         raise ValueError(f"{path}: needs the columns t, class, x, y (and w, h of boxes), lacks {', '.join(missing)}")
-    try:
-        t = np.array([int(row["t"]) for row in rows], np.int64)
-        corner = np.array([(float(row["x"]), float(row["y"])) for row in rows]).reshape(-1, 2)
-        size = np.array([(float(row.get("w", 0)), float(row.get("h", 0))) for row in rows]).reshape(-1, 2)
-        if any(row["class"] is None for row in rows):
-            raise ValueError("a row ends before its class")
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(
-            f"{path}: t must be whole microseconds, x, y, w and h numbers, each with a class: {error}"
-        ) from None
-    return np.array([str(row["class"]) for row in rows], object), t, corner, size
+    check_once(path, ("t", "class", "x", "y", "w", "h"), columns)
+    cells = {name: [row[name] for row in rows] for name in ("t", "class", "x", "y", *("wh" if of_boxes else ""))}
+    for name, column in cells.items():
+        convert = CSV_TYPES[name]
+        for k, text in enumerate(column):
+            try:
+                column[k] = convert(text)
+            except (TypeError, ValueError):  # the first: None, in a row that is too short
+                got = f"a row ends before its {name}" if text is None else f"got {short(text)}"
+                rule = "t must be whole microseconds, x, y, w and h numbers, each with a class"
+                raise ValueError(f"{path}: row {k + 1}: {rule}: {got}") from None
+    n = len(rows)
+    zeros = [0.0] * n
+    corner = np.array([cells["x"], cells["y"]], np.float64).reshape(2, n).T
+    size = np.array([cells.get("w", zeros), cells.get("h", zeros)], np.float64).reshape(2, n).T
+    return np.array(cells["class"], object), np.array(cells["t"], np.int64), corner, size
+
+
+def _microseconds(text: str) -> int:
+    """A time in a table; a ValueError if it does not fit into int64."""
+    if not -(1 << 63) <= int(text) < 1 << 63:
+        raise ValueError
+    return int(text)
+
+
+def _class_name(text: str | None) -> str:
+    """The name of a class; a TypeError where there is none."""
+    if text is None:
+        raise TypeError
+    return text
+
+
+CSV_TYPES: Mapping[str, Callable[[Any], Any]] = MappingProxyType(
+    {"t": _microseconds, "class": _class_name, "x": float, "y": float, "w": float, "h": float}
+)
+"""Column of a table -> what makes a value of its text."""
 
 
 def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
     boxes = map_npy(path)
     try:
-        columns = boxes["t" if "t" in (boxes.dtype.names or ()) else "ts"].astype(np.int64), boxes["class_id"]
-        corner, size = (np.stack([boxes[a], boxes[b]], axis=-1).astype(np.float64) for a, b in ("xy", "wh"))
-        numbers = columns[1].astype(np.int64).tolist()
+        t = _whole(boxes["t" if "t" in (boxes.dtype.names or ()) else "ts"])
+        numbers = _whole(boxes["class_id"]).tolist()
+        for name in "xywh":
+            if boxes[name].ndim != 1 or boxes.dtype[name].kind not in "iuf":
+                raise ValueError(f"{name} must be a number, got {boxes.dtype[name]}")
+        corner = np.stack([boxes["x"], boxes["y"]], axis=-1).astype(np.float64)
+        size = np.stack([boxes["w"], boxes["h"]], axis=-1).astype(np.float64)
     except (ValueError, IndexError, TypeError, AttributeError, EOFError, OverflowError) as error:
-        raise ValueError(f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {error}") from None
+        why = one_line(error)
+        raise ValueError(f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {why}") from None
     named: Mapping[str, str] = dict(zip(map(str, range(len(classes))), classes, strict=True))
     if (names := path.parent / NAMES_FILE).is_file():
         try:
-            named = {str(k): str(name) for k, name in json.loads(names.read_bytes()).items()}
-        except (ValueError, AttributeError, RecursionError) as error:
-            raise ValueError(f"{names}: must be an object of class numbers and names, in JSON: {error}") from None
-    return np.array([named.get(str(k), str(k)) for k in numbers], object), columns[0], corner, size
+            content = parse_json(read_regular(names))
+            if not isinstance(content, dict):
+                raise ValueError(f"got {short(content)}")
+        except ValueError as error:
+            raise ValueError(
+                f"{names}: must be an object of class numbers and names, in JSON: {one_line(error)}"
+            ) from None
+        named = {k: str(name) for k, name in content.items()}
+    return np.array([named.get(str(k), str(k)) for k in numbers], object), t, corner, size
+
+
+def _whole(column: np.ndarray) -> np.ndarray:
+    """A column of whole numbers as int64; a ValueError for others, which a conversion would change silently."""
+    if column.ndim != 1 or column.dtype.kind not in "iuf":
+        raise ValueError(f"t and class_id must be whole numbers, got {column.dtype} in shape {column.shape}")
+    with np.errstate(invalid="ignore"):  # of values that are not finite
+        whole = column.astype(np.int64)
+    fits = whole == column
+    if not fits.all():
+        raise ValueError(f"t and class_id must be whole numbers in int64, got {column[np.argmin(fits)]}")
+    return whole

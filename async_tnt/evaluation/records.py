@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import short
+from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.evaluation.early import FIELDS as EARLY
-from async_tnt.evaluation.early import early_fields, every_us
+from async_tnt.evaluation.early import LEVELS, early_fields, every_us, moments
 from async_tnt.evaluation.job import Job, Task, sha256_of
+from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.networks.loading import load_model
 from async_tnt.package import __version__
 from async_tnt.processor import Processor
@@ -70,6 +73,49 @@ def evaluate_recording(task: Task) -> Record:
         "off_sensor": recording.counts.off_sensor,
     }
     return _record(task, fields | counts, None)
+
+
+def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> None:
+    """Refuse a record that `evaluate_recording` cannot have made with a model of these classes and configuration.
+
+    Raises
+    ------
+    ValueError : which field, what it must be, and what it is.
+    """
+    n_classes, n_moments, n_levels = len(classes), len(moments(config)), len(LEVELS)
+    rows: Any = record["window_start_us"]
+    n_windows = len(rows) if isinstance(rows, list) else 0
+    if n_windows == 0:
+        raise ValueError(f"`window_start_us` must be a list of one time or more, got {short(rows)}")
+    for name in ("label", "class"):
+        if record[name] not in classes:
+            raise ValueError(f"`{name}` must be one of the model's classes, got {short(record[name])}")
+    for name in ("decisions", "events", "late", "off_sensor"):
+        _check_numbers(name, [record[name]], (1,), int, (0, MAX_TIME_US))
+    _check_numbers("probabilities", record["probabilities"], (n_classes,), float, (0, 1))
+    _check_numbers("window_start_us", rows, (n_windows,), int, (0, MAX_TIME_US))
+    for name, n, kind, limits in (
+        ("window_probabilities", n_classes, float, (0, 1)),
+        ("decided_at", n_moments, int, (-1, n_classes - 1)),
+        ("probability_at", n_moments, float, (-1, 1)),
+        ("confident", n_levels, int, (-1, n_classes - 1)),
+        ("confident_us", n_levels, int, (-1, MAX_TIME_US)),
+    ):
+        _check_numbers(name, record[name], (n_windows, n), kind, limits)
+
+
+def _check_numbers(name: str, values: Any, shape: tuple[int, ...], kind: type, limits: tuple[int, int]) -> None:
+    """Refuse anything but nested lists of this shape of numbers of this kind within `limits`, both included."""
+    flat = [values]
+    for n in shape:
+        if not all(type(some) is list and len(some) == n for some in flat):
+            raise ValueError(f"`{name}` must hold {' x '.join(map(str, shape))} numbers, got {short(values)}")
+        flat = [value for some in flat for value in some]
+    low, high = limits
+    allowed = (int, float) if kind is float else (int,)
+    for value in flat:
+        if type(value) not in allowed or not low <= value <= high:
+            raise ValueError(f"`{name}` must be numbers of type {kind.__name__} in [{low}, {high}], got {short(value)}")
 
 
 def failed(task: Task, error: str) -> Record:

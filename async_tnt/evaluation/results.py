@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Collection, Generator, Sequence
 from pathlib import Path
 
+from async_tnt.checks import one_line, parse_json, short
 from async_tnt.evaluation.job import Job, Task
 from async_tnt.evaluation.records import FIELDS, Record, lost
 from async_tnt.files import check_writable, naming, open_locked, replacing
@@ -31,6 +32,7 @@ def collect(
     out: Path,
     *,
     restart: bool = False,
+    check: Callable[[Record], object] = lambda record: None,
     progress: Callable[..., Bar] = Bar,
     report: Callable[[str], object] = lambda line: None,
 ) -> list[Record]:
@@ -42,12 +44,14 @@ def collect(
     ----------
     tasks : at least one, all of one job, no two of one recording.
     restart : True discards the results of an earlier run.
+    check : raises a ValueError for a record without an error that cannot be one of these tasks, such as `check_record`.
     progress : makes the progress bar, which counts recordings.
     report : called with a line on what is kept of an earlier run, and what is left out.
 
     Raises
     ------
-    ValueError : this program has not written the file, or with other settings; or it holds only other recordings.
+    ValueError : this program has not written the file, or with other settings; it is damaged; or it holds only other
+        recordings.
     OSError : another program is writing it, or it cannot be written.
     KeyboardInterrupt : with how many are done.
     """
@@ -56,6 +60,14 @@ def collect(
     wanted = {task.recording: task for task in tasks}
     with contextlib.closing(ResultFile(out, job, restart=restart)) as file:
         good = {name: record for name, record in file.records.items() if record["error"] is None}
+        for name, record in good.items():
+            try:
+                check(record)
+            except ValueError as error:
+                raise ValueError(
+                    f"{out} is damaged: the record of {short(name)}: {one_line(error)}; restore the file, name another "
+                    "one, or discard it by a restart"
+                ) from None
         of_file = {name: (good[name]["bytes"], good[name]["modified_ns"], good[name]["class"]) for name in good}
         to_do = [task for task in tasks if of_file.get(task.recording) != (task.bytes, task.modified_ns, task.label)]
         n_gone = len(file.records.keys() - wanted.keys())
@@ -169,17 +181,17 @@ def _line(record: Record) -> bytes:
 
 def _record_of(line: bytes, job: Job, out: Path) -> Record:
     try:
-        record = json.loads(line)
-    except (ValueError, RecursionError):
+        record = parse_json(line)
+    except ValueError:
         record = None
     if isinstance(record, dict):
         record.setdefault("off_sensor", 0)  # earlier releases refused such recordings
-    if not isinstance(record, dict) or record.keys() != set(FIELDS):
+    if not isinstance(record, dict) or record.keys() != set(FIELDS) or not isinstance(record["recording"], str):
         raise ValueError(f"{_not_ours(out)}, or damaged")
     if record["settings"] != job.id:
         raise ValueError(
-            f"{out} was made with another model, version or selection of pixels, settings {record['settings']} (now "
-            f"{job.id}): give the same again, name another file, or discard it by a restart"
+            f"{out} was made with another model, version or selection of pixels, settings {short(record['settings'])} "
+            f"(now {job.id}): give the same again, name another file, or discard it by a restart"
         )
     return record
 

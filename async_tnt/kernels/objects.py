@@ -9,7 +9,12 @@ one row and column of the peak, weighted by their scores where these are positiv
 on.
 
 An object has the number of an earlier one that is nearer than a given reach, or a new number: the likeliest object
-takes the nearest one, then the next object.
+takes the nearest one, then the next object. Of equally near ones it takes the one seen last, and of those of one
+decision the likeliest.
+
+What is remembered has limited room. The objects of a decision are remembered first, then those that were seen before
+and are not found now: where there is no room for all, those that were seen longest ago are forgotten.
+However many false objects come and go, an object that is found in each decision keeps its number.
 """
 
 import numpy as np
@@ -47,7 +52,7 @@ FOUND_SIZE = 5
 N_KNOWN, NEXT_NUMBER, MEMORY_US = range(3)  # in the first row: how many, the next number, how long they are remembered
 X0, DX_PX, Y0, DY_PX = range(4)  # in the second: where on the sensor places lie, (x0 + dx column, y0 + dy row)
 REACH_X, REACH_Y = range(2)  # in the third, in pixels
-KNOWN = 3  # the first of them: number, x, y, time
+KNOWN = 3  # the first of them: number, x, y, time. Those seen last come last; of one decision, the likeliest
 
 
 @compiled_without_gil
@@ -88,7 +93,7 @@ def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time
     peaks : uint64, (rows, words): a bit for each place. Overwritten.
     probabilities : float64, (n, channels). Overwritten, a row for each object: softmax of the logits at its peak.
     found : float64, (n, FOUND_SIZE). Overwritten, likewise.
-    tracks : float64, (KNOWN + m, 4). Updated in place if `keep`; if m are known already, others are not remembered.
+    tracks : float64, (KNOWN + m, 4). Updated in place if `keep`: the m objects seen last.
     time_us : int. Of the decision.
     keep : bool. Whether these objects, and their numbers, are remembered.
 
@@ -273,7 +278,7 @@ def _number(found, n, tracks, time_us, keep):
     following = tracks[0, NEXT_NUMBER]
     for i in range(n):
         nearest, least = -1, 1.0
-        for j in range(n_known if i < MOST_TRACKED else 0):
+        for j in range(n_known - 1 if i < MOST_TRACKED else -1, -1, -1):
             across = (found[i, X] - tracks[KNOWN + j, 1]) / tracks[2, REACH_X]
             down = (found[i, Y] - tracks[KNOWN + j, 2]) / tracks[2, REACH_Y]
             away = across * across + down * down
@@ -286,17 +291,35 @@ def _number(found, n, tracks, time_us, keep):
         else:
             found[i, NUMBER] = following
             following += 1
-    if not keep:
-        return
-    tracks[0, NEXT_NUMBER] = following
-    kept = 0
-    for j in range(n_known):
-        if not taken[j] and time_us - tracks[KNOWN + j, 3] <= tracks[0, MEMORY_US]:
-            for k in range(tracks.shape[1]):  # a slice would take seconds to compile: it may overlap
-                tracks[KNOWN + kept, k] = tracks[KNOWN + j, k]
+    if keep:
+        tracks[0, NEXT_NUMBER] = following
+        _remember(found, n, tracks, taken, time_us)
+
+
+@compiled
+def _remember(found, n, tracks, taken, time_us):
+    """Keep in `tracks` the objects of this decision, and as many of the stale ones as there is room for.
+
+    An object is stale if it was known and is not `taken` now. One that was last seen too long ago is forgotten.
+    """
+    n_present = min(n, MOST_TRACKED, len(tracks) - KNOWN)
+    n_stale = 0
+    for j in range(len(taken)):
+        taken[j] |= time_us - tracks[KNOWN + j, 3] > tracks[0, MEMORY_US]
+        n_stale += not taken[j]
+    n_left_out = max(0, n_stale + n_present - (len(tracks) - KNOWN))  # the oldest ones, which stand first
+    kept = -n_left_out
+    for j in range(len(taken)):
+        if not taken[j]:
+            if kept >= 0:
+                for k in range(tracks.shape[1]):  # a slice would take seconds to compile: it may overlap
+                    tracks[KNOWN + kept, k] = tracks[KNOWN + j, k]
             kept += 1
-    for i in range(min(n, MOST_TRACKED, len(tracks) - KNOWN - kept)):
+    for i in range(n_present - 1, -1, -1):
         row = tracks[KNOWN + kept]
-        row[0], row[1], row[2], row[3] = found[i, NUMBER], found[i, X], found[i, Y], time_us
+        row[0] = found[i, NUMBER]
+        row[1] = found[i, X]
+        row[2] = found[i, Y]
+        row[3] = time_us
         kept += 1
     tracks[0, N_KNOWN] = kept

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.checks import one_line, short
+from async_tnt.checks import one_line, parse_json, short
 from async_tnt.config import TNTConfig
-from async_tnt.files import user_path
+from async_tnt.files import read_regular, user_path
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.networks.onnx_network import OnnxClassifier
@@ -69,13 +68,15 @@ def _of_other_program(path: Path, config: Path) -> Engine:
     if not is_onnx(path):
         raise ValueError(f"`config` is for .onnx files of other programs; {path} has its own")
     try:
-        given = json.loads(config.read_text(encoding="utf-8"))
+        given = parse_json(read_regular(config))
+        if not isinstance(given, dict) or "config" not in given:
+            raise ValueError(f"no 'config' in it, got {short(given)}")
         volume = TNTConfig.from_dict(given["config"])
         classes = given.get("classes")
         if classes is not None and not (isinstance(classes, list) and 0 < len(set(map(str, classes))) == len(classes)):
             raise ValueError(f"`classes` must be different names, got {short(classes)}")
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else one_line(error)
+    except (ValueError, TypeError) as error:
+        what = one_line(error)
         raise ValueError(f'{config}: expected a JSON object with "config", and maybe "classes": {what}') from None
     try:
         model = load_model(path, config=volume, classes=classes)

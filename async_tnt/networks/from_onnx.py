@@ -49,8 +49,15 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
                 f"the landmark network of {path} has no ONNX form: load the model it was exported from"
             )
         weights = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in proto.graph.initializer}
-        used = {name: weights[name] for name in sorted(tensors_of(exported.layers)) if name in weights}
-        return Model(exported.config, used, exported.classes, exported.record, network={CLASSIFIER: exported.layers})
+        own = exported.layers
+        try:
+            layer_shapes(own, exported.config.shape, {name: w.shape for name, w in weights.items()})  # checks them
+            used = {name: weights[name] for name in sorted(tensors_of(own)) if name in weights}
+            return Model(exported.config, used, exported.classes, exported.record, network={CLASSIFIER: own})
+        except NotImplementedError as error:
+            raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
     if config is None:
         raise TypeError(
             f"{path} does not say how events become its volume: load_model(path, config=TNTConfig(...), classes=[...])"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -15,7 +14,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.files import refuse_git_lfs, user_path
 from async_tnt.networks.from_onnx import load_onnx
 from async_tnt.networks.model import FORMAT, Model
-from async_tnt.networks.model_file import checksum_of, read_description, read_tensors
+from async_tnt.networks.model_file import checksum_of, parse_metadata, read_description, read_tensors
 
 
 def bundled_models() -> tuple[str, ...]:
@@ -75,8 +74,8 @@ def load_model(
         for name, values in weights.items():
             if values.dtype != np.float32:
                 raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-        return Model(own_config, weights, own_classes, record, network=json.loads(metadata["network"]))
+        return Model(own_config, weights, own_classes, record, network=parse_metadata(metadata, "network"))
     except NotImplementedError as error:
         raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
-    except (TypeError, ValueError, RecursionError) as error:  # the last: JSON nested too deep
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None

@@ -12,7 +12,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, parse_json
 from async_tnt.config import TNTConfig
 
 ALIGNMENT = 8
@@ -56,11 +56,19 @@ def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict
             raise SafetensorError(f"NumPy lacks the type of a tensor: {one_line(error)}") from None
 
 
+def parse_metadata(metadata: Mapping[str, str], name: str) -> Any:
+    """The JSON value of one name; a ValueError, which names it, if it is damaged."""
+    try:
+        return parse_json(metadata[name])
+    except ValueError as error:
+        raise ValueError(f"`{name}` in its metadata cannot be read: {error}") from None
+
+
 def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig, Any, Any]:
     """Configuration, classes and record of `Model.description`; a ValueError if they, or `more` names, are missing."""
     if missing := [name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata]:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
-    config, classes, record = (json.loads(metadata[name]) for name in ("config", "classes", "record"))
+    config, classes, record = (parse_metadata(metadata, name) for name in ("config", "classes", "record"))
     return TNTConfig.from_dict(config), classes, record
 
 

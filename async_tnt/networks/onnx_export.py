@@ -18,7 +18,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.networks.graph import CLASSIFIER, VOLUME, layer_shapes, tensors_of
 from async_tnt.networks.layer_operations import Layer
 from async_tnt.networks.model import FORMAT, Model
-from async_tnt.networks.model_file import read_description
+from async_tnt.networks.model_file import parse_metadata, read_description
 from async_tnt.networks.uneven_windows import adaptive_matrix
 from async_tnt.package import __version__
 
@@ -250,8 +250,8 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
         raise ValueError(f"metadata `format` must be {FORMAT!r}, got {written!r}")
     try:
         config, classes, record = read_description(metadata)
-        layers = json.loads(metadata.get("network", ""))
-    except (TypeError, RecursionError) as error:  # the last: JSON nested too deep
+        layers = parse_metadata({"network": metadata.get("network", "")}, "network")
+    except TypeError as error:
         raise ValueError(str(error)) from None
     if not (isinstance(classes, list) and classes and all(isinstance(name, str) for name in classes)):
         raise ValueError(f"metadata `classes` must be a list of names, got {metadata['classes']!r}")

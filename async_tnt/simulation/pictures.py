@@ -15,10 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.checks import needs_extra
-from async_tnt.files import refuse_git_lfs
+from async_tnt.checks import needs_extra, one_line
+from async_tnt.files import open_regular, refuse_git_lfs
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
+"""Pillow's names of what these suffixes promise. It knows others by their first bytes, and starts programs for some."""
+MAX_PIXELS = 50_000_000
+"""Of a picture's file: to decode more takes more than a gigabyte."""
 LARGEST_SIDE = 512
 """Larger pictures are made smaller: no object is that large on an event camera."""
 ALIKE, DIFFERS = 0.03, 0.05
@@ -47,7 +51,9 @@ def read_picture(path: Path) -> Picture:
 
     Raises
     ------
-    ValueError : no picture, a damaged one, a pointer of Git LFS, or nothing on it. OSError : it cannot be read.
+    ValueError : no picture of one of the `FORMATS`, a damaged one, one of more than `MAX_PIXELS`, a pointer of Git LFS,
+        or nothing on it.
+    OSError : no regular file, or one that cannot be read.
     """
     refuse_git_lfs(path)
     try:
@@ -55,7 +61,7 @@ def read_picture(path: Path) -> Picture:
     except Exception as error:  # a damaged file surfaces as any of a dozen types
         if isinstance(error, ImportError) or (isinstance(error, OSError) and error.errno is not None):
             raise
-        raise ValueError(f"not a picture: {error}") from None
+        raise ValueError(f"not a picture: {one_line(error)}") from None
     rgb, alpha = colours[..., :3], colours[..., 3]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     light = (linear @ LUMINANCE).astype(np.float32)
@@ -75,16 +81,25 @@ def read_picture(path: Path) -> Picture:
 def _colours(path: Path) -> np.ndarray:
     """Red, green, blue and alpha from 0 to 1, (h, w, 4), upright, at most `LARGEST_SIDE` large."""
     with needs_extra("train", "pictures need Pillow"):
-        from PIL import Image, ImageOps
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
-        with Image.open(path) as file:
+        from PIL import Image, ImageOps, UnidentifiedImageError
+    with warnings.catch_warnings(), open_regular(path) as content:
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our limit is lower
+        try:
+            opened = Image.open(content, formats=FORMATS)
+        except UnidentifiedImageError:
+            raise ValueError(f"its first bytes are those of no known format ({', '.join(FORMATS)})") from None
+        with opened as file:
+            if file.width * file.height > MAX_PIXELS:
+                raise ValueError(
+                    f"it must have at most {MAX_PIXELS:,} pixels, got {file.width}x{file.height}; make it smaller"
+                )
             image: Image.Image = ImageOps.exif_transpose(file)
             if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
-                values = np.asarray(image, np.float64)
+                values = np.array(image, np.float32)
                 if not np.isfinite(values).all():
                     raise ValueError("a picture must have finite values")
-                image = Image.fromarray((255.0 * values / max(values.max(), 1e-12)).clip(0, 255).astype(np.uint8))
+                values *= np.float32(255.0 / max(float(values.max()), 1e-12))
+                image = Image.fromarray(np.clip(values, 0, 255, out=values).astype(np.uint8))
             image = image.convert("RGBA")  # before: pictures with a palette would be made smaller without averaging
             image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
             return np.asarray(image, np.float32) / 255.0

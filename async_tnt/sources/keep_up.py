@@ -104,4 +104,5 @@ class KeepUp(BackgroundReader):
         if every_us is not None:
             self._processor.every_us = min(slower * every_us, max(every_us, self._processor.config.window_us))
         if every_events is not None:
-            self._processor.every_events = slower * every_events
+            most = self._processor.config.window_events or slower * every_events  # beyond, nothing changes
+            self._processor.every_events = min(slower * every_events, max(every_events, most))

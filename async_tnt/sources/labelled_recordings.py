@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 
-from async_tnt.files import refuse_git_lfs, user_path
+from async_tnt.checks import one_line
+from async_tnt.files import open_regular, read_regular, refuse_git_lfs, user_path
 from async_tnt.sources.files.recording import READERS
 
 TABLE = "_labels.csv"
@@ -205,7 +207,7 @@ def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
     if not file.is_file():
         return None
     try:
-        wanted = {name for line in file.read_text(encoding="utf-8-sig").splitlines() if (name := line.strip())}
+        wanted = {name for line in read_regular(file).decode("utf-8-sig").splitlines() if (name := line.strip())}
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: not a text in UTF-8: {error}") from None
     if missing := sorted(wanted - {path.name for path in sessions}):
@@ -234,7 +236,7 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
             except ValueError:
                 between = 0, 0
             if not 0 <= between[0] < between[1] or not row["class"]:
-                got = ", ".join(row.values())
+                got = one_line(", ".join(row.values()))
                 raise ValueError(f"{table}: line {number}: expected a class, and whole start < end in us, got {got}")
             if names and row["class"] not in names:
                 raise ValueError(f"{table}: line {number}: {NAMES_FILE} does not name class {row['class']}")
@@ -245,17 +247,29 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
     return dict(sorted(found.items(), key=lambda item: item[0].zfill(9) if item[0].isdigit() else item[0]))
 
 
+def check_once(path: Path, wanted: Iterable[str | None], names: Sequence[str]) -> None:
+    """Refuse a table in which one of the wanted columns has a name that another column has, too.
+
+    Python's reader of CSV would silently use the last of them.
+    """
+    for name in wanted:
+        if name is not None and names.count(name) > 1:
+            raise ValueError(f"{path}: the column {name!r} is there {names.count(name)} times; leave out all but one")
+
+
 def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int, dict[str, str]]]:
     """The rows of a CSV file, with their lines and these columns, each of which may have one of several names."""
     refuse_git_lfs(path)
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file, skipinitialspace=True)
+            names_there = [name.strip() for name in rows.fieldnames or () if name]
             given = {name.strip(): name for name in rows.fieldnames or () if name}
             found = {column: next((n for n in names if n in given), None) for column, names in columns.items()}
             lacking = [" or ".join(columns[column]) for column, name in found.items() if name is None]
             if lacking:
                 raise ValueError(f"{path}: expected a column {lacking[0]}, got {', '.join(given) or 'none'}")
+            check_once(path, found.values(), names_there)
             return [(rows.line_num, {c: (row[given[n or ""]] or "").strip() for c, n in found.items()}) for row in rows]
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None

@@ -52,6 +52,9 @@ BLOCK = 5
 RANK = 4
 FACTOR = 5.0
 FALSE_ALARMS = 0.01  # over the whole sensor
+MAX_PIXELS = 1 << 24
+"""Of a sensor whose hot pixels are counted, which takes up to 40 bytes a pixel. The largest event cameras have one or
+two million; but a file of a few hundred bytes may state a thousand times as many."""
 
 
 def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
@@ -165,7 +168,7 @@ def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
     Raises
     ------
-    ValueError, TypeError : an invalid sensor, or invalid events.
+    ValueError, TypeError : an invalid sensor, one of more than 2**24 pixels, or invalid events.
 
     Example
     -------
@@ -181,8 +184,12 @@ def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
 
 def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
-    """Events of each pixel in a `source` of packets: int64, shape (H, W) of the `sensor` (width, height)."""
+    """Events of each pixel in a `source` of packets: int64, shape (H, W) of the `sensor` (width, height), which has at
+    most 2**24 pixels."""
     width, height = checked_sensor(sensor)
+    if width * height > MAX_PIXELS:
+        size = format_size((width, height))
+        raise ValueError(f"a sensor must have at most {MAX_PIXELS:,} pixels to count their events, got {size}")
     decoder = EventDecoder((width, height))
     counts = np.zeros((height, width), np.int64)
     for events in source:

@@ -19,6 +19,7 @@ from async_tnt.files import locked_folder
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar
 from async_tnt.training.augment import Draws
+from async_tnt.training.early_end import COOLING, settled_at, share_while_cooling
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
 from async_tnt.training.objectives import ClassOfWindows, ObjectsInScenes
 from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export
@@ -52,13 +53,15 @@ def train(
     """Train a classifier, or a map model.
 
     After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from it and ends with
-    the same weights as if it had never stopped: all randomness is drawn from (seed, epoch).
+    the same weights as if it had never stopped: all randomness is drawn from (seed, epoch). The weights of the last
+    epoch are kept, whatever its accuracy.
 
     Parameters
     ----------
     config : how events become volumes.
     training : windows to learn from.
-    validation : windows whose accuracy each epoch tells; they choose nothing. May be empty.
+    validation : windows whose accuracy each epoch tells. They choose nothing but, where `settings.ends_early`, the last
+        epoch. May be empty.
     run_folder : for checkpoint and history; made if missing.
     classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.
@@ -119,13 +122,17 @@ def train(
         progress(n_iterations, "training", done=len(history) * steps) as bar,
     ):
         for epoch in range(len(history), n_epochs):
+            settled = settled_at(history) if settings.ends_early else None
+            if settled is not None and epoch >= settled + COOLING:
+                break
+            cooling = None if settled is None else (settled * steps, (settled + COOLING) * steps)
             pipeline.train()
             torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])  # of dropout
             total_loss, n_right, n_counted, n_seen = 0.0, 0, 0, 0
             n_steps = min(steps, n_iterations - epoch * steps)
             batches = batches_of(config, training, settings, epoch, motions)
             for step, (windows, draws) in enumerate(islice(batches, n_steps)):
-                _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
+                _set_rate(optimizer, settings, epoch * steps + step, n_iterations, cooling)
                 with torch.autocast(device, torch.bfloat16, enabled=in_16_bits):
                     found = objective.loss(pipeline, windows, draws)
                 optimizer.zero_grad(set_to_none=True)
@@ -258,11 +265,27 @@ def _optimizer(pipeline: torch.nn.Module, settings: TrainSettings) -> torch.opti
     return torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
 
 
-def _set_rate(optimizer: torch.optim.Optimizer, settings: TrainSettings, step: int, n_steps: int) -> None:
-    warm = max(1, int(settings.warm_up * n_steps))
-    if step < warm:
-        share = (step + 1) / warm
-    else:
-        share = 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, n_steps - warm)))
+def _set_rate(
+    optimizer: torch.optim.Optimizer,
+    settings: TrainSettings,
+    step: int,
+    n_steps: int,
+    cooling: tuple[int, int] | None = None,
+) -> None:
+    """Set the learning rate of a step.
+
+    cooling : of a training that ends early: the first step in which the rate falls, and the step where it is 0.
+    """
+    share = _share_of_rate(settings, step if cooling is None else cooling[0], n_steps)
+    if cooling is not None:
+        share *= share_while_cooling(step, *cooling)
     for group in optimizer.param_groups:
         group["lr"] = settings.learning_rate * share
+
+
+def _share_of_rate(settings: TrainSettings, step: int, n_steps: int) -> float:
+    """Of the highest rate, at a step of a training that does not end early."""
+    warm = max(1, int(settings.warm_up * n_steps))
+    if step < warm:
+        return (step + 1) / warm
+    return 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, n_steps - warm)))

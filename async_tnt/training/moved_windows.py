@@ -21,7 +21,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.events import EVENT_DTYPE, EventDecoder
-from async_tnt.files import replacing
+from async_tnt.files import open_regular, replacing
 from async_tnt.resynthesis import MotionPath
 from async_tnt.training.augment import LATEST, Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
@@ -118,7 +118,7 @@ def write_moved(path: Path, moved: Sequence[Sequence[np.ndarray]], paths: Sequen
 def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
     """Arrays of a file; a ValueError if it is damaged, which the checksums of the archive tell."""
     try:
-        with path.open("rb") as content, np.load(content) as file:
+        with open_regular(path) as content, np.load(content) as file:
             return [file[name] for name in names]
     except Exception as error:  # a damaged archive surfaces as any of a dozen types
         raise damaged(path, type(error).__name__) from error

@@ -10,9 +10,10 @@ A window whose path was not found is used as it was recorded.
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -20,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
+from async_tnt.checks import one_line, parse_json, real_number, short, whole_number
+from async_tnt.config import MAX_SIDE, TNTConfig
 from async_tnt.evaluation.processes import run_counted
 from async_tnt.events import EVENT_DTYPE, structured
-from async_tnt.files import write_text
+from async_tnt.files import read_regular, write_text
 from async_tnt.progress import Bar
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
@@ -215,11 +217,34 @@ def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(read_regular(path))
         wanted = {name: content[name] for name in ("made_from", "cell", "length_px", "pixels", "match")}
+        _check_made(wanted)
         return {**wanted, "made_from": dict(wanted["made_from"])}
-    except (ValueError, LookupError, TypeError, RecursionError) as error:
-        raise damaged(path, repr(error)) from None
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise damaged(path, one_line(error)) from None
+
+
+def _check_made(wanted: Mapping[str, Any]) -> None:
+    """Refuse a manifest whose values have other types or ranges than those that are written.
+
+    Raises
+    ------
+    ValueError, LookupError, TypeError, AttributeError : what is wrong.
+    """
+    whole_number("cell", wanted["cell"], 1, MAX_SIDE + 1)
+    if not 0 <= real_number("length_px", wanted["length_px"]) < math.inf:
+        raise ValueError(f"`length_px` must be finite and at least 0, got {short(wanted['length_px'])}")
+    pixels = wanted["pixels"]
+    numbers = {name: real_number(name, value) for name, value in pixels["measured"].items()}
+    simulated = SimulatedPixels(MeasuredPixels(**numbers), real_number("scale", pixels["scale"]))
+    simulated.draw(np.random.default_rng(0))  # refuses what no sensor has
+    recorded, resynthesized = wanted["match"]["recorded"], wanted["match"]["resynthesized"]
+    if recorded.keys() != resynthesized.keys():
+        raise ValueError("`match` must have the same numbers of both")
+    for name in recorded:
+        real_number(name, recorded[name])
+        real_number(name, resynthesized[name])
 
 
 def examples(motions: Motions, classes: tuple[str, ...]) -> tuple[list[ResynthesizedWindow], list[RefusedWindow]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.evaluation.job import sha256_of
-from async_tnt.files import replacing, write_text
+from async_tnt.files import open_regular, read_regular, replacing, write_text
 from async_tnt.networks.model import Model
 from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
@@ -24,7 +24,7 @@ from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-FORMAT = 8  # of the checkpoint
+FORMAT = 9  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 
 
@@ -71,21 +71,24 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
     Raises
     ------
     ValueError : the folder holds another run, and what differs; the checkpoint is damaged, or of another release.
+    OSError : the checkpoint is no regular file, or cannot be read.
     """
     path = run_folder / CHECKPOINT
     if not path.exists():
         return None
     import torch
 
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if archive.testzip() is not None:  # torch.load does not compare checksums
-                raise zipfile.BadZipFile
-        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        written = state["identity"]["format"]
-    except Exception as error:  # a damaged archive surfaces as any of a dozen types
-        kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
-        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
+    with open_regular(path) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                if archive.testzip() is not None:  # torch.load does not compare checksums
+                    raise zipfile.BadZipFile
+            file.seek(0)
+            state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
+            written = state["identity"]["format"]
+        except Exception as error:  # a damaged archive surfaces as any of a dozen types
+            kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
+            raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
     if written != FORMAT:
         raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
     if differ := [name for name, value in _plain(known).items() if state["identity"].get(name) != value]:
@@ -115,7 +118,7 @@ def identity_of(
             "data": windows_checksum(training, validation),
             "classes": classes,
             "motions": None if motions is None else asdict(motions),
-            "network_file": zlib.crc32(Path(own_file).read_bytes()) if own_file else None,
+            "network_file": zlib.crc32(read_regular(own_file)) if own_file else None,
             "start": 0 if start is None else sha256_of(start),
             "teachers": [sha256_of(teacher) for teacher in teachers],
         }

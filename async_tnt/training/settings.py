@@ -83,6 +83,8 @@ class TrainSettings:
         windows count equally.
     network : the classifier, see `training.networks.build_network`. Not used where a model is trained further.
     everywhere : train a map model, on scenes of several windows, see `scenes`; `batch` counts these windows.
+    ends_early : end before the last epoch where nothing that is measured on held-out windows can improve, see
+        `training.early_end`.
     """
 
     epochs: int = 10
@@ -101,6 +103,7 @@ class TrainSettings:
     balance: bool = False
     network: str = "thesis"
     everywhere: bool = False
+    ends_early: bool = False
 
     def __post_init__(self) -> None:
         for name, low in (("epochs", 1), ("iterations", 1), ("passes", 1), ("batch", 1), ("seed", 0)):
@@ -173,7 +176,8 @@ def settings_for(config: TNTConfig, n_windows: int, *, epochs: int | None = None
     Parameters
     ----------
     n_windows : windows to train on.
-    epochs : None: `MIN_EPOCHS`, or as many as give `MIN_STEPS` steps.
+    epochs : None: `MIN_EPOCHS`, or as many as give `MIN_STEPS` steps, or fewer where all that is held out is right
+        (`ends_early`).
     settings : others of `TrainSettings`, instead of ours; `augmentation` may be a mapping, of the fields of
         `Augmentation` that differ from ours.
     """
@@ -182,6 +186,7 @@ def settings_for(config: TNTConfig, n_windows: int, *, epochs: int | None = None
     if epochs is None:
         steps = TrainSettings(batch=batch, passes=passes).n_steps(n_windows)
         epochs = max(MIN_EPOCHS, math.ceil(MIN_STEPS / steps))
+        settings.setdefault("ends_early", True)
     augmentation = settings.pop("augmentation", {})
     if isinstance(augmentation, Mapping):
         earliest_ms = EARLIEST * config.window_us / 1e3

@@ -24,9 +24,10 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import one_line, parse_json
 from async_tnt.evaluation.processes import run_counted
 from async_tnt.events import structured
-from async_tnt.files import replacing, write_text
+from async_tnt.files import read_regular, replacing, write_text
 from async_tnt.progress import Bar
 from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
 from async_tnt.simulation.picture_scene import SceneSettings, record_picture
@@ -109,7 +110,7 @@ def check_pictures(
         for picture in pictures:
             try:
                 read_picture(picture.path)
-                same = known.setdefault(hashlib.sha256(picture.path.read_bytes()).digest(), picture)
+                same = known.setdefault(hashlib.sha256(read_regular(picture.path)).digest(), picture)
             except (ValueError, OSError) as error:
                 left_out.append(f"{picture.name}: {error}.".replace(str(picture.path), picture.name))
                 continue
@@ -202,7 +203,7 @@ def simulate_pictures(
     folder.mkdir(parents=True, exist_ok=True)
     checksum = 0
     for picture in pictures:
-        checksum = zlib.crc32(picture.path.read_bytes(), zlib.crc32(os.fsencode(picture.name), checksum))
+        checksum = zlib.crc32(read_regular(picture.path), zlib.crc32(os.fsencode(picture.name), checksum))
     made_from = {
         "format": FORMAT,
         "settings": asdict(settings),
@@ -263,9 +264,9 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
         raise ValueError(f"{path.parent}: recordings of pictures without their {path.name}; remove this folder")
     if path.exists():
         try:
-            there = dict(json.loads(path.read_text(encoding="utf-8")))
+            there = dict(parse_json(read_regular(path)))
         except (ValueError, TypeError) as error:
-            raise ValueError(f"{path}: damaged ({error}); remove {path.parent}") from None
+            raise ValueError(f"{path}: damaged ({one_line(error)}); remove {path.parent}") from None
     if differ := [name for name, value in made_from.items() if there.get(name, value) != value]:
         raise other_run(path.parent, f"pictures ({', '.join(differ)})")
     write_text(path, json.dumps({**there, **made_from}, indent=1) + "\n")

@@ -12,7 +12,7 @@ from .landmarks import fitted_flow, landmark
 from .layers import LayerNetwork, heatmap_centroid
 from .motion import move_by_flow
 from .networks import Classifier, LandmarkRegressor, Pipeline
-from .objects import FoundObject, objects_on_map
+from .objects import FoundObject, ObjectNumbers, objects_on_map
 from .transform import TNTCoordinates, tnt_coordinates
 from .volume import event_volume, tnt_volume
 from .window import until_newest, windows_of_events
@@ -22,6 +22,7 @@ __all__ = [
     "FoundObject",
     "LandmarkRegressor",
     "LayerNetwork",
+    "ObjectNumbers",
     "Pipeline",
     "TNTCoordinates",
     "count_image",

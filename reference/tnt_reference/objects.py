@@ -1,7 +1,8 @@
-"""Objects on a map of logits: peaks of how much likelier some class is than nothing."""
+"""Objects on a map of logits: peaks of how much likelier some class is than nothing; and their numbers over time."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -54,3 +55,73 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
         place_x, place_y = (weights.sum(0) * xs).sum() / weights.sum(), (weights.sum(1) * ys).sum() / weights.sum()
         found.append(FoundObject(index, float(probabilities[index, row, column]), float(place_x), float(place_y)))
     return sorted(found, key=lambda one: -one.probability)
+
+
+class _Seen(NamedTuple):
+    """An object of an earlier decision: its number, where and when it was seen last, and how many were likelier."""
+
+    number: int
+    x: float
+    y: float
+    time_us: int
+    decision: int
+    rank: int
+
+
+class ObjectNumbers:
+    """Numbers for the objects of one decision after another: the same number while an object moves little.
+
+    From the likeliest object on, each takes the number of the nearest known object that no other has taken, if
+
+        ((x - x') / reach_x)^2 + ((y - y') / reach_y)^2 < 1    and    time - time' <= memory_us
+
+    and else a new number. Of equally near ones it takes that of the latest decision, there the likeliest. Known are the
+    objects of this decision, `most` of them, and then those seen before, of the latest decision first: `room` in all.
+
+    Parameters
+    ----------
+    reach : (x, y), in pixels.
+    memory_us : how long an object that is not found is known.
+    most : objects of a decision, the likeliest, that may have the number of an earlier one.
+    room : objects that are known at a time.
+
+    Example
+    -------
+    >>> numbers = ObjectNumbers((4.0, 4.0), memory_us=1000, most=2, room=4)
+    >>> numbers.follow(0, [(10.0, 10.0), (30.0, 10.0)])
+    [0, 1]
+    >>> numbers.follow(100, [(33.0, 10.0), (20.0, 10.0)])
+    [1, 2]
+    """
+
+    def __init__(self, reach: tuple[float, float], memory_us: int, most: int, room: int) -> None:
+        self.reach = reach
+        self.memory_us = memory_us
+        self.most = most
+        self.room = room
+        self.known: list[_Seen] = []
+        self.next_number = 0
+        self.decision = 0
+
+    def follow(self, time_us: int, places: Sequence[tuple[float, float]]) -> list[int]:
+        """The numbers of a decision's objects, given by their (x, y), the likeliest first."""
+        free = [seen for seen in self.known if time_us - seen.time_us <= self.memory_us]
+        present = []
+        for rank, (x, y) in enumerate(places):
+            near = [seen for seen in free if self._distance(seen, x, y) < 1 and rank < self.most]
+            number = self.next_number
+            if near:
+                taken = min(near, key=lambda seen: (self._distance(seen, x, y), -seen.decision, seen.rank))
+                free.remove(taken)
+                number = taken.number
+            else:
+                self.next_number += 1
+            present.append(_Seen(number, x, y, time_us, self.decision, rank))
+        remembered = present[: self.most] + sorted(free, key=lambda seen: (-seen.decision, seen.rank))
+        self.known = remembered[: self.room]
+        self.decision += 1
+        return [seen.number for seen in present]
+
+    def _distance(self, seen: _Seen, x: float, y: float) -> float:
+        """Squared, in units of the reach."""
+        return float(((x - seen.x) / self.reach[0]) ** 2 + ((y - seen.y) / self.reach[1]) ** 2)

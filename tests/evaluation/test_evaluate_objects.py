@@ -105,6 +105,9 @@ def test_what_is_wrong_is_said(folder, saved, program):
     for head in ("t,class,x,y,w", "t,class,x,y,width,height"):
         write_points(folder / "a_td_objects.csv", head=head)
         assert "needs the columns t, class, x, y (and w, h of boxes), lacks " in error()
+    for twice in ("t", "class", "x", "y"):
+        write_points(folder / "a_td_objects.csv", [(*TRUTH[0], 5)], head=f"t,class,x,y,{twice}")
+        assert f"a_td_objects.csv: the column '{twice}' is there 2 times; leave out all but one" in error()
     write_points(folder / "a_td_objects.csv", [(6000, "on", 5)])
     assert "x, y, w and h numbers" in error()
     write_points(folder / "a_td_objects.csv", [(6000, 5, 5)], "t,x,y,class")

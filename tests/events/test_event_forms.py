@@ -3,7 +3,13 @@
 import array
 import importlib
 import itertools
+import math
+import warnings
+import zipfile
 from collections import namedtuple
+from contextlib import suppress
+from fractions import Fraction
+from io import BytesIO
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +18,7 @@ import torch
 
 from async_tnt.event_forms import event_columns
 from async_tnt.events import EVENT_DTYPE, NAMES, EventDecoder, as_events
+from async_tnt.sources import open_recording
 
 SENSOR = (346, 260)
 T = [16_777_217, 16_777_219, 16_777_219, 16_777_218, 2_000_000_003, 2_000_000_004, 2_000_000_005]
@@ -141,14 +148,8 @@ def test_tables_name_their_columns():
         except ImportError:  # none of them is needed
             continue
         assert_decoded(make(module))
-
-    class Table:  # as polars and pyarrow are
-        column_names = tuple(columns)
-
-        def __getitem__(self, name):
-            return columns[name]
-
-    assert_decoded(Table())
+    assert_decoded(Table("columns", tuple(columns), columns.values()))
+    assert_decoded(Table("column_names", tuple(columns), columns.values()))
 
 
 @pytest.mark.parametrize("unit", ["ns", "us", "D"])
@@ -165,6 +166,124 @@ def test_times_with_a_unit(kind, unit):
     events = np.zeros(4, [("t", t.dtype), ("x", "u2"), ("y", "u2"), ("p", "?")])
     events["t"], events["x"], events["y"], events["p"] = t, 1, 2, True
     assert_decoded(events, expected)
+
+
+class Table:
+    """As pandas' (`columns`), or polars' and pyarrow's (`column_names`): of some names the last column is returned."""
+
+    def __init__(self, attribute, names, columns):
+        setattr(self, attribute, list(names))
+        self._columns = dict(zip(names, columns, strict=True))
+
+    def __getitem__(self, name):
+        return self._columns[name]
+
+
+def as_records(t, x, y, p):
+    events = np.zeros(len(t), [("t", t.dtype), ("x", "u2"), ("y", "u2"), ("p", "u1")])
+    for name, column in zip("txyp", (t, x, y, p), strict=True):
+        events[name] = column
+    return events
+
+
+NAMED_FORMS = {  # of four columns
+    "a tuple": lambda *columns: columns,
+    "a list": lambda *columns: list(columns),
+    "lists of scalars": lambda *columns: tuple(list(column) for column in columns),
+    "records": as_records,
+    "a dict": lambda *columns: dict(zip("txyp", columns, strict=True)),
+    "an object": lambda *columns: SimpleNamespace(**dict(zip("txyp", columns, strict=True))),
+    "a named tuple": lambda *columns: namedtuple("Events", "t x y p")(*columns),
+    "a table with columns": lambda *columns: Table("columns", "txyp", columns),
+    "a table with column_names": lambda *columns: Table("column_names", "txyp", columns),
+    "an object with .numpy()": lambda *columns: SimpleNamespace(numpy=lambda: as_records(*columns)),
+}
+MICROSECONDS = {
+    "as": Fraction(1, 10**12),
+    "fs": Fraction(1, 10**9),
+    "ps": Fraction(1, 10**6),
+    "ns": Fraction(1, 1000),
+    "us": 1,
+    "ms": 1000,
+    "s": 10**6,
+    "m": 60 * 10**6,
+    "h": 3600 * 10**6,
+    "D": 86400 * 10**6,
+    "W": 7 * 86400 * 10**6,
+    "1500ns": Fraction(3, 2),
+    "2147483647as": Fraction(2147483647, 10**12),
+    "30s": 30 * 10**6,
+    "7D": 7 * 86400 * 10**6,
+}
+
+
+@pytest.mark.parametrize("form", NAMED_FORMS.values(), ids=NAMED_FORMS)
+def test_times_beyond_int64_microseconds_are_named(form):
+    """Up to the last one that an event may have they are exact, rounded down; beyond int64 nothing wraps around."""
+    decoder = EventDecoder(SENSOR)
+    message = r"^`t` must be in \[0, 2\*\*62\) microseconds, got -?\d.* at event 1$"
+    for (unit, us), kind in itertools.product(MICROSECONDS.items(), ("datetime64", "timedelta64")):
+        last = min((2**62 - 1) // us, 2**63 - 1)
+        for n in (last, last // 3, 1):
+            t = np.array([0, n], np.int64).view(f"{kind}[{unit}]")
+            expected = [[0, math.floor(n * us)], [1, 1], [2, 2], [1, 0]]
+            assert decoded(decoder, form(t, np.array([1, 1]), np.array([2, 2]), np.array([1, 0]))) == expected
+        for n in (2**62, 2**63 - 1, -(2**62), 1 - 2**63, (2**64 + 5) // us, -((2**64) // us)):
+            if not -(2**63) < n < 2**63 or 0 <= n <= last or -1 <= n * us <= 0:
+                continue
+            t = np.array([0, n], np.int64).view(f"{kind}[{unit}]")
+            with pytest.raises(ValueError, match=message):
+                decoder.decode(form(t, np.array([1, 1]), np.array([2, 2]), np.array([1, 0])))
+
+
+def test_years_and_months():
+    """As dates they are exact within the times of events; as durations they have no length."""
+    one = np.array([1]), np.array([2]), np.array([1])
+    for unit, n, date in (("Y", 50, "2020-01-01"), ("M", 601, "2020-02-01")):
+        t = np.array([n], np.int64)
+        expected = (np.datetime64(date) - np.datetime64("1970-01-01")) // np.timedelta64(1, "us")
+        assert decoded(EventDecoder(SENSOR), (t.view(f"M8[{unit}]"), *one))[0] == [int(expected)]
+        with pytest.raises(ValueError, match=rf"^`t` must be durations of a fixed length, got timedelta64\[{unit}\]"):
+            as_events((t.view(f"m8[{unit}]"), *one), SENSOR)
+        for far in (2**40, 2**62, -(2**62)):
+            with pytest.raises(ValueError, match=rf"^`t` must be in .*, got {far} {unit} at event 0$"):
+                as_events((np.array([far]).view(f"M8[{unit}]"), *one), SENSOR)
+
+
+def tables_of(names, columns):
+    """Tables of every kind that can have a column named twice."""
+    yield Table("columns", names, columns)
+    yield Table("column_names", names, columns)
+    for library, make in (
+        ("pandas", lambda module: module.DataFrame(np.array(columns).T, columns=names)),
+        ("pyarrow", lambda module: module.table(list(map(module.array, columns)), names=names)),
+    ):
+        with suppress(ImportError):  # none of them is needed
+            yield make(importlib.import_module(library))
+
+
+@pytest.mark.parametrize("twice", ["t", "x", "y", "p"])
+def test_a_column_named_twice_is_an_error(twice, tmp_path):
+    """In every form and file that can have one; another column, which is not used, may be."""
+    names, columns = [*"txyp", twice], [[5, 6], [1, 1], [2, 2], [0, 1], [0, 1]]
+    rows = zip(*columns, strict=True)
+    text = "\n".join([",".join(names), *(",".join(map(str, row)) for row in rows)])
+    (tmp_path / "a.csv").write_text(text + "\n")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the name
+        for name, column in zip(names, columns, strict=True):
+            content = BytesIO()
+            np.save(content, np.array(column))
+            archive.writestr(f"{name}.npy", content.getvalue())
+    message = rf"need one field `{twice}`, got {twice} 2 times|holds the array '{twice}' more than once"
+    for table in tables_of(names, columns):
+        with pytest.raises(ValueError, match=message):
+            as_events(table, SENSOR)
+    for file in ("a.csv", "a.npz"):
+        with pytest.raises(ValueError, match=rf"{file}: .*({message})"):
+            open_recording(tmp_path / file)
+    for table in tables_of([*"txyp", "note", "note"], [*columns, columns[0]]):
+        assert as_events(table, SENSOR)["t"].tolist() == [5, 6]
 
 
 @pytest.mark.parametrize("order", ["".join(order) for order in itertools.permutations("txyp")])

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from made import events_of, random_events, random_model
-from tnt_reference import objects_on_map
+from tnt_reference import ObjectNumbers, objects_on_map
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model
@@ -222,6 +222,68 @@ def test_an_object_keeps_its_number_while_it_moves():
     assert show(4601, (0, 7)) == {7: ("a", 3)}
     processor.reset()
     assert show(0, (0, 7)) == {7: ("a", 0)}
+
+
+WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsigned")
+
+
+class Scene:
+    """A classifier whose map, a place for each pixel, shows single places of one class, each with a score."""
+
+    def __init__(self):
+        self.map = np.zeros((2, 300, 300), np.float32)
+
+    def __call__(self, volume):
+        return self.map
+
+    def show(self, rows, columns, scores):
+        self.map[0] = 0
+        self.map[1] = 1
+        self.map[0, rows, columns] = 1 + np.asarray(scores, np.float32)
+
+
+@pytest.mark.parametrize("likelier", [True, False], ids=["likelier", "less likely"])
+def test_a_still_object_keeps_its_number_in_noise(likelier):
+    """Ten false objects a decision, always elsewhere: soon far more have been seen than can be remembered."""
+    rng = np.random.default_rng(5)
+    scene = Scene()
+    processor = Processor(WIDE.replace(window_us=10**6), classifier=scene, classes=["a"], every_events=1)
+    numbers = set()
+    for k in range(300):
+        rows, columns = rng.integers(0, 290, (2, 10))
+        columns[abs(columns - 150) < 8] = 4  # not near the object
+        scene.show([150, *rows], [150, *columns], [2.0 if likelier else 0.5] + [1.0] * 10)
+        (decision,) = processor.push(([1000 * k], [5], [5], [1]))
+        numbers |= {found.id for found in decision.objects if abs(found.x - 150) < 2 and abs(found.y - 150) < 2}
+    assert max(found.id for found in decision.objects) > 1000  # of noise
+    assert len(numbers) == 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_numbers_are_those_of_the_reference(seed):
+    """Few objects and many, more than may be remembered, at equal distances, and after pauses."""
+    rng = np.random.default_rng(seed)
+    scene, config = Scene(), WIDE.replace(window_us=50_000)
+    processor = Processor(config, classifier=scene, classes=["a"], every_events=1)
+    numbers = ObjectNumbers((4.0, 4.0), memory_us=config.window_us, most=256, room=512)
+    still = rng.integers(0, 300, (2, 30))
+    t_us = n_most = n_known = n_kept = 0
+    for _ in range(120):
+        t_us += int(rng.choice([1, 200, 3_000, 30_000, 200_000], p=[0.4, 0.3, 0.2, 0.07, 0.03]))
+        n = int(rng.choice([0, 3, 40, 400]))
+        some = still[:, rng.random(still.shape[1]) < 0.8] + rng.integers(-1, 2, (2, 1))
+        rows, columns = np.concatenate([some, rng.integers(0, 300, (2, n))], 1).clip(0, 299)
+        scene.show(rows, columns, rng.uniform(0.5, 2.0, len(rows)))
+        for decision in processor.push(([t_us], [5], [5], [1])):  # of a window that closes, and of this event
+            objects, first = decision.objects, numbers.next_number
+            expected = numbers.follow(decision.time_us, [(found.x, found.y) for found in objects])
+            assert [found.id for found in objects] == expected
+        fired = processor.fire().objects
+        assert [(found.x, found.y) for found in fired] == [(found.x, found.y) for found in objects]
+        n_most = max(n_most, len(objects))
+        n_known = max(n_known, len(numbers.known))
+        n_kept += sum(number < first for number in expected)
+    assert n_most > 256 and n_known == 512 and n_kept > 1000
 
 
 # -- the model ---------------------------------------------------------------------------------------------------

@@ -1,14 +1,17 @@
 """Processor: what a decision holds, and which settings, triggers and classifiers are refused."""
 
+import copy
 import math
+import pickle
 import re
 
 import numpy as np
 import pytest
-from deciding import CONFIG, at, total_and_size
+from deciding import CONFIG, at, key, total_and_size
 from made import random_model
 
-from async_tnt import CompiledClassifier, Processor
+from async_tnt import CompiledClassifier, Processor, TNTVolume, load_model, warmup
+from async_tnt.sources import open_recording, sample_recordings
 
 BY_3 = CONFIG.replace(window_events=3)
 
@@ -62,7 +65,7 @@ def test_a_time_that_is_impossible_changes_nothing():
         ({"hop_us": 5, "model": BY_3}, "`hop_us` must not be given with window_events=3, got 5"),
         ({"start_us": 5, "model": BY_3}, "`start_us` must not be given with window_events=3"),
         ({"classifier": None}, "`classifier` is missing: a TNTConfig alone cannot decide"),
-        ({"model": "digits"}, "`model` must be a Model or a TNTConfig, got str; load_model"),
+        ({"model": 3}, "`model` must be a Model, the name or path of one, or a TNTConfig, got int"),
     ],
 )
 def test_bad_settings(settings, message):
@@ -100,3 +103,66 @@ def test_bad_changes_are_refused_and_change_nothing(name, value, error, message)
     assert {name: getattr(processor, name) for name in good} == good
     with pytest.raises(AttributeError, match="every_ms"):
         processor.every_ms = 5
+
+
+def test_a_model_may_be_given_by_its_name_or_path(tmp_path):
+    """Its decisions are those of the model that `load_model` returns."""
+    model = load_model("digits")
+    path = model.save(tmp_path / "m.safetensors")
+    events = open_recording(sample_recordings()[3]).read()
+    expected = [key(decision) for decision in Processor(model).push(events)]
+    for given in ("digits", str(path), path):
+        assert [key(decision) for decision in Processor(given).push(events)] == expected and len(expected) == 2
+        assert warmup(given) >= 0
+    for use in (Processor, warmup):
+        with pytest.raises(FileNotFoundError, match="no model file nothing, and no bundled model of that name"):
+            use("nothing")
+        with pytest.raises(TypeError, match="`model` must be a Model, the name or path of one, or a TNTConfig, got"):
+            use(3)
+    with pytest.raises(
+        TypeError, match=r"`config` must be a TNTConfig, got 'digits'; load_model\(name\).config is that"
+    ):
+        TNTVolume("digits")
+    with pytest.raises(TypeError, match=r"`config` must be a TNTConfig, got Model.*; pass its `config`$"):
+        TNTVolume(model)
+
+
+@pytest.mark.parametrize(
+    ("config", "name", "longest"), [(CONFIG, "every_us", CONFIG.window_us), (BY_3, "every_events", 3)]
+)
+def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, longest):
+    """When it is made or set; not where it is as often as windows end, nor when the same is set again."""
+    message = f"`{name}` = {longest + 1} is .* a window.*, {longest}.*: it never makes a decision due"
+    with pytest.warns(UserWarning, match=message) as caught:
+        processor = Processor(config, classifier=total_and_size, **{name: longest + 1})
+    assert len(caught) == 1 and caught[0].filename == __file__
+    setattr(processor, name, longest + 1)
+    setattr(processor, name, longest)
+    pickle.loads(pickle.dumps(Processor(config, classifier=total_and_size, **{name: longest})))
+    with pytest.warns(UserWarning, match=message) as caught:
+        setattr(processor, name, longest + 1)
+    assert len(caught) == 1 and caught[0].filename == __file__
+    other = {"every_us": "every_events", "every_events": "every_us"}[name]
+    Processor(config, classifier=total_and_size, **{other: 10**9})  # which concerns the other kind of windows
+    copy.copy(processor).push(at([5]))
+
+
+def test_the_repr_of_a_decision_is_short():
+    """Whatever its arrays hold."""
+    logits = np.zeros(5000, np.float32)
+    logits[[7, 4000, 2]] = np.log([4000.0, 3000.0, 2000.0])
+    processor = Processor(CONFIG, classifier=lambda volume: logits)
+    processor.push(at([5, 9]))
+    assert repr(processor.fire()) == (
+        "Decision(label='7', probability=0.286, trigger='fire', time_us=9, events=2, "
+        "likeliest={7: 0.286, 4000: 0.214, 2: 0.143})"
+    )
+    two = Processor(CONFIG, classifier=lambda volume: [0.0, 0.0], classes=["a", "b"]).fire()
+    assert repr(two).endswith("likeliest={0: 0.500, 1: 0.500})")
+    for n, shown in ((0, "[]"), (1, "['a' at (15.0, 15.0)]"), (5, ", 2 more]")):
+        found = np.zeros((2, 34, 34), np.float32)
+        found[1] = 1
+        found[0, 15 : 15 + 3 * n : 3, 15] = 2
+        decision = Processor(CONFIG, classifier=lambda volume, found=found: found, classes=["a"]).fire()
+        assert len(decision.objects) == n and f"{shown})" in repr(decision)
+        assert len(repr(decision)) < 250

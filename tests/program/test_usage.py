@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from async_tnt.cli import main, run, train_options
-from async_tnt.cli.program import COMMANDS
+from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.sources.files.recording import sample_recordings
 
 SAMPLE = str(sample_recordings()[3])
@@ -124,3 +124,70 @@ def test_memory_that_is_not_there_is_one_line(refused, monkeypatch):
     """Of more than any machine addresses."""
     monkeypatch.setattr(run, "main", lambda args: np.empty(1 << 57))
     assert refused("run", SAMPLE).startswith("async-tnt: not enough memory. Unable to allocate 1.00 EiB for an array")
+
+
+def swapped(word):
+    """The word with its second and third letter exchanged: one of the most common mistakes."""
+    k = 3 if word.startswith("--") else 1
+    return word[:k] + word[k + 1] + word[k] + word[k + 2 :]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_mistyped_word_gets_a_hint(command, refused):
+    """Each command, and each of its options, with a value or without."""
+    err = refused(swapped(command))
+    assert f"invalid choice: '{swapped(command)}'" in err
+    assert err.endswith(f"; did you mean {command}? (async-tnt --help)\n")
+    options = build_parser([command]).commands[command].options
+    n = 0
+    for option in (option for option in options if option.startswith("--")):
+        typed = swapped(option)
+        if typed not in options:
+            for words in ((typed,), (typed, "5"), (f"{typed}=5",)):
+                assert f"did you mean {option}?" in refused(command, *words)
+            n += 1
+    assert n > 1
+
+
+@pytest.mark.parametrize(
+    ("words", "end"),
+    [
+        ("run --modle digits", "unrecognized arguments: --modle; did you mean --model? (async-tnt run --help)"),
+        ("mask a.npy --otu m.npy", "are required: --out; --otu: did you mean --out? (async-tnt mask --help)"),
+        ("run -json", "unrecognized arguments: -json; did you mean --json? (async-tnt run --help)"),
+        ("run --mod digits --xyzzy", "unrecognized arguments: --xyzzy (async-tnt run --help)"),
+        ("run --xyzzy", "unrecognized arguments: --xyzzy (async-tnt run --help)"),
+        ("--verison", "are required: COMMAND; --verison: did you mean --version? (async-tnt --help)"),
+        ("xyzzy --modle", "'view', 'plot') (async-tnt --help)"),
+        ("run -- --modle", "async-tnt: --modle: No such file or directory"),
+        ("run --mod nowhere", "(bundled: digits, digits-everywhere, digits-from-pictures)"),  # the beginning of --model
+    ],
+)
+def test_what_was_probably_meant(words, end, refused):
+    assert refused(*words.split()).endswith(f"{end}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("info {}", "N-MNIST"),
+        ("mask {} --out m.npy", "none of 34x34 stands out in 4952 events"),
+        ("run {}", "3.bin: 3 (mean probability"),
+        ("check {} --prefixes 1", "1 recordings: stream and batch are equal"),
+        ("plot {}", "3.png ("),
+        ("view {} --out v.rrd", "v.rrd: 4,952 events"),
+    ],
+)
+def test_a_digit_names_its_bundled_recording_in_every_command(words, expected, program, tmp_path, monkeypatch):
+    """Unless a file has this name."""
+    monkeypatch.chdir(tmp_path)
+    for command, module in (("check", "torch"), ("plot", "matplotlib"), ("view", "rerun")):
+        if words.startswith(command):
+            pytest.importorskip(module)
+    code, out, err = program(*words.format("3").split())
+    assert code == 0 and expected in out, err
+    assert program(*words.format(SAMPLE).split())[1].splitlines()[-1] == out.splitlines()[-1]
+    (tmp_path / "3").write_bytes(b"no recording")
+    code, out, err = program(*words.format("3").split())
+    assert code == 2 and "3: unknown suffix ''" in err
+    assert program(*words.format("12").split())[0] == 2

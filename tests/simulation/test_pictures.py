@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import EpsImagePlugin, Image
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.simulation.measured_pixels import MeasuredPixels
 from async_tnt.simulation.picture_scene import SceneSettings, _crop, _frames_of, _posed, record_picture
-from async_tnt.simulation.pictures import read_picture
+from async_tnt.simulation.pictures import FORMATS, SUFFIXES, read_picture
 from async_tnt.simulation.random_pixels import random_pixels
 
 SETTINGS = SceneSettings((34, 34), 105_000)
@@ -66,6 +66,44 @@ def test_what_is_no_picture(tmp_path, content, message):
         read_picture(saved(tmp_path / "b.png", np.full((9, 9), 77, np.uint8)))
     with pytest.raises(ValueError, match="at least 2 pixels, got 9x1"):
         read_picture(saved(tmp_path / "c.png", np.arange(9, dtype=np.uint8)[None] * 20))
+
+
+@pytest.mark.parametrize("kind", ["BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP"])
+def test_every_promised_format_is_read_whatever_its_suffix(tmp_path, kind):
+    for suffix in SUFFIXES:
+        Image.fromarray(bar()).convert("RGB").save(tmp_path / f"a{suffix}", kind)
+        assert read_picture(tmp_path / f"a{suffix}").ground == pytest.approx(0, abs=0.01)
+
+
+def test_no_other_format_is_read_and_no_program_started(tmp_path, monkeypatch):
+    """Pillow would start Ghostscript for PostScript, which can read and write files."""
+    Image.init()
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *_, **__: pytest.fail("a program was started"))
+    others = 0
+    for kind in sorted(set(Image.SAVE) - set(FORMATS) - {"MPO"}):
+        content = io.BytesIO()
+        with contextlib.suppress(Exception):  # some need more than a picture of grey values
+            Image.fromarray(bar()).save(content, kind)
+            (tmp_path / "2.png").write_bytes(content.getvalue())
+            others += 1
+            with pytest.raises(ValueError, match=r"not a picture: its first bytes are those of no known format \(BMP"):
+                read_picture(tmp_path / "2.png")
+    assert others > 5
+    Image.fromarray(bar()).save(tmp_path / "2.png", "EPS")
+    with pytest.raises(ValueError, match="those of no known format"):
+        read_picture(tmp_path / "2.png")
+
+
+def test_a_picture_of_too_many_pixels_is_not_decoded(tmp_path):
+    """Its header says how many, and nothing follows."""
+    for size, message in (
+        ("10001 5000", "not a picture: it must have at most 50,000,000 pixels, got 10001x5000; make it smaller"),
+        ("100000 100000", "must have at most 50,000,000 pixels, got 100000x100000|not a picture: Image size"),
+        ("500 600", "not a picture: image file is truncated"),
+    ):
+        (tmp_path / "a.pgm").write_bytes(f"P5 {size} 255\n".encode())
+        with pytest.raises(ValueError, match=message):
+            read_picture(tmp_path / "a.pgm")
 
 
 @given(kind=st.sampled_from(["png", "jpeg", "bmp", "gif"]), cut=st.integers(0, 2_000), at=st.integers(0, 2_000))

@@ -8,7 +8,7 @@ from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import hot_pixels, learn_mask, load_mask
+from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, learn_mask, load_mask
 
 SENSOR = (34, 34)
 RECORDINGS = {digit: open_recording(sample_recordings()[digit]).read() for digit in (0, 1, 8)}
@@ -139,3 +139,18 @@ def test_an_error_is_one_line(words, message, tmp_path, program, monkeypatch):
     assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
     assert message in error
     assert not (tmp_path / "mask.npy").exists()
+
+
+def test_a_sensor_may_have_so_many_pixels(tmp_path, program):
+    """A file of a few hundred bytes may state any number: their counts would take gigabytes."""
+    assert count_pixels([], (4096, 4096)).shape == (4096, 4096)
+    with pytest.raises(ValueError, match=r"^a sensor must have at most 16,777,216 pixels to count .*, got 4097x4096$"):
+        learn_mask([], (4097, 4096))
+    columns = dict(t=[5], x=[1], y=[2], p=[1])
+    np.savez(tmp_path / "a.npz", **columns, sensor=[32768, 32768])
+    code, _, err = program("mask", tmp_path / "a.npz", "--out", tmp_path / "m.npy")
+    assert code == 2 and err.count("\n") == 1
+    assert f"{tmp_path / 'a.npz'}: a sensor must have at most 16,777,216 pixels" in err and "32768x32768" in err
+    np.savez(tmp_path / "b.npz", **columns)
+    code, _, err = program("mask", tmp_path / "b.npz", "--sensor", "32768x32768", "--out", tmp_path / "m.npy")
+    assert code == 2 and "b.npz: a sensor must have at most 16,777,216 pixels" in err

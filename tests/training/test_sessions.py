@@ -165,6 +165,7 @@ def test_tables_that_cannot_be_read_are_named(tmp_path):
         ("class,begin,end\n", "expected a column start or start_us or startTime_usec, got class, begin, end"),
         ("", "expected a column class or label, got none"),
         (HEADER + "1,5,9\n1,9,5\n", "line 3: expected a class, and whole start < end in us, got 1, 9, 5"),
+        ("class,start,start,end\n1,5,6,9\n", "the column 'start' is there 2 times; leave out all but one"),
         ("label, start, end\nwave, 1.5, 3\n", "line 2: expected a class, .*, got wave, 1.5, 3"),
     ):
         (tmp_path / "a_labels.csv").write_text(table)

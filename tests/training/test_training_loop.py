@@ -1,11 +1,13 @@
 """The loop learns, records what it did, and an interruption leaves no trace in the weights."""
 
 import json
+import os
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
+from damage import damaged_bytes
 from made import events_of
 
 torch = pytest.importorskip("torch")
@@ -199,6 +201,15 @@ def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
         path.write_bytes(damage)
         with pytest.raises(ValueError, match=r"not a readable checkpoint.*remove it to start again"):
             load_checkpoint(tmp_path, identity)
+    for damage in damaged_bytes(content, 100, seed=0):
+        path.write_bytes(damage)
+        with pytest.raises(ValueError, match=rf"^{path} is not a readable checkpoint[^\n]*$"):
+            load_checkpoint(tmp_path, identity)
+    path.unlink()
+    os.mkfifo(path)  # a link to one, too: nothing is waited for
+    with pytest.raises(OSError, match="a pipe or a device, expected a regular file"):
+        load_checkpoint(tmp_path, identity)
+    path.unlink()
     save_checkpoint(tmp_path, {"identity": identity | {"format": 2}, "history": []})
     with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
         load_checkpoint(tmp_path, identity)

@@ -1,16 +1,21 @@
 """Windows under other motions: made once, resumed, mixed with recorded ones, and trained on."""
 
 import json
+import os
 import shutil
 
 import numpy as np
 import pytest
+from damage import damaged_json
 from moving_scenes import WINDOW_US, blobs, noise, recorded, straight
 
 pytest.importorskip("torch")
 
 from async_tnt import TNTConfig, load_model
 from async_tnt.events import structured
+from async_tnt.resynthesis.calibration import side_by_side, unlike
+from async_tnt.resynthesis.reconstruction import SimulatedPixels
+from async_tnt.simulation.measured_pixels import MeasuredPixels
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import moved_recordings
 from async_tnt.training.recordings import Recordings
@@ -47,6 +52,29 @@ def made(windows, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("async_tnt.training.resynthesis.MOST_WINDOWS", 5)
         yield resynthesize(*windows, CONFIG, SETTINGS, folder / "motions"), folder / "motions"
+
+
+def test_a_damaged_description_of_the_motions_is_named(windows, made, tmp_path):
+    """Whatever is in it: a value of another type, or one that nobody writes. What is read can be used."""
+    shutil.copytree(made[1], folder := tmp_path / "motions")
+    manifest = folder / "motions.json"
+    good = json.loads(manifest.read_text())
+    n_refused = 0
+    for text in [*damaged_json(good, 300, seed=0), *damaged_json(good["pixels"], 50, seed=1)]:
+        manifest.write_text(text)
+        try:
+            motions = resynthesize(*windows, CONFIG, SETTINGS, folder)
+        except ValueError as error:
+            n_refused += 1
+            assert str(folder) in str(error) and "\n" not in str(error) and len(str(error)) < 800
+        else:
+            assert side_by_side(motions.record["match"]) and unlike(motions.record["match"]) is not None
+            SimulatedPixels(MeasuredPixels(**motions.record["pixels"]["measured"]), motions.record["pixels"]["scale"])
+    assert n_refused > 150
+    manifest.unlink()
+    os.mkfifo(manifest)
+    with pytest.raises(OSError, match="a pipe or a device, expected a regular file"):
+        resynthesize(*windows, CONFIG, SETTINGS, folder)
 
 
 def contents(folder):

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from damage import damaged_json
 from small_sets import write_pictures
 
 from async_tnt.events import EVENT_DTYPE
@@ -115,6 +116,17 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
     (tmp_path / "b/training_000012.npz").unlink()
     monkeypatch.setattr(simulated_pictures, "record_picture", lambda *_: pytest.fail("made again"))
     np.testing.assert_array_equal(simulated(tmp_path / "a").t, first.t)
+    manifest = tmp_path / "a/pictures.json"
+    good = manifest.read_text()
+    errors = []
+    for text in damaged_json(json.loads(good), 150, seed=0):
+        manifest.write_text(text)
+        try:
+            np.testing.assert_array_equal(simulated(tmp_path / "a").t, first.t)
+        except ValueError as error:
+            errors.append(str(error))
+    assert len(errors) > 50 and all(str(tmp_path / "a") in error and "\n" not in error for error in errors)
+    manifest.write_text(good)
     with pytest.raises(ValueError, match=r"pictures \(settings\)"):
         simulated(tmp_path / "a", SceneSettings(SENSOR, 40_000))
     with pytest.raises(pytest.fail.Exception, match="made again"):
@@ -127,7 +139,6 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
     (tmp_path / "a/training_000012.npz").write_bytes(b"PK damaged")
     with pytest.raises(ValueError, match=r"training_000012\.npz"):
         simulated(tmp_path / "a")
-    manifest = tmp_path / "a/pictures.json"
     manifest.write_text(manifest.read_text()[:-9])
     with pytest.raises(ValueError, match=r"pictures.json: damaged .*; remove"):
         simulated(tmp_path / "a")

@@ -23,10 +23,10 @@ from typing import IO
 
 import numpy as np
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, short
 from async_tnt.event_forms import NAMES, Four, event_columns, likely_order, named_columns, the_name
 from async_tnt.events import ANY_SENSOR, checked_columns
-from async_tnt.files import refuse_git_lfs, user_path
+from async_tnt.files import open_regular, refuse_git_lfs, user_path
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
@@ -81,7 +81,7 @@ def map_npy(path: str | os.PathLike[str]) -> np.memmap:
     """Map the array of a `.npy` file, read-only; a ValueError if it is damaged or a pointer of Git LFS."""
     path = user_path(path)
     refuse_git_lfs(path)
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         try:
             claimed, is_fortran = read_npy_header(file, os.fstat(file.fileno()).st_size)
         except ValueError as error:
@@ -119,7 +119,7 @@ def open_npz(path: Path, options: ReadOptions) -> Source:
     path.open("rb").close()  # raises the OSError of a missing file
     try:
         with zipfile.ZipFile(path) as archive:
-            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            members = _members(archive)
             sensor = _sensor(_read(archive, members.pop("sensor"))) if "sensor" in members else None
             columns = _columns(options.columns, *(_read(archive, info) for info in _event_members(members)))
         sizes = [len(column) for column in columns]
@@ -129,6 +129,17 @@ def open_npz(path: Path, options: ReadOptions) -> Source:
     except Exception as error:  # a damaged archive raises exceptions of any type
         raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
     return ArraySource(events, sensor, "NumPy archive")
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """The files of an archive by their names without `.npy`; a ValueError where two have the same name."""
+    members: dict[str, zipfile.ZipInfo] = {}
+    for info in archive.infolist():
+        name = info.filename.removesuffix(".npy")
+        if name in members:
+            raise ValueError(f"it holds the array {short(name)} more than once; leave out all but one")
+        members[name] = info
+    return members
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
