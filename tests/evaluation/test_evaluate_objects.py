@@ -13,7 +13,7 @@ from torch import nn
 from async_tnt import Model, TNTConfig
 from async_tnt.evaluation.object_scores import score_objects
 from async_tnt.evaluation.object_tables import read_table
-from async_tnt.kernels.objects import FOUND_SIZE
+from async_tnt.kernels.objects import FOUND_SIZE, X, Y
 
 CONFIG = TNTConfig(
     sensor=(64, 40), grid=(64, 40), representation="count", bins=1, polarity="split", transform="none", window_us=1000
@@ -149,6 +149,17 @@ def test_matches_by_hand():
     assert n_right(found, labels, middles, np.array([[2.0, 2], [2, 2], [1, 3]])) == 2
     assert n_right(found, np.zeros(0, int), np.zeros((0, 2)), 3.0) == 0
     assert n_right(found[:0], labels, middles, 3.0) == 0
+
+
+def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
+    """At every angle, a thousandth inside and outside; with one number for all, a circle."""
+    middle, found = np.array([[20.0, 30.0]]), np.zeros((1, FOUND_SIZE))
+    for reach in (np.array([[8.0, 3.0]]), np.array([[0.5, 6.0]]), 5.0):
+        across, down = np.broadcast_to(reach, (1, 2))[0]
+        for angle in np.linspace(0, 2 * np.pi, 33):
+            for share, right in ((0.999, 1), (1.001, 0)):
+                found[0, [X, Y]] = middle[0] + share * np.array([across * np.cos(angle), down * np.sin(angle)])
+                assert score_objects(found, np.zeros(1, int), middle, reach, 1).right.sum() == right, (reach, angle)
 
 
 CELLS = st.one_of(st.integers(), st.floats().map(str), st.sampled_from(["on", "", '"', "\0", "1e999", "nan"]))

@@ -121,6 +121,17 @@ def test_new_and_changed_recordings_are_done_and_no_others(finished, tmp_path):
     assert finished.read_bytes() == fresh.read_bytes()
 
 
+@pytest.mark.parametrize("change", [{"bytes": 7}, {"modified_ns": 7}, {"label": "another class"}], ids=str)
+def test_a_recording_of_another_size_time_or_class_is_done_again_and_no_other(finished, tasks, change):
+    done = []
+    tasks[1] = replace(tasks[1], **change)
+    records, kept, _ = collected_to(finished, tasks, noting(done))
+    assert done == [NAMES[1]] and kept == len(NAMES) - 1
+    changed = next(record for record in records if record["recording"] == NAMES[1])
+    assert change.get("label") == changed["class"]
+    assert collected_to(finished, tasks, noting(done))[1] == len(NAMES) and len(done) == 1
+
+
 def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished, tasks):
     records, _, said = collected_to(finished, tasks[2:])
     assert said == [f"{finished}: recordings that no longer exist are left out (2)"]
