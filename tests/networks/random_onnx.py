@@ -137,7 +137,9 @@ class _Builder:
         op = self.pick("Sigmoid", "Tanh", "HardSigmoid", "HardSwish", "Gelu", "SiLU", "Log1p")
         if op == "SiLU":
             self.node("Sigmoid")
-            self.node("Mul", before)
+            factor = self.value
+            self.value, other = self.pick((before, factor), (factor, before))
+            self.node("Mul", other)
         elif op == "Log1p":
             self.node("Relu")
             self.node("Add", self.constant(np.float32(2.0 if self.chance(0.3) else 1.0)))
