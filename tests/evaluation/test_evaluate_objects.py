@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from made import events_of
 from torch import nn
 
-from async_tnt import Model, TNTConfig
-from async_tnt.evaluation.object_scores import score_objects
+from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
+from async_tnt.evaluation.object_scores import score_objects, score_recording
 from async_tnt.evaluation.object_tables import read_table
 from async_tnt.kernels.objects import FOUND_SIZE, X, Y
 
@@ -126,6 +126,64 @@ def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"a_bbox.npy: not a readable NumPy file: [^\n]*$"):
         read_table(path, ("on", "off"))
+
+
+def clusters(rng, n=45):
+    """Tens of events at one pixel, on a grid of times, some late: many fall on the ends of windows and of their parts."""
+    rows = []
+    for _ in range(n):
+        t, x, y, p = 100 * rng.integers(0, 120), rng.integers(0, 64), rng.integers(0, 40), rng.integers(0, 2)
+        rows += [(t + 100 * int(rng.integers(0, 5)), x, y, p) for _ in range(12)]
+    rows.sort(key=lambda row: row[0] + rng.integers(0, 150))
+    return events_of(*np.array(rows).T)
+
+
+def scored_by_hand(model, events, rows, share):
+    """(there, found, right) of each class: each moment by itself, by a new Processor, and matched in plain Python."""
+    counts = np.zeros((3, 2), int)
+    for end_us in sorted({row[0] for row in rows}):
+        start_us = end_us - CONFIG.window_us
+        inside = events[(events["t"] >= start_us) & (events["t"] < start_us + share * CONFIG.window_us)]
+        inside = inside[np.argsort(inside["t"], kind="stable")]
+        inside["t"] -= start_us
+        processor = Processor(model, start_us=0)
+        processor.push(inside)
+        waiting = [(("on", "off").index(name), x, y) for t, name, x, y in rows if t == end_us]
+        for label, *_ in waiting:
+            counts[0, label] += 1
+        for one in processor.fire().objects:
+            counts[1, one.index] += 1
+            away = {k: np.hypot(x - one.x, y - one.y) for k, (label, x, y) in enumerate(waiting) if label == one.index}
+            nearest = min(away, key=away.get, default=None)
+            if nearest is not None and away[nearest] <= 5:
+                counts[2, one.index] += 1
+                waiting.pop(nearest)
+    return counts.tolist()
+
+
+@pytest.mark.parametrize("packet_events", [1, 37, 100_000])
+def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, packet_events):
+    """Moments closer together than a window, several objects at one, and rows of the table in no order. Late events
+    are found within their packet."""
+    rng, model = np.random.default_rng(4), load_model(saved)
+    events = clusters(rng)
+    if packet_events < len(events):
+        events = events[np.argsort(events["t"], kind="stable")]
+    rows = []
+    for event in events[rng.permutation(len(events))[:60]].tolist():
+        x, y = (int(np.clip(event[1 + k] + rng.integers(-4, 5), 0, (63, 39)[k])) for k in range(2))
+        rows.append((event[0] + 100 * int(rng.integers(1, 10)), ("off", "on")[event[3]], x, y))
+    np.savez(tmp_path / "a.npz", sensor=CONFIG.sensor, events=events)
+    write_points(tmp_path / "a_objects.csv", rows)
+    recording = open_recording(tmp_path / "a.npz", packet_events=packet_events)
+    found = score_recording(model, recording, read_table(tmp_path / "a_objects.csv", model.classes))
+    assert list(found) == [0.3, 0.5, 1.0]
+    for share, scores in found.items():
+        expected = scored_by_hand(model, events, rows, share)
+        assert [scores.there.tolist(), scores.found.tolist(), scores.right.tolist()] == expected, share
+        (there, n_found, right), words = np.sum(expected, axis=1).tolist(), scores.to_dict(model.classes)
+        assert (5 if share == 1 else 0) < right < there and scores.f1 == 2 * right / (there + n_found)
+        assert words["precision"] == round(right / n_found, 5) and words["recall"] == round(right / there, 5)
 
 
 def test_how_near_is_near_enough(tmp_path):
