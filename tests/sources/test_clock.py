@@ -146,6 +146,22 @@ def test_after_anything_one_stream_is_followed_again(starts, first):
     assert np.diff(flat(kept[-N:])).tolist() == [100_000] * (N - 1) and flat(kept)[-1] == max(flat(kept))
 
 
+@pytest.mark.parametrize(("apart", "agree"), [(JUMP_US, True), (JUMP_US + 1, False)])
+def test_votes_agree_within_the_largest_jump_of_each_other_either_way(apart, agree):
+    times = [20 * MINUTE_US + k % 2 * apart for k in range(N)]
+    kept, _ = by_clock([[5], *[[t] for t in times]])
+    assert kept == [[5], *NOTHING, times[-1:] if agree else []]
+
+
+def test_without_a_limit_every_time_below_the_largest_is_kept_as_it_is():
+    """In whole packets, and in those of which some events are dropped."""
+    packets = [[5], [2**62 - 1], [2**62], [0], [2**62, 7], [2**61, 2**62 - 1, 2**62], [-1, 3]]
+    expected = [[5], [2**62 - 1], [], [0], [7], [2**61, 2**62 - 1], [3]]
+    kept, (jumped, late, restarts) = by_clock(packets, max_jump_s=None, dtype=SIGNED)
+    assert kept == expected and (jumped, restarts) == (0, 0)
+    assert late == 4  # 0, 7, 2**61 and 3; 2**62 - 1 is no older than itself
+
+
 def test_wrong_arguments():
     for max_jump_s in (0, -1, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="`max_jump_s` must be a positive number of seconds, or None, got"):
