@@ -124,7 +124,7 @@ def with_stragglers(seed: int, n: int = 700) -> np.ndarray:
 
 
 HOPS = None, 500, 130
-MOMENTS = None, 77, 500
+MOMENTS = None, 200
 EACH_SO_MANY = None, 1, 3
 LEVELS = None, 0.5, 0.9
 OF_A_DURATION = {
