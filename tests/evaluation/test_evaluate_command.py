@@ -173,6 +173,16 @@ def test_a_record_is_what_an_independent_count_of_its_recording_gives(model, win
         assert {name: record[name] for name in expected} == expected
     for name in ("decisions", "events", "late"):
         assert report[name] == sum(record[name] for record in kept)
+    decided = np.concatenate([np.reshape(record["decided_at"], -1) for record in kept])
+    probability = np.concatenate([np.reshape(record["probability_at"], -1) for record in kept])[decided >= 0]
+    right, tenth = decided[decided >= 0] == CLASSES.index("flat"), np.minimum(probability * 10, 9).astype(int)
+    assert 0 < len(right) < len(decided)
+    of_tenths = [(tenth == k) for k in range(10) if (tenth == k).any()]
+    assert [row["decisions"] for row in report["calibration"]] == [some.sum() for some in of_tenths]
+    for name, values in (("probability", probability), ("accuracy", right)):
+        assert [row[name] for row in report["calibration"]] == pytest.approx([values[some].mean() for some in of_tenths])
+    errors = [some.mean() * abs(probability[some].mean() - right[some].mean()) for some in of_tenths]
+    assert report["calibration_error"] == pytest.approx(sum(errors))
     assert report["late"] > 0 and {us for record in kept for row in record["confident_us"] for us in row} > {-1}
 
 
