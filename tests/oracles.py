@@ -186,7 +186,7 @@ class Oracle:
 
     @property
     def counts(self) -> Counts:
-        """See `Processor.counts`: of all windows by themselves, but that an event is received or late once."""
+        """See `Processor.counts`: of all windows together; received, late and decided count once."""
         of_windows = [*self.closed, *(window.volume.counts for window in self.windows)]
         return Counts(
             received=self.received,

@@ -129,17 +129,22 @@ def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
 
 
 def clusters(rng, n=45):
-    """Tens of events at one pixel, on a grid of times, some late: many fall on the ends of windows and of their parts."""
+    """Twelve events at one pixel, again and again, on a grid of times, as ends of windows."""
     rows = []
     for _ in range(n):
-        t, x, y, p = 100 * rng.integers(0, 120), rng.integers(0, 64), rng.integers(0, 40), rng.integers(0, 2)
+        t, x, y, p = (
+            100 * rng.integers(0, 120),
+            rng.integers(0, 64),
+            rng.integers(0, 40),
+            rng.integers(0, 2),
+        )
         rows += [(t + 100 * int(rng.integers(0, 5)), x, y, p) for _ in range(12)]
     rows.sort(key=lambda row: row[0] + rng.integers(0, 150))
     return events_of(*np.array(rows).T)
 
 
 def scored_by_hand(model, events, rows, share):
-    """(there, found, right) of each class: each moment by itself, by a new Processor, and matched in plain Python."""
+    """(there, found, right) of each class: each moment by itself, matched in plain Python."""
     counts = np.zeros((3, 2), int)
     for end_us in sorted({row[0] for row in rows}):
         start_us = end_us - CONFIG.window_us
@@ -163,8 +168,10 @@ def scored_by_hand(model, events, rows, share):
 
 @pytest.mark.parametrize("packet_events", [1, 37, 100_000])
 def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, packet_events):
-    """Moments closer together than a window, several objects at one, and rows of the table in no order. Late events
-    are found within their packet."""
+    """Moments closer together than a window, several objects at one, and a table in no order.
+
+    Late events are found within their packet.
+    """
     rng, model = np.random.default_rng(4), load_model(saved)
     events = clusters(rng)
     if packet_events < len(events):
@@ -181,7 +188,10 @@ def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, packet_events)
     for share, scores in found.items():
         expected = scored_by_hand(model, events, rows, share)
         assert [scores.there.tolist(), scores.found.tolist(), scores.right.tolist()] == expected, share
-        (there, n_found, right), words = np.sum(expected, axis=1).tolist(), scores.to_dict(model.classes)
+        (there, n_found, right), words = (
+            np.sum(expected, axis=1).tolist(),
+            scores.to_dict(model.classes),
+        )
         assert (5 if share == 1 else 0) < right < there and scores.f1 == 2 * right / (there + n_found)
         assert words["precision"] == round(right / n_found, 5) and words["recall"] == round(right / there, 5)
 

@@ -240,7 +240,7 @@ def _shapes(proto: onnx.ModelProto) -> dict[str, list[int]]:
 
 
 class _Of:
-    """A node as the rules below see it: its attributes, its constant inputs, and the shape of its first other input."""
+    """A node as the rules below see it: attributes, constant inputs, the shape of its first map."""
 
     def __init__(self, node: onnx.NodeProto, values: dict[str, np.ndarray], shapes: dict[str, list[int]]) -> None:
         self.op, self.domain, self.n_outputs = node.op_type, node.domain, len(node.output)
@@ -275,7 +275,8 @@ def _reshapes_otherwise(of: _Of) -> bool:
     one_row = [-1, int(np.prod(of.source[1:]))]
     if rows == 0 and of.get("allowzero", 0) == 1:
         return True
-    return not (rows in (0, 1) and n in one_row or rows == -1 and n == one_row[1])
+    is_free = rows in (0, 1) and n in one_row
+    return not (is_free or (rows == -1 and n == one_row[1]))
 
 
 def _trains(of: _Of) -> bool:
@@ -303,8 +304,10 @@ BY_CHANNEL = "Add", "Mul", "PRelu", "BatchNormalization"
 
 
 def known_gaps(proto: onnx.ModelProto) -> list[str]:
-    """Why a file may be refused, from what `load_model` says it reads, and from ONNX's own rules; [] : it must be
-    accepted, unless onnxruntime refuses it."""
+    """Why a file may be refused: from what `load_model` says it reads, and from ONNX's own rules.
+
+    Where there is no reason, it must be accepted, unless onnxruntime refuses it.
+    """
     try:
         onnx.checker.check_model(proto)
         shapes = _shapes(proto)
@@ -323,9 +326,9 @@ def known_gaps(proto: onnx.ModelProto) -> list[str]:
             found.append("a logarithm of other than x + 1")
         if of.op in BY_CHANNEL and of.constants and flattened.intersection(of.sources):
             found.append("a number for each place of a flattened map")
-        if of.op in ("Flatten", "Reshape") and max(of.source[2:], default=1) > 1:
-            flattened.add(node.output[0])
-        elif of.op not in ("Gemm", "MatMul") and flattened.intersection(of.sources):
+        flattens = of.op in ("Flatten", "Reshape") and max(of.source[2:], default=1) > 1
+        passes_on = of.op not in ("Gemm", "MatMul") and flattened.intersection(of.sources)
+        if flattens or passes_on:
             flattened.add(node.output[0])
         if of.op == "Add" and of.constants and (of.constants[0] == 1.0).all():
             plus_one.add(node.output[0])
@@ -333,7 +336,7 @@ def known_gaps(proto: onnx.ModelProto) -> list[str]:
 
 
 def _has_other_constants(of: _Of) -> bool:
-    """Of another type than the volume, or of a shape that is neither one number nor one for each channel."""
+    """Whether a constant has another type, or neither one number nor one for each channel."""
     whole = "Constant", "Reshape", "ReduceMean", "Dropout"
     if of.op not in whole and any(constant.dtype != np.float32 for constant in of.constants):
         return True

@@ -118,7 +118,7 @@ def test_volumes_are_those_that_a_decision_would_have_seen(settings):
 
 @pytest.mark.parametrize("form", ["packets", "tuples", "columns"])
 def test_volumes_do_with_late_events_what_a_stream_does(form):
-    """Of every kind of source: `accept` adds them, `drop` leaves them out, `raise` refuses the packet."""
+    """`accept` adds them, `drop` leaves them out, `raise` refuses the packet."""
     config, events = TNTConfig(window_us=1000, bins=3), EVENTS.copy()
     events["t"][7::9] = np.maximum(0, events["t"][7::9] - 300)
     in_order = events[events["t"] >= np.maximum.accumulate(events["t"])]

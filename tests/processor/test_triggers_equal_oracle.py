@@ -113,7 +113,7 @@ def check(events, way, windows, triggers, steps) -> None:
 
 
 def with_stragglers(seed: int, n: int = 700) -> np.ndarray:
-    """A dense stream, and in it single events and bursts of earlier windows, also from before pauses of windows."""
+    """A dense stream with events of earlier windows, also from before pauses of windows."""
     rng = np.random.default_rng(seed)
     steps = rng.integers(0, 12, n)
     pauses = rng.random(n) < 0.006
@@ -133,14 +133,17 @@ OF_A_DURATION = {
     "compiled": (TNT, "compiled"),
     "compiled, replayed": (REPLAYED, "compiled"),
 }
-OF_EVENTS = {"callable, by events": (BY_EVENTS[1], "callable"), "compiled, by events": (BY_EVENTS[0], "compiled")}
+OF_EVENTS = {
+    "callable, by events": (BY_EVENTS[1], "callable"),
+    "compiled, by events": (BY_EVENTS[0], "compiled"),
+}
 ALL = {f"{name}, hop {hop_us}": (way, hop_us) for name, way in OF_A_DURATION.items() for hop_us in HOPS}
 ALL |= {name: (way, None) for name, way in OF_EVENTS.items()}
 
 
 @pytest.mark.parametrize(("way", "hop_us"), ALL.values(), ids=ALL)
 def test_every_combination_of_triggers_on_a_stream_with_stragglers(way, hop_us):
-    """In one packet, which is decided in one compiled call where that is possible, and in small ones."""
+    """In one packet, decided in one compiled call where that is possible, and in small ones."""
     dropped = np.zeros(2, int)
     for seed, (every_us, every_events, confidence) in enumerate(itertools.product(MOMENTS, EACH_SO_MANY, LEVELS)):
         triggers = {"every_us": every_us, "every_events": every_events, "confidence": confidence}

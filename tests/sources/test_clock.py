@@ -47,7 +47,11 @@ def flat(packets):
         (MINUTE_US - BACK_US // 4 - 1, 3 * BACK_US // 4, False),  # sent again
         (MINUTE_US - REORDERED_US - 1, 2 * JUMP_US, False),
         (MINUTE_US + 1, HOUR_US, True),  # a slow clock
-        (MINUTE_US + JUMP_US, -3 * JUMP_US, True),  # the receiver's own clock was set back: nothing has passed
+        (
+            MINUTE_US + JUMP_US,
+            -3 * JUMP_US,
+            True,
+        ),  # the receiver's own clock was set back: nothing has passed
         (MINUTE_US + JUMP_US + 1, -3 * JUMP_US, False),
         (MINUTE_US - BACK_US - 1, -3 * JUMP_US, False),
     ],

@@ -183,11 +183,15 @@ def own(tmp_path):
 
 
 def test_measuring_leaves_no_trace_in_a_network_and_drops_nothing_out(own, windows):
-    """Its statistics stay those of the training windows, and it goes on training. Of classes and of scenes alike."""
+    """Statistics stay those of the training windows, and it goes on training. Scenes, too."""
     plain = CONFIG.replace(transform="none", polarity="split", landmark="center", bins=2)
     of_scenes = TrainSettings(network="map")
     cases = [
-        (CONFIG, own, lambda pipeline: evaluate(pipeline, windows[:9], times_ms=(20,)).probabilities.tolist()),
+        (
+            CONFIG,
+            own,
+            lambda pipeline: evaluate(pipeline, windows[:9], times_ms=(20,)).probabilities.tolist(),
+        ),
         (CONFIG, own, ClassOfWindows(CONFIG, windows[:9], ONE_EPOCH, 2).validate),
         (plain, "map", ObjectsInScenes(plain, windows[:9], of_scenes, CLASSES).validate),
     ]
@@ -213,7 +217,10 @@ def test_what_is_held_out_is_measured_on_the_finished_model_and_changes_no_weigh
     without = train(CONFIG, seen, held_out[:0], settings, tmp_path / "without")
     assert_equal(with_them.model, without.model)
     finished, last = evaluate(pipeline_of(with_them.model), held_out), with_them.history[-1]
-    assert (last["per_window"], last["per_recording"]) == (finished.per_window, finished.per_recording)
+    assert (last["per_window"], last["per_recording"]) == (
+        finished.per_window,
+        finished.per_recording,
+    )
     losses = -np.log(finished.complete[np.arange(len(held_out)), held_out.labels])
     of_classes = [losses[held_out.labels == label].mean() for label in (0, 1)]
     assert last["validation_loss"] == pytest.approx(np.mean(of_classes), abs=1e-5)
@@ -231,7 +238,7 @@ def normed(channels, grid, n_classes):
     layers = [nn.BatchNorm2d(channels), nn.AdaptiveAvgPool2d(1), nn.Flatten()]
     return nn.Sequential(*layers, nn.Linear(channels, n_classes))
 """
-"""Of the first, no gradient reaches any weight, and its logits are its last bias, whatever it is shown."""
+"""Of the first, no gradient reaches any weight: its logits are its last bias, whatever is shown."""
 SHARES = [0.25, 0.5, 0.75, 1, 1, 0.8535534, 0.5, 0.1464466]
 """Of the highest rate: 4 of 8 steps up, 4 along a cosine, 1/2 (1 + cos(pi k / 4))."""
 
@@ -262,7 +269,11 @@ def test_rates_decay_and_averages_are_those_of_their_equations(windows, tmp_path
         ("decayed", {}, decay[-1]),
         ("low average", {"averaging": 0.2}, averages(decay, 0.2)),
         ("high average", {"averaging": 0.99}, averages(decay, 0.99)),
-        ("no warm-up", {"iterations": 3, "warm_up": 0.0}, 0.9 * 0.9 * (1 - 0.1 * 0.5)),  # cos(0), cos(pi / 2)
+        (
+            "no warm-up",
+            {"iterations": 3, "warm_up": 0.0},
+            0.9 * 0.9 * (1 - 0.1 * 0.5),
+        ),  # cos(0), cos(pi / 2)
     ):
         decayed = weights_after(name, **changes)
         for (is_weight, shape), w in first.items():
