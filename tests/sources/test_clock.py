@@ -157,6 +157,20 @@ def test_votes_agree_within_the_largest_jump_of_each_other_either_way(apart, agr
     assert kept == [[5], *NOTHING, times[-1:] if agree else []]
 
 
+def test_a_packet_with_one_event_of_the_old_stream_ends_the_vote_though_another_jumps():
+    """Seven votes, then such a packet, over and over: the clock never moves."""
+    moved = [[30 * MINUTE_US]] * (N - 1)
+    kept, (_, _, restarts) = by_clock([[MINUTE_US], *[*moved, [MINUTE_US + 1, 30 * MINUTE_US]] * 4])
+    assert flat(kept) == [MINUTE_US, *[MINUTE_US + 1] * 4] and restarts == 0
+
+
+def test_time_that_passed_before_the_previous_vote_is_no_reason_to_agree():
+    """Votes that come an hour after the newest event, and each further ahead than a jump."""
+    ahead = [[5 * HOUR_US + 2 * k * JUMP_US] for k in range(2 * N)]
+    kept, _ = by_clock([[MINUTE_US], *ahead], [0, *[HOUR_US] * 2 * N])
+    assert kept == [[MINUTE_US], *[[]] * 2 * N]
+
+
 def test_without_a_limit_every_time_below_the_largest_is_kept_as_it_is():
     """In whole packets, and in those of which some events are dropped."""
     packets = [[5], [2**62 - 1], [2**62], [0], [2**62, 7], [2**61, 2**62 - 1, 2**62], [-1, 3]]

@@ -153,84 +153,29 @@ OFF["x"][9] = 34
 @pytest.mark.parametrize(
     ("name", "data", "message", "n_events"),
     [
-        (
-            "a.raw",
-            evt_header("3.0") + b"\x01\x00\x02\x20",
-            "1 words of events have no time or no row",
-            0,
-        ),
+        ("a.raw", evt_header("3.0") + b"\x01\x00\x02\x20", "1 words of events have no time or no row", 0),
         ("a.raw", evt2(EVENTS)[:-1], "the file ends at byte .*, 3 bytes into a word of 4", 11),
         ("a.dat", dat(EVENTS)[:-3], "the file ends 5 bytes into event 11, which has 8", 11),
-        (
-            "a.dat",
-            dat(EVENTS)[:-1] + b"\x70",
-            r"event 11 \(byte .*\): t = .*, p = 7 is not a valid event",
-            11,
-        ),
-        (
-            "a.aedat",
-            aedat2(EVENTS, SMALL, "")[:-1],
-            "the file ends 7 bytes into an event, which has 8",
-            11,
-        ),
+        ("a.dat", dat(EVENTS)[:-1] + b"\x70", r"event 11 \(byte .*\): t = .*, p = 7 is not a valid event", 11),
+        ("a.aedat", aedat2(EVENTS, SMALL, "")[:-1], "the file ends 7 bytes into an event, which has 8", 11),
         (
             "a.aedat",
             aedat2(EVENTS, SMALL, "") + b"\0\1" * 4,
             "byte .*: the address 0x10001 is not one of a DVS128, as",
             12,
         ),
-        (
-            "a.aedat",
-            aedat3(EVENTS)[:-45],
-            "the file ends within a packet, which has 2 more events",
-            11,
-        ),
+        ("a.aedat", aedat3(EVENTS)[:-45], "the file ends within a packet, which has 2 more events", 11),
         ("a.aedat", aedat3(EVENTS)[:-3], "the file ends 5 bytes into a packet, which has 8", 12),
-        (
-            "a.aedat",
-            aedat3(EVENTS)[:-33],
-            "the file ends 3 bytes into the header of a packet, which has 28",
-            12,
-        ),
-        (
-            "a.aedat",
-            aedat3(EVENTS) + b"\1\0" * 14,
-            "has no valid header: type 1, 65537 events of 65537 bytes",
-            12,
-        ),
-        (
-            "a.aedat",
-            aedat3(EVENTS) + NEGATIVE,
-            "in the packet around byte .*: t = -1, x = 0, y = 0, p = 0 is not",
-            12,
-        ),
+        ("a.aedat", aedat3(EVENTS)[:-33], "the file ends 3 bytes into the header of a packet, which has 28", 12),
+        ("a.aedat", aedat3(EVENTS) + b"\1\0" * 14, "has no valid header: type 1, 65537 events of 65537 bytes", 12),
+        ("a.aedat", aedat3(EVENTS) + NEGATIVE, "in the packet around byte .*: t = -1, x = 0, y = 0, p = 0 is not", 12),
         ("a.txt", ROWS, "line 150001: .* got 'what'", 150_000),
-        (
-            "a.txt",
-            b"0.5 1 2 1\n#" + b" " * 3_000_000 + b"\n0.6 1 2 1\n",
-            "line 2: expected .* more than 65,536 b",
-            1,
-        ),
-        (
-            "a.txt",
-            b"0.5 1 2 1\n0.6 1 2 1" + b" " * 70_000 + b"what",
-            "line 2: expected .* got '0.6 1 2 1",
-            1,
-        ),
+        ("a.txt", b"0.5 1 2 1\n#" + b" " * 3_000_000 + b"\n0.6 1 2 1\n", "line 2: expected .* more than 65,536 b", 1),
+        ("a.txt", b"0.5 1 2 1\n0.6 1 2 1" + b" " * 70_000 + b"what", "line 2: expected .* got '0.6 1 2 1", 1),
         # without its line end, `1234` may have been 123456
-        (
-            "a.csv",
-            b"x,y,p,t\n1,2,1,1233\n1,2,1,1234",
-            "line 3: .* got '1,2,1,1234', and the file ends there",
-            1,
-        ),
+        ("a.csv", b"x,y,p,t\n1,2,1,1233\n1,2,1,1234", "line 3: .* got '1,2,1,1234', and the file ends there", 1),
         *(
-            (
-                f"a{suffix}",
-                make(OFF, SMALL),
-                "event 9 at x = 34, y = .* is off the 34 x 34 sensor",
-                9,
-            )
+            (f"a{suffix}", make(OFF, SMALL), "event 9 at x = 34, y = .* is off the 34 x 34 sensor", 9)
             for suffix, make in ((".txt", uzh_text), (".raw", evt3), (".dat", dat))
         ),
     ],
@@ -277,11 +222,7 @@ def evt2_that_ends_within_a_word(k):
 
 def aedat3_with_an_impossible_packet(k):
     data = aedat3(LONG[:k])
-    return (
-        bytearray(data + struct.pack("<hhiiiiii", 1, 1, 7, 4, 0, 1, 1, 1) + bytes(100)),
-        len(data),
-        k,
-    )
+    return bytearray(data + struct.pack("<hhiiiiii", 1, 1, 7, 4, 0, 1, 1, 1) + bytes(100)), len(data), k
 
 
 @pytest.mark.parametrize("k", [0, 11, 65_535, 65_536, 140_003])

@@ -78,17 +78,9 @@ def test_addresses_of_cameras_by_hand(tmp_path):
     of_davis, of_dvs128 = 20 << 22 | 50 << 12 | 1 << 11, 20 << 8 | 50 << 1
     for chip, address, pixel in (
         ("# AEChip: DAViS240C\r\n", of_davis, (189, 159)),
-        (
-            "# AEChip: DAViS240C\r\n",
-            0x23CEF80A,
-            (0, 36),
-        ),  # its bytes are #, two that are no text, and a line end
+        ("# AEChip: DAViS240C\r\n", 0x23CEF80A, (0, 36)),  # its bytes are #, two that are no text, and a line end
         ("# AEChip: eu.DVS128\r\n", of_dvs128, (77, 107)),
-        (
-            "# AEChip: eu.Foo\r\n# AEChip: eu.DVS128\r\n# AEChip: DAViS240C\r\n",
-            of_dvs128,
-            (77, 107),
-        ),  # the first known
+        ("# AEChip: eu.Foo\r\n# AEChip: eu.DVS128\r\n# AEChip: DAViS240C\r\n", of_dvs128, (77, 107)),  # the first known
         ("# AEChip: DAViS240C\r\n", of_davis | 1 << 10, None),  # from outside, not of a pixel
         ("# AEChip: DAViS240C\r\n", of_davis | 1 << 31, None),  # of a frame
         ("", of_dvs128 | 1 << 15, None),

@@ -56,43 +56,19 @@ HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0
 @pytest.mark.parametrize(
     ("words", "events"),
     [
-        (
-            [HIGH, X5, ROW, X5],
-            [(4096, 5, 9, 0)],
-        ),  # before their row, time or base, events are left out
+        ([HIGH, X5, ROW, X5], [(4096, 5, 9, 0)]),  # before their row, time or base, events are left out
         ([HIGH, ROW, VECTOR12, VECTOR8, BASE7, VECTOR12], [(4096, 7, 9, 0)]),
         ([HIGH, BASE7, VECTOR12, ROW, VECTOR12], [(4096, 19, 9, 0)]),  # but the base moves on
         ([ROW, BASE7 | 0x800, VECTOR8, HIGH, VECTOR12], [(4096, 15, 9, 1)]),
         ([HIGH, 0x0809, X5], [(4096, 5, 9, 0)]),  # bit 11 of a row says which of two cameras
-        (
-            [HIGH, LOW, ROW, HIGH, X5],
-            [(4101, 5, 9, 0)],
-        ),  # cameras repeat TIME_HIGH, which keeps the lower half
-        (
-            [HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5],
-            [(t, 5, 9, 0) for t in (8191, 8192, 8195)],
-        ),
-        (
-            [0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5],
-            [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)],
-        ),  # back
+        ([HIGH, LOW, ROW, HIGH, X5], [(4101, 5, 9, 0)]),  # cameras repeat TIME_HIGH, which keeps the lower half
+        ([HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5], [(t, 5, 9, 0) for t in (8191, 8192, 8195)]),
+        ([0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5], [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)]),  # back
         ([0x8005, ROW, X5, 0x8000, X5], [(5 << 12, 5, 9, 0), (0, 5, 9, 0)]),  # to the beginning
-        (
-            [HIGH, ROW, X5, 0x8000 | 3000, X5],
-            [(4096, 5, 9, 0), (3000 << 12, 5, 9, 0)],
-        ),  # a long pause
-        (
-            [0x8000 | 3000, ROW, X5, 0x8000 | 952, X5],
-            [(3000 << 12, 5, 9, 0), (952 << 12, 5, 9, 0)],
-        ),  # half a period
-        (
-            [HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081],
-            [(4101, x, 9, 0) for x in (100, 111, 112, 119)],
-        ),
-        (
-            [HIGH, ROW, BASE7 | 0x800, X5, VECTOR12],
-            [(4096, 5, 9, 0), (4096, 7, 9, 1)],
-        ),  # polarity is the base's
+        ([HIGH, ROW, X5, 0x8000 | 3000, X5], [(4096, 5, 9, 0), (3000 << 12, 5, 9, 0)]),  # a long pause
+        ([0x8000 | 3000, ROW, X5, 0x8000 | 952, X5], [(3000 << 12, 5, 9, 0), (952 << 12, 5, 9, 0)]),  # half a period
+        ([HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081], [(4101, x, 9, 0) for x in (100, 111, 112, 119)]),
+        ([HIGH, ROW, BASE7 | 0x800, X5, VECTOR12], [(4096, 5, 9, 0), (4096, 7, 9, 1)]),  # polarity is the base's
         ([HIGH, ROW, 0x3000 | 2036, 0x4800], [(4096, 2047, 9, 0)]),  # the last column
         ([HIGH, ROW, 0x3000 | 2037, 0x4800], None),
     ],
