@@ -215,6 +215,11 @@ def test_matches_by_hand():
     assert n_right(found, labels, middles, 3.0) == 2
     assert n_right(found, labels, middles, 2.0) == 1
     assert n_right(found, labels, middles, np.array([[2.0, 2], [2, 2], [1, 3]])) == 2
+    # the likeliest takes the one a pixel away and leaves the other, four away, to the next
+    beside = np.array([[6.0, 10], [11, 10]])
+    found[1, 0] = 2
+    assert n_right(found[:2], np.zeros(2, int), beside, 5.0) == 2
+    assert n_right(found[1::-1], np.zeros(2, int), beside[::-1], 5.0) == 2
     assert n_right(found, np.zeros(0, int), np.zeros((0, 2)), 3.0) == 0
     assert n_right(found[:0], labels, middles, 3.0) == 0
 
