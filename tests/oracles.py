@@ -23,7 +23,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from async_tnt import TNTConfig, TNTVolume
+from async_tnt import Counts, TNTConfig, TNTVolume
 
 
 def fma(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -133,6 +133,7 @@ class Oracle:
         self.passed_us = 0  # moments up to this one are over
         self.close_calls = 0  # probabilities so near the level that exp's last bit decides
         self.received = self.dropped_late = self.dropped_decided = 0
+        self.closed: list[Counts] = []  # what became of the events of each window that is no longer open
         self.every_us: int | None = None
         self.every_events: int | None = None
         self.confidence: float | None = None
@@ -177,10 +178,24 @@ class Oracle:
 
     def finish(self) -> list[Values]:
         decisions = [self._decision(window, "end")[0] for window in self.windows if window.times]
+        self.closed += [window.volume.counts for window in self.windows]
         if self.windows and not self.config.window_events:
             self.decided_from_us = math.inf
         self.windows = []
         return decisions
+
+    @property
+    def counts(self) -> Counts:
+        """See `Processor.counts`: of all windows together; received, late and decided count once."""
+        of_windows = [*self.closed, *(window.volume.counts for window in self.windows)]
+        return Counts(
+            received=self.received,
+            kept=sum(counts.kept for counts in of_windows),
+            dropped_outside=sum(counts.dropped_outside for counts in of_windows),
+            dropped_tau_zero=sum(counts.dropped_tau_zero for counts in of_windows),
+            dropped_late=self.dropped_late,
+            dropped_decided=self.dropped_decided,
+        )
 
     def _pass_time(self, t_us: int) -> list[Values]:
         """What is due at moments up to `t_us`."""
@@ -224,6 +239,7 @@ class Oracle:
     def _close(self, decided: bool, now_us: int) -> None:
         """Close the oldest window; the next one decides from now on."""
         oldest = self.windows.pop(0)
+        self.closed.append(oldest.volume.counts)
         if self.config.window_events:
             self.next_start_us = None  # at the next event
         else:

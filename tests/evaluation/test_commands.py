@@ -16,7 +16,8 @@ from made import thesis_model
 from processes import started
 from waiting import until
 
-from async_tnt.evaluation.early import decision_at
+from async_tnt import TNTConfig
+from async_tnt.evaluation.early import LEVELS, decision_at, early_fields
 from async_tnt.evaluation.records import processor_of
 
 
@@ -64,6 +65,19 @@ def test_a_moment_knows_the_events_before_it_and_no_others():
     window = [SimpleNamespace(window_start_us=5, time_us=5 + t) for t in times]
     expected = [None, window[0], window[0], window[1], window[1], window[3]]
     assert [decision_at(window, moment) for moment in (0, 1, 10, 11, 20, 30)] == expected
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exactly(level):
+    config = TNTConfig(window_us=1000)
+    at = {200: np.nextafter(level, 0), 410: level, 500: 1.0}
+    window = [
+        SimpleNamespace(window_start_us=5, time_us=5 + t, index=k, probability=p, trigger="every_us")
+        for k, (t, p) in enumerate(at.items())
+    ]
+    found = early_fields(window, config)
+    assert found["confident"][LEVELS.index(level)] == 1
+    assert found["confident_us"][LEVELS.index(level)] == 420  # when the event at 410 was known
 
 
 @pytest.mark.parametrize(

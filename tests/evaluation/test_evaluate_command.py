@@ -115,6 +115,97 @@ def test_early_decisions_are_those_of_an_independent_count(saved, dataset, windo
     assert decided[0] == 1 and decided[2] > 0 and decided[-1] == 0
 
 
+EARLY = "decided_at", "probability_at", "confident", "confident_us"
+LEVELS = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
+
+
+def record_by_hand(model, events):
+    """What a result file says of a recording in order, but for late events of windows before."""
+    window_us, step_us = model.config.window_us, model.config.window_us // 50
+    number = (events["t"] - events["t"][0]) // window_us
+    in_time = number == np.maximum.accumulate(number)
+    lists = "window_start_us", "window_probabilities", *EARLY
+    record = {name: [] for name in lists} | {"decisions": 0}
+    for k in np.unique(number[in_time]).tolist():
+        start_us, inside = int(events["t"][0]) + k * window_us, events[in_time & (number == k)]
+        since = inside["t"] - start_us
+        by_size, before, processor = {0: None}, 0, Processor(model, start_us=start_us)
+        for n in np.unique([*np.searchsorted(since, range(step_us, window_us, step_us)), len(inside)]).tolist():
+            processor.push(inside[before:n])
+            by_size[n], before = processor.fire() if n else None, n
+        # in the last window time ends with its events
+        passed = int(since[-1]) if k == number.max() else window_us - 1
+        moments = [m for m in range(step_us, passed + 1, step_us) if m < window_us]
+        sizes = np.searchsorted(since, moments).tolist()
+        due = [(m, n) for i, (m, n) in enumerate(zip(moments, sizes, strict=True)) if n > (sizes[i - 1] if i else 0)]
+        made = [*((m, by_size[n]) for m, n in due), (window_us, by_size[len(inside)])]
+        tenths = [*(5 * step_us * j for j in range(1, 10)), window_us]
+        at = [by_size[n] for n in np.searchsorted(since, tenths).tolist()]
+        first = [next(((m, d) for m, d in made if d.probability >= level), (-1, None)) for level in LEVELS]
+        record["window_start_us"].append(start_us)
+        record["window_probabilities"].append(made[-1][1].probabilities.tolist())
+        record["decided_at"].append([-1 if d is None else d.index for d in at])
+        record["probability_at"].append([-1.0 if d is None else d.probability for d in at])
+        record["confident"].append([-1 if d is None else d.index for _, d in first])
+        record["confident_us"].append([m for m, _ in first])
+        record["decisions"] += len(made)
+    mean = np.mean(record["window_probabilities"], axis=0)
+    record |= {
+        "events": len(events),
+        "late": int((~in_time).sum()),
+        "label": CLASSES[mean.argmax()],
+    }
+    return record | {"probabilities": mean.tolist(), "error": None, "class": "flat"}
+
+
+@pytest.mark.parametrize("window_us", [60_000, 60_049, 137])
+def test_a_record_is_what_an_independent_count_of_its_recording_gives(model, window_us, tmp_path, program):
+    """Also where a fiftieth of a window is no whole number of microseconds; pauses, late events."""
+    of_window = thesis_model(model.config.replace(window_us=window_us), model.weights, CLASSES)
+    saved = of_window.save(tmp_path / "m.safetensors")
+    kept = []
+    for seed in range(3):
+        events = bar(
+            ("flat", "upright", "slanted")[seed],
+            seed,
+            n=700,
+            duration_us=4 * window_us,
+            start_us=10**9,
+        )
+        events["t"][300:] += (0, 3 * window_us + 5, 40 * window_us)[seed]
+        events["t"][310::90] -= 2 * window_us
+        events["t"] = np.maximum(events["t"], 10**9)
+        write(tmp_path / "set" / "flat" / f"{seed}.npy", events)
+        kept.append(record_by_hand(of_window, events))
+    out = tmp_path / "r.jsonl"
+    code, printed, _ = program("evaluate", saved, tmp_path / "set", "--out", out, "--json")
+    records, report = (
+        [json.loads(line) for line in out.read_text().splitlines()],
+        json.loads(printed),
+    )
+    assert code == 0 and [record["recording"] for record in records] == [f"flat/{k}.npy" for k in range(3)]
+    for record, expected in zip(records, kept, strict=True):
+        assert {name: record[name] for name in expected} == expected
+    for name in ("decisions", "events", "late"):
+        assert report[name] == sum(record[name] for record in kept)
+    decided = np.concatenate([np.reshape(record["decided_at"], -1) for record in kept])
+    probability = np.concatenate([np.reshape(record["probability_at"], -1) for record in kept])[decided >= 0]
+    right, tenth = (
+        decided[decided >= 0] == CLASSES.index("flat"),
+        np.minimum(probability * 10, 9).astype(int),
+    )
+    assert 0 < len(right) < len(decided)
+    of_tenths = [(tenth == k) for k in range(10) if (tenth == k).any()]
+    assert [row["decisions"] for row in report["calibration"]] == [some.sum() for some in of_tenths]
+    for name, values in (("probability", probability), ("accuracy", right)):
+        assert [row[name] for row in report["calibration"]] == pytest.approx(
+            [values[some].mean() for some in of_tenths]
+        )
+    errors = [some.mean() * abs(probability[some].mean() - right[some].mean()) for some in of_tenths]
+    assert report["calibration_error"] == pytest.approx(sum(errors))
+    assert report["late"] > 0 and {us for record in kept for row in record["confident_us"] for us in row} > {-1}
+
+
 def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(model, program, tmp_path):
     """Two may begin at the same moment."""
     of_events = thesis_model(model.config.replace(window_events=10), model.weights, CLASSES)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from made import events_of
 from torch import nn
 
-from async_tnt import Model, TNTConfig
-from async_tnt.evaluation.object_scores import score_objects
+from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
+from async_tnt.evaluation.object_scores import score_objects, score_recording
 from async_tnt.evaluation.object_tables import read_table
-from async_tnt.kernels.objects import FOUND_SIZE
+from async_tnt.kernels.objects import FOUND_SIZE, X, Y
 
 CONFIG = TNTConfig(
     sensor=(64, 40), grid=(64, 40), representation="count", bins=1, polarity="split", transform="none", window_us=1000
@@ -141,6 +141,74 @@ def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
         read_table(path, ("on", "off"))
 
 
+def clusters(rng, n=45):
+    """Twelve events at one pixel, again and again, on a grid of times, as ends of windows."""
+    rows = []
+    for _ in range(n):
+        t, x, y, p = (
+            100 * rng.integers(0, 120),
+            rng.integers(0, 64),
+            rng.integers(0, 40),
+            rng.integers(0, 2),
+        )
+        rows += [(t + 100 * int(rng.integers(0, 5)), x, y, p) for _ in range(12)]
+    rows.sort(key=lambda row: row[0] + rng.integers(0, 150))
+    return events_of(*np.array(rows).T)
+
+
+def scored_by_hand(model, events, rows, share):
+    """(there, found, right) of each class: each moment by itself, matched in plain Python."""
+    counts = np.zeros((3, 2), int)
+    for end_us in sorted({row[0] for row in rows}):
+        start_us = end_us - CONFIG.window_us
+        inside = events[(events["t"] >= start_us) & (events["t"] < start_us + share * CONFIG.window_us)]
+        inside = inside[np.argsort(inside["t"], kind="stable")]
+        inside["t"] -= start_us
+        processor = Processor(model, start_us=0)
+        processor.push(inside)
+        waiting = [(("on", "off").index(name), x, y) for t, name, x, y in rows if t == end_us]
+        for label, *_ in waiting:
+            counts[0, label] += 1
+        for one in processor.fire().objects:
+            counts[1, one.index] += 1
+            away = {k: np.hypot(x - one.x, y - one.y) for k, (label, x, y) in enumerate(waiting) if label == one.index}
+            nearest = min(away, key=away.get, default=None)
+            if nearest is not None and away[nearest] <= 5:
+                counts[2, one.index] += 1
+                waiting.pop(nearest)
+    return counts.tolist()
+
+
+@pytest.mark.parametrize("packet_events", [1, 37, 100_000])
+def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, packet_events):
+    """Moments closer together than a window, several objects at one, and a table in no order.
+
+    Late events are found within their packet.
+    """
+    rng, model = np.random.default_rng(4), load_model(saved)
+    events = clusters(rng)
+    if packet_events < len(events):
+        events = events[np.argsort(events["t"], kind="stable")]
+    rows = []
+    for event in events[rng.permutation(len(events))[:60]].tolist():
+        x, y = (int(np.clip(event[1 + k] + rng.integers(-4, 5), 0, (63, 39)[k])) for k in range(2))
+        rows.append((event[0] + 100 * int(rng.integers(1, 10)), ("off", "on")[event[3]], x, y))
+    np.savez(tmp_path / "a.npz", sensor=CONFIG.sensor, events=events)
+    write_points(tmp_path / "a_objects.csv", rows)
+    recording = open_recording(tmp_path / "a.npz", packet_events=packet_events)
+    found = score_recording(model, recording, read_table(tmp_path / "a_objects.csv", model.classes))
+    assert list(found) == [0.3, 0.5, 1.0]
+    for share, scores in found.items():
+        expected = scored_by_hand(model, events, rows, share)
+        assert [scores.there.tolist(), scores.found.tolist(), scores.right.tolist()] == expected, share
+        (there, n_found, right), words = (
+            np.sum(expected, axis=1).tolist(),
+            scores.to_dict(model.classes),
+        )
+        assert (5 if share == 1 else 0) < right < there and scores.f1 == 2 * right / (there + n_found)
+        assert words["precision"] == round(right / n_found, 5) and words["recall"] == round(right / there, 5)
+
+
 def test_how_near_is_near_enough(tmp_path):
     """Within a box, of at least a pixel a side, or so many pixels from a point."""
     write_points(tmp_path / "a_objects.csv", [(1, "on", 10, 20, 8, 0), (2, "on", 10, 20, 0, 0)], "t,class,x,y,w,h")
@@ -160,8 +228,24 @@ def test_matches_by_hand():
     assert n_right(found, labels, middles, 3.0) == 2
     assert n_right(found, labels, middles, 2.0) == 1
     assert n_right(found, labels, middles, np.array([[2.0, 2], [2, 2], [1, 3]])) == 2
+    # the likeliest takes the one a pixel away and leaves the other, four away, to the next
+    beside = np.array([[6.0, 10], [11, 10]])
+    found[1, 0] = 2
+    assert n_right(found[:2], np.zeros(2, int), beside, 5.0) == 2
+    assert n_right(found[1::-1], np.zeros(2, int), beside[::-1], 5.0) == 2
     assert n_right(found, np.zeros(0, int), np.zeros((0, 2)), 3.0) == 0
     assert n_right(found[:0], labels, middles, 3.0) == 0
+
+
+def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
+    """At every angle, a thousandth inside and outside; with one number for all, a circle."""
+    middle, found = np.array([[20.0, 30.0]]), np.zeros((1, FOUND_SIZE))
+    for reach in (np.array([[8.0, 3.0]]), np.array([[0.5, 6.0]]), 5.0):
+        across, down = np.broadcast_to(reach, (1, 2))[0]
+        for angle in np.linspace(0, 2 * np.pi, 33):
+            for share, right in ((0.999, 1), (1.001, 0)):
+                found[0, [X, Y]] = middle[0] + share * np.array([across * np.cos(angle), down * np.sin(angle)])
+                assert score_objects(found, np.zeros(1, int), middle, reach, 1).right.sum() == right, (reach, angle)
 
 
 CELLS = st.one_of(st.integers(), st.floats().map(str), st.sampled_from(["on", "", '"', "\0", "1e999", "nan"]))

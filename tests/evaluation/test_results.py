@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.results import ResultFile, collect
 from async_tnt.progress import Bar
+from async_tnt.sources.pixel_selection import PixelSelection
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]
@@ -119,6 +120,29 @@ def test_new_and_changed_recordings_are_done_and_no_others(finished, tmp_path):
     fresh = finished.with_stem("fresh")
     collected_to(fresh, tasks)
     assert finished.read_bytes() == fresh.read_bytes()
+
+
+@pytest.mark.parametrize("change", [{"bytes": 7}, {"modified_ns": 7}, {"label": "another class"}], ids=str)
+def test_a_recording_of_another_size_time_or_class_is_done_again_and_no_other(finished, tasks, change):
+    done = []
+    tasks[1] = replace(tasks[1], **change)
+    records, kept, _ = collected_to(finished, tasks, noting(done))
+    assert done == [NAMES[1]] and kept == len(NAMES) - 1
+    changed = next(record for record in records if record["recording"] == NAMES[1])
+    assert change.get("label") == changed["class"]
+    assert collected_to(finished, tasks, noting(done))[1] == len(NAMES) and len(done) == 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"version": "0.1"}, {"model_sha256": "b" * 64}, {"pixels": PixelSelection(roi=(0, 0, 9, 9))}],
+    ids=["version", "model", "pixels"],
+)
+def test_results_of_another_version_model_or_selection_of_pixels_are_refused(finished, tmp_path, changes):
+    theirs = make_tasks(tmp_path / "set", NAMES, replace(JOB, **changes))
+    with pytest.raises(ValueError, match="was made with another model, version or selection of pixels"):
+        collected_to(finished, theirs)
+    assert len(collected_to(finished, theirs, restart=True)[0]) == len(NAMES)
 
 
 def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished, tasks):

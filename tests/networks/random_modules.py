@@ -70,13 +70,18 @@ class RandomModule(nn.Module):
         return values[-1]
 
 
+def is_wild(seed: int) -> bool:
+    """A third of the modules: in place, hooks, own classes, shared and functional layers."""
+    return seed % 3 == 0
+
+
 class _Builder:
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
         torch.manual_seed(seed)
         self.parts: list[nn.Module] = []
         self.steps: list[Step] = []
-        self.wild = seed % 3 == 0  # a third of the modules: in place, hooks, own classes, shared and functional layers
+        self.wild = is_wild(seed)
         self.shapes = [SHAPE]
 
     def pick(self, *choices):

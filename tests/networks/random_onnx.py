@@ -137,7 +137,9 @@ class _Builder:
         op = self.pick("Sigmoid", "Tanh", "HardSigmoid", "HardSwish", "Gelu", "SiLU", "Log1p")
         if op == "SiLU":
             self.node("Sigmoid")
-            self.node("Mul", before)
+            factor = self.value
+            self.value, other = self.pick((before, factor), (factor, before))
+            self.node("Mul", other)
         elif op == "Log1p":
             self.node("Relu")
             self.node("Add", self.constant(np.float32(2.0 if self.chance(0.3) else 1.0)))
@@ -221,6 +223,129 @@ def _shape(proto: onnx.ModelProto) -> tuple[int, ...] | None:
         return None
     sides = tuple(side.dim_value for side in output)[1:]
     return sides if sides and min(sides) > 0 else None
+
+
+def _values(proto: onnx.ModelProto) -> dict[str, np.ndarray]:
+    """The constants of a file by name."""
+    tensors = [*proto.graph.initializer]
+    tensors += [node.attribute[0].t for node in proto.graph.node if node.op_type == "Constant"]
+    return {tensor.name: numpy_helper.to_array(tensor) for tensor in tensors}
+
+
+def _shapes(proto: onnx.ModelProto) -> dict[str, list[int]]:
+    """The shape of each value, by ONNX's own rules, where they tell; 0 for an open side."""
+    graph = onnx.shape_inference.infer_shapes(proto).graph
+    values = [*graph.input, *graph.value_info, *graph.output]
+    return {value.name: [side.dim_value for side in value.type.tensor_type.shape.dim] for value in values}
+
+
+class _Of:
+    """A node as the rules below see it: attributes, constant inputs, the shape of its first map."""
+
+    def __init__(self, node: onnx.NodeProto, values: dict[str, np.ndarray], shapes: dict[str, list[int]]) -> None:
+        self.op, self.domain, self.n_outputs = node.op_type, node.domain, len(node.output)
+        self.attributes = {one.name: helper.get_attribute_value(one) for one in node.attribute}
+        self.constants = [values[name] for name in node.input if name in values]
+        self.sources = [name for name in node.input if name and name not in values]
+        self.source = shapes.get(self.sources[0], []) if self.sources else []
+
+    def get(self, name: str, default: Any) -> Any:
+        value = self.attributes.get(name, default)
+        return value.decode() if isinstance(value, bytes) else value
+
+
+def _pads_otherwise(of: _Of) -> bool:
+    """`auto_pad` beside `pads`, or with a stride, where the sides of the input decide."""
+    auto_pad = of.get("auto_pad", "NOTSET")
+    has_stride = list(of.get("strides", [1, 1])) != [1, 1]
+    return (auto_pad.startswith("SAME") and has_stride) or (auto_pad != "NOTSET" and any(of.get("pads", [0])))
+
+
+def _pools_otherwise(of: _Of) -> bool:
+    is_dilated = list(of.get("dilations", [1, 1])) != [1, 1]
+    pads = of.get("pads", [0] * 4)
+    sides = [side + pads[k] + pads[2 + k] for k, side in enumerate(of.source[2:4])]
+    is_larger = any(k > side > 0 for k, side in zip(of.get("kernel_shape", []), sides, strict=False))
+    return _pads_otherwise(of) or is_dilated or is_larger or of.get("ceil_mode", 0) == 1
+
+
+def _reshapes_otherwise(of: _Of) -> bool:
+    """To other than one row a volume."""
+    rows, n = of.constants[0].tolist()
+    one_row = [-1, int(np.prod(of.source[1:]))]
+    if rows == 0 and of.get("allowzero", 0) == 1:
+        return True
+    is_free = rows in (0, 1) and n in one_row
+    return not (is_free or (rows == -1 and n == one_row[1]))
+
+
+def _trains(of: _Of) -> bool:
+    return of.get("training_mode", 0) == 1 or of.n_outputs > 1
+
+
+GAPS = {
+    "Conv": lambda of: _pads_otherwise(of) or of.get("kernel_shape", []) == [3, 2],
+    "MaxPool": _pools_otherwise,
+    "AveragePool": _pools_otherwise,
+    "DepthToSpace": lambda of: of.get("mode", "DCR") == "DCR",
+    "Concat": lambda of: of.get("axis", 0) not in (1, -3),
+    "Flatten": lambda of: of.get("axis", 1) != 1,
+    "Reshape": _reshapes_otherwise,
+    "HardSigmoid": lambda of: "alpha" not in of.attributes,
+    "Gemm": lambda of: of.get("alpha", 1.0) != 1.0 or of.get("beta", 1.0) != 1.0,
+    "BatchNormalization": _trains,
+    "Clip": lambda of: any(limit.shape != () for limit in of.constants),
+    "Dropout": lambda of: len(of.constants) == 2 and bool(of.constants[1].any()),
+    "Softmax": lambda of: of.get("axis", 1) == 0 or len(of.source) == 4,
+}
+"""Operation -> the forms of it that have no layer."""
+BY_CHANNEL = "Add", "Mul", "PRelu", "BatchNormalization"
+"""Operations with a number for each channel."""
+
+
+def known_gaps(proto: onnx.ModelProto) -> list[str]:
+    """Why a file may be refused: from what `load_model` says it reads, and from ONNX's own rules.
+
+    Where there is no reason, it must be accepted, unless onnxruntime refuses it.
+    """
+    try:
+        onnx.checker.check_model(proto)
+        shapes = _shapes(proto)
+    except Exception:  # of the many that a wrong file may raise
+        return ["no valid file"]
+    values, found = _values(proto), []
+    flattened: set[str] = set()  # maps of several places, without a dense layer since
+    plus_one: set[str] = set()
+    for node in proto.graph.node:
+        of = _Of(node, values, shapes)
+        if of.domain == "my" or GAPS.get(of.op, lambda of: False)(of):
+            found.append(f"a form of {of.op}")
+        if _has_other_constants(of):
+            found.append(f"constants of {of.op}")
+        if of.op == "Log" and of.sources[0] not in plus_one:
+            found.append("a logarithm of other than x + 1")
+        if of.op in BY_CHANNEL and of.constants and flattened.intersection(of.sources):
+            found.append("a number for each place of a flattened map")
+        flattens = of.op in ("Flatten", "Reshape") and max(of.source[2:], default=1) > 1
+        passes_on = of.op not in ("Gemm", "MatMul") and flattened.intersection(of.sources)
+        if flattens or passes_on:
+            flattened.add(node.output[0])
+        if of.op == "Add" and of.constants and (of.constants[0] == 1.0).all():
+            plus_one.add(node.output[0])
+    return found
+
+
+def _has_other_constants(of: _Of) -> bool:
+    """Whether a constant has another type, or neither one number nor one for each channel."""
+    whole = "Constant", "Reshape", "ReduceMean", "Dropout"
+    if of.op not in whole and any(constant.dtype != np.float32 for constant in of.constants):
+        return True
+    if of.op not in ("Add", "Sum", "Mul", "PRelu") or not of.constants:
+        return False
+    sides = list(of.constants[0].shape)
+    while sides[:1] == [1]:
+        sides = sides[1:]
+    return bool(sides) and sides != [*of.source[1:2], *[1] * (len(of.source) - 2)]
 
 
 def random_onnx(seed: int) -> onnx.ModelProto:

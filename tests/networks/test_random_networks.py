@@ -5,6 +5,7 @@ ASYNC_TNT_FUZZ_CASES makes it a long run: it was 20,000 modules and 5,000 files 
 
 import copy
 import os
+import re
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from async_tnt.sources import sample_recordings
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "300"))
 OF_MODULES = TNTConfig(sensor=(11, 12), grid=(11, 12), bins=3)
+KNOWN_GAPS = "a factor alpha has no|is a flattened map: a dense layer|ceil_mode with padding that counts"
 OF_FILES = TNTConfig(sensor=(8, 9), grid=(8, 9), bins=2)
 
 
@@ -46,7 +48,10 @@ def torch_logits(module: torch.nn.Module, volumes: list[np.ndarray], dtype: torc
 
 @pytest.mark.filterwarnings("ignore:Using padding='same' with even kernel")
 def test_a_module_that_is_accepted_is_right():
-    """Within 1e-4 of the largest logit of the module in float64, or four times torch's own error in float32."""
+    """Within 1e-4 of the largest logit in float64, or four times torch's own error in float32.
+
+    Modules without hooks, own classes and operations in place are refused for `KNOWN_GAPS` only.
+    """
     assert OF_MODULES.shape == random_modules.SHAPE
     accepted, classes = 0, [str(k) for k in range(random_modules.N_CLASSES)]
     for seed in range(CASES):
@@ -56,6 +61,7 @@ def test_a_module_that_is_accepted_is_right():
             model = Model.from_torch(module, OF_MODULES, classes)
         except (NotImplementedError, ValueError) as error:
             assert isinstance(error, NotImplementedError) or "the network must compute 4 logits" in str(error)
+            assert random_modules.is_wild(seed) or re.search(KNOWN_GAPS, str(error)), (seed, error)
             continue
         accepted, volumes = accepted + 1, volumes_of(OF_MODULES, seed)
         expected, rounded = (torch_logits(before, volumes, dtype) for dtype in (torch.float64, torch.float32))
@@ -64,8 +70,23 @@ def test_a_module_that_is_accepted_is_right():
     assert accepted > CASES // 3
 
 
+def largest_answer(onnxruntime, path, options) -> float | None:
+    """Of a file's network to a volume of ones; None if onnxruntime cannot open or run it."""
+    try:
+        session = onnxruntime.InferenceSession(path, options)
+        (answer,) = session.run(None, {"x": np.ones((1, *OF_FILES.shape), np.float32)})
+    except Exception:  # of many types
+        return None
+    return float(np.abs(answer).max())
+
+
 def test_a_file_that_is_accepted_is_right(tmp_path):
-    """Within 1e-4 of the largest number, after a softmax if there is one. Every operation is read somewhere."""
+    """Within 1e-4 of the largest number, after a softmax if there is one.
+
+    Every operation is read somewhere.
+    A file is refused only for one of `known_gaps`, or because onnxruntime cannot run it, or, one in
+    thousands, because its numbers cancel until float32's rounding is left.
+    """
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs onnxruntime: pip install 'async_tnt[onnx]'")
     from networks import random_onnx
 
@@ -78,7 +99,10 @@ def test_a_file_that_is_accepted_is_right(tmp_path):
         path.write_bytes(proto.SerializeToString())
         try:
             model = load_model(path, config=OF_FILES)
-        except (NotImplementedError, ValueError):
+        except (NotImplementedError, ValueError) as error:
+            largest = largest_answer(onnxruntime, path, options)
+            has_cancelled = "its layers compute other numbers" in str(error) and (largest or 1) < 0.1
+            assert random_onnx.known_gaps(proto) or largest is None or has_cancelled, (seed, error)
             continue
         accepted, volumes = accepted + 1, volumes_of(OF_FILES, seed)
         session = onnxruntime.InferenceSession(path, options)

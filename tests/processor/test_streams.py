@@ -114,3 +114,28 @@ def test_volumes_are_those_that_a_decision_would_have_seen(settings):
         volumes([EVENTS], config, confidence=0.9)
     with pytest.raises(TypeError, match="`config` must be a TNTConfig, got 'digits'; a model has one as `config`"):
         volumes([EVENTS], "digits")
+
+
+@pytest.mark.parametrize("form", ["packets", "tuples", "columns"])
+def test_volumes_do_with_late_events_what_a_stream_does(form):
+    """`accept` adds them, `drop` leaves them out, `raise` refuses the packet."""
+    config, events = TNTConfig(window_us=1000, bins=3), EVENTS.copy()
+    events["t"][7::9] = np.maximum(0, events["t"][7::9] - 300)
+    in_order = events[events["t"] >= np.maximum.accumulate(events["t"])]
+    assert 300 < len(in_order) < len(events)
+    make = {
+        "packets": lambda: [events[:90], events[90:]],
+        "tuples": lambda: events.tolist(),
+        "columns": lambda: [tuple(events[name] for name in "txyp")],
+    }[form]
+
+    def found(source, **settings):
+        return [(one.start_us, one.events, one.volume.tobytes()) for one in volumes(source, config, **settings)]
+
+    dropped, accepted = found(make(), late="drop"), found(make(), late="accept")
+    assert dropped == found([in_order]) != accepted == found(make()) == found([events])
+    with pytest.raises(ValueError, match=r"`t` must not run backwards \(late=\"raise\"\)"):
+        found(make(), late="raise")
+    assert found([in_order], late="raise") == dropped
+    counts = [(d.window_start_us, d.events) for d in stream(make(), config, classifier=lambda v: [0.0], late="drop")]
+    assert counts == [one[:2] for one in dropped]

@@ -1,14 +1,17 @@
 """Which decisions fall when: Processor against a plain oracle, for any cut of any stream."""
 
 import copy
+import itertools
 from dataclasses import replace
 from functools import cache
 from unittest import mock
 
+import numpy as np
+import pytest
 from deciding import uneven
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
-from made import nasty_streams, random_events, random_model
+from made import events_of, nasty_streams, random_events, random_model
 from oracles import Oracle, as_values
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
@@ -71,9 +74,7 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
     if oracle.close_calls:
         reject()
     assert [as_values(d) for d in decisions + processor.finish()] == expected
-    counts = processor.counts
-    assert counts.received == oracle.received
-    assert (counts.dropped_late, counts.dropped_decided) == (oracle.dropped_late, oracle.dropped_decided)
+    assert processor.counts == oracle.counts
 
 
 @settings(max_examples=2 * settings.default.max_examples)
@@ -109,3 +110,60 @@ def check(events, way, windows, triggers, steps) -> None:
             setattr(processor, name, value)
             assert getattr(processor, name) == value
     assert_equal(oracle, processor, decisions, expected)
+
+
+def with_stragglers(seed: int, n: int = 700) -> np.ndarray:
+    """A dense stream with events of earlier windows, also from before pauses of windows."""
+    rng = np.random.default_rng(seed)
+    steps = rng.integers(0, 12, n)
+    pauses = rng.random(n) < 0.006
+    times = 3000 + np.cumsum(steps + pauses * rng.integers(1000, 4000, n))
+    back = rng.random(n) < 0.12
+    times[back] = np.maximum(0, times[back] - rng.integers(1, 3500, back.sum()))
+    return events_of(times, rng.integers(0, 8, n), rng.integers(0, 8, n), rng.integers(0, 2, n))
+
+
+HOPS = None, 500, 130
+MOMENTS = None, 200
+EACH_SO_MANY = None, 1, 3
+LEVELS = None, 0.5, 0.9
+OF_A_DURATION = {
+    "callable": (CONFIG, "callable"),
+    "callable, replayed": (REPLAYED, "callable"),
+    "compiled": (TNT, "compiled"),
+    "compiled, replayed": (REPLAYED, "compiled"),
+}
+OF_EVENTS = {
+    "callable, by events": (BY_EVENTS[1], "callable"),
+    "compiled, by events": (BY_EVENTS[0], "compiled"),
+}
+ALL = {f"{name}, hop {hop_us}": (way, hop_us) for name, way in OF_A_DURATION.items() for hop_us in HOPS}
+ALL |= {name: (way, None) for name, way in OF_EVENTS.items()}
+
+
+@pytest.mark.parametrize(("way", "hop_us"), ALL.values(), ids=ALL)
+def test_every_combination_of_triggers_on_a_stream_with_stragglers(way, hop_us):
+    """In one packet, decided in one compiled call where that is possible, and in small ones."""
+    dropped = np.zeros(2, int)
+    for seed, (every_us, every_events, confidence) in enumerate(itertools.product(MOMENTS, EACH_SO_MANY, LEVELS)):
+        triggers = {"every_us": every_us, "every_events": every_events, "confidence": confidence}
+        events = with_stragglers(seed)
+        oracle, whole = pair(*way, hop_us=hop_us, **triggers)
+        _, cut = pair(*way, hop_us=hop_us, **triggers)
+        expected, decisions, first = [], [], 0
+        for size in itertools.cycle([7, 1, 250]):
+            packet = events[first : first + size]
+            expected += oracle.push_all(packet)
+            decisions += cut.push(packet)
+            assert cut.counts == oracle.counts, triggers
+            first += size
+            if first >= len(events):
+                break
+        expected += oracle.finish()
+        if oracle.close_calls:
+            continue
+        assert [as_values(d) for d in decisions + cut.finish()] == expected, triggers
+        assert [as_values(d) for d in whole.push(events) + whole.finish()] == expected, triggers
+        assert whole.counts == cut.counts == oracle.counts, triggers
+        dropped += oracle.dropped_late, oracle.dropped_decided
+    assert way in OF_EVENTS.values() or (dropped > 50).all()

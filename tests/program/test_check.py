@@ -1,6 +1,7 @@
 """`async-tnt check`: it proves that the stream equals the batch reference, and notices when it does not."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from made import random_events, random_model
 from tnt_reference import LayerNetwork
 from torch import nn
 
-from async_tnt import Model, TNTConfig, TNTVolume, load_model
+from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model
 from async_tnt.checking.equality import Comparison, check_recording
 from async_tnt.networks.from_torch import layers_from_torch
 from async_tnt.networks.torch_operations import HeatmapCentroid
@@ -42,6 +43,89 @@ def test_it_says_no_when_a_landmark_is_wrong_by_a_millionth_of_a_pixel(monkeypat
     monkeypatch.setattr(TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-6))))
     code, printed, message = program("check", sample_recordings()[1], "--prefixes", "1")
     assert code == 1 and "FAILS" in printed and "NOT equal" in printed and "landmark" in message
+
+
+def loses_events_of_long_packets(monkeypatch):
+    push = Processor.push
+
+    def lossy(self, events):
+        is_long = isinstance(events, np.ndarray) and len(events) > 50
+        return push(self, events[:-1] if is_long else events)
+
+    monkeypatch.setattr(Processor, "push", lossy)
+
+
+def finds_no_end_of_long_streams(monkeypatch):
+    """All at once, the last window is lost."""
+    push, finish = Processor.push, Processor.finish
+    longest = []
+
+    def noting(self, events):
+        longest.append(len(events))
+        return push(self, events)
+
+    monkeypatch.setattr(Processor, "push", noting)
+    monkeypatch.setattr(Processor, "finish", lambda self: [] if longest[-1] > 110 else finish(self))
+
+
+def opens_windows_a_microsecond_late(monkeypatch):
+    init = Processor.__init__
+
+    def late(self, *given, start_us=None, **settings):
+        init(self, *given, start_us=None if start_us is None else start_us + 1, **settings)
+
+    monkeypatch.setattr(Processor, "__init__", late)
+
+
+def reads_volumes_that_are_too_large(monkeypatch):
+    array = TNTVolume.array.fget
+    monkeypatch.setattr(TNTVolume, "array", property(lambda self: array(self) * np.float32(1 + 1e-5)))
+
+
+def finds_other_landmarks(monkeypatch):
+    landmark = TNTVolume.landmark.fget
+    monkeypatch.setattr(TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-8))))
+
+
+def decides_otherwise_than_the_whole_network(monkeypatch):
+    """By the last bit."""
+    whole = CompiledClassifier.__call__
+    monkeypatch.setattr(CompiledClassifier, "__call__", lambda self, v: np.nextafter(whole(self, v), np.float32(9)))
+
+
+def decides_otherwise_than_the_reference(monkeypatch):
+    """In the stream and as a whole alike: of another model."""
+    init = CompiledClassifier.__init__
+
+    def other(self, model):
+        weights = {**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(1e-3)}
+        init(self, replace(model, weights=weights))
+
+    monkeypatch.setattr(CompiledClassifier, "__init__", other)
+
+
+BROKEN = {  # what is broken -> the promise that no longer holds
+    loses_events_of_long_packets: "volumes that depend on packets",
+    finds_no_end_of_long_streams: "volumes that depend on packets",
+    opens_windows_a_microsecond_late: "windows against reference",
+    reads_volumes_that_are_too_large: "volume against reference, of the largest cell",
+    finds_other_landmarks: "landmark against reference, px",
+    decides_otherwise_than_the_whole_network: "bits that depend on earlier decisions",
+    decides_otherwise_than_the_reference: "logits against reference",
+}
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.__name__)
+def test_it_says_no_to_each_promise_that_is_broken_and_to_no_other(broken, monkeypatch):
+    model = random_model(TNTConfig(landmark="running", t_max=2.0), widths=(3, 4, 5))
+    events = random_events(150, duration_us=200_000, start_us=7)
+
+    def what_fails():
+        return {one.what for one in check_recording(events, model, prefixes=3, start_us=0) if not one.holds}
+
+    assert what_fails() == set()
+    broken(monkeypatch)
+    assert what_fails() == {BROKEN[broken]}
 
 
 @pytest.mark.parametrize("read", [lambda module, _: module, lambda *given: LayerNetwork(*layers_from_torch(*given))])

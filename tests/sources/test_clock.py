@@ -47,6 +47,13 @@ def flat(packets):
         (MINUTE_US - BACK_US // 4 - 1, 3 * BACK_US // 4, False),  # sent again
         (MINUTE_US - REORDERED_US - 1, 2 * JUMP_US, False),
         (MINUTE_US + 1, HOUR_US, True),  # a slow clock
+        (
+            MINUTE_US + JUMP_US,
+            -3 * JUMP_US,
+            True,
+        ),  # the receiver's own clock was set back: nothing has passed
+        (MINUTE_US + JUMP_US + 1, -3 * JUMP_US, False),
+        (MINUTE_US - BACK_US - 1, -3 * JUMP_US, False),
     ],
 )
 def test_the_bounds_by_hand(time, arrival_us, kept):
@@ -141,6 +148,36 @@ def test_after_anything_one_stream_is_followed_again(starts, first):
     length = 4 * N  # 3 s: a fall by less than a second, which is no jump, is caught up with
     kept, _ = by_clock([[first]] + [[start + k * 100_000] for start in starts for k in range(length)])
     assert np.diff(flat(kept[-N:])).tolist() == [100_000] * (N - 1) and flat(kept)[-1] == max(flat(kept))
+
+
+@pytest.mark.parametrize(("apart", "agree"), [(JUMP_US, True), (JUMP_US + 1, False)])
+def test_votes_agree_within_the_largest_jump_of_each_other_either_way(apart, agree):
+    times = [20 * MINUTE_US + k % 2 * apart for k in range(N)]
+    kept, _ = by_clock([[5], *[[t] for t in times]])
+    assert kept == [[5], *NOTHING, times[-1:] if agree else []]
+
+
+def test_a_packet_with_one_event_of_the_old_stream_ends_the_vote_though_another_jumps():
+    """Seven votes, then such a packet, over and over: the clock never moves."""
+    moved = [[30 * MINUTE_US]] * (N - 1)
+    kept, (_, _, restarts) = by_clock([[MINUTE_US], *[*moved, [MINUTE_US + 1, 30 * MINUTE_US]] * 4])
+    assert flat(kept) == [MINUTE_US, *[MINUTE_US + 1] * 4] and restarts == 0
+
+
+def test_time_that_passed_before_the_previous_vote_is_no_reason_to_agree():
+    """Votes that come an hour after the newest event, and each further ahead than a jump."""
+    ahead = [[5 * HOUR_US + 2 * k * JUMP_US] for k in range(2 * N)]
+    kept, _ = by_clock([[MINUTE_US], *ahead], [0, *[HOUR_US] * 2 * N])
+    assert kept == [[MINUTE_US], *[[]] * 2 * N]
+
+
+def test_without_a_limit_every_time_below_the_largest_is_kept_as_it_is():
+    """In whole packets, and in those of which some events are dropped."""
+    packets = [[5], [2**62 - 1], [2**62], [0], [2**62, 7], [2**61, 2**62 - 1, 2**62], [-1, 3]]
+    expected = [[5], [2**62 - 1], [], [0], [7], [2**61, 2**62 - 1], [3]]
+    kept, (jumped, late, restarts) = by_clock(packets, max_jump_s=None, dtype=SIGNED)
+    assert kept == expected and (jumped, restarts) == (0, 0)
+    assert late == 4  # 0, 7, 2**61 and 3; 2**62 - 1 is no older than itself
 
 
 def test_wrong_arguments():

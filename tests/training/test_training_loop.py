@@ -1,5 +1,6 @@
 """The loop learns, records what it did, and an interruption leaves no trace in the weights."""
 
+import copy
 import json
 import os
 from dataclasses import replace
@@ -18,8 +19,8 @@ from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.loop import _optimizer, batches_of  # noqa: E402
-from async_tnt.training.objectives import ClassOfWindows  # noqa: E402
-from async_tnt.training.pipeline import Pipeline  # noqa: E402
+from async_tnt.training.objectives import ClassOfWindows, ObjectsInScenes  # noqa: E402
+from async_tnt.training.pipeline import Pipeline, new_pipeline, pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
@@ -175,6 +176,145 @@ def test_dropout_is_drawn_from_the_seed_and_an_epoch_may_end_in_a_single_window(
     assert torch.equal(torch.get_rng_state(), state)
     torch.rand(3)
     assert_equal(train(CONFIG, windows[:24], windows[:6], settings, tmp_path / "two").model, one.model)
+
+
+@pytest.fixture
+def own(tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    return f"{tmp_path / 'mine.py'}:build"
+
+
+def test_measuring_leaves_no_trace_in_a_network_and_drops_nothing_out(own, windows):
+    """Statistics stay those of the training windows, and it goes on training. Scenes, too."""
+    plain = CONFIG.replace(transform="none", polarity="split", landmark="center", bins=2)
+    of_scenes = TrainSettings(network="map")
+    cases = [
+        (
+            CONFIG,
+            own,
+            lambda pipeline: evaluate(pipeline, windows[:9], times_ms=(20,)).probabilities.tolist(),
+        ),
+        (CONFIG, own, ClassOfWindows(CONFIG, windows[:9], ONE_EPOCH, 2).validate),
+        (plain, "map", ObjectsInScenes(plain, windows[:9], of_scenes, CLASSES).validate),
+    ]
+    for config, network, measure in cases:
+        pipeline = new_pipeline(config, 2, 0, windows, network)
+        with torch.no_grad():
+            for module in pipeline.modules():
+                if isinstance(module, torch.nn.BatchNorm2d):
+                    module.running_mean.uniform_(-1, 1)
+        pipeline.train()
+        before = copy.deepcopy(pipeline.state_dict())
+        found = measure(pipeline)
+        assert measure(pipeline) == found and pipeline.training
+        torch.testing.assert_close(dict(pipeline.state_dict()), dict(before), rtol=0, atol=0)
+        assert measure(pipeline.eval()) == found and not pipeline.training
+
+
+@pytest.mark.parametrize("averaging", [0.0, 0.6])
+def test_what_is_held_out_is_measured_on_the_finished_model_and_changes_no_weight(averaging, own, windows, tmp_path):
+    settings = TrainSettings(epochs=2, batch=16, network=own, averaging=averaging, balance=True)
+    seen, held_out = windows[:50], windows[50:]
+    with_them = train(CONFIG, seen, held_out, settings, tmp_path / "with")
+    without = train(CONFIG, seen, held_out[:0], settings, tmp_path / "without")
+    assert_equal(with_them.model, without.model)
+    finished, last = evaluate(pipeline_of(with_them.model), held_out), with_them.history[-1]
+    assert (last["per_window"], last["per_recording"]) == (
+        finished.per_window,
+        finished.per_recording,
+    )
+    losses = -np.log(finished.complete[np.arange(len(held_out)), held_out.labels])
+    of_classes = [losses[held_out.labels == label].mean() for label in (0, 1)]
+    assert last["validation_loss"] == pytest.approx(np.mean(of_classes), abs=1e-5)
+
+
+DEAD = """
+from torch import nn
+
+def build(channels, grid, n_classes):
+    conv, last = nn.Conv2d(channels, 4, 3), nn.Linear(4, n_classes)
+    nn.init.constant_(conv.bias, -1e3)
+    return nn.Sequential(conv, nn.ReLU(), nn.AdaptiveAvgPool2d(1), nn.Flatten(), last)
+
+def normed(channels, grid, n_classes):
+    layers = [nn.BatchNorm2d(channels), nn.AdaptiveAvgPool2d(1), nn.Flatten()]
+    return nn.Sequential(*layers, nn.Linear(channels, n_classes))
+"""
+"""Of the first, no gradient reaches any weight: its logits are its last bias, whatever is shown."""
+SHARES = [0.25, 0.5, 0.75, 1, 1, 0.8535534, 0.5, 0.1464466]
+"""Of the highest rate: 4 of 8 steps up, 4 along a cosine, 1/2 (1 + cos(pi k / 4))."""
+
+
+def averages(values, share):
+    """a <- k a + (1 - k) v; k is `share`, but at first only 2/11, 3/12, 4/13 ..."""
+    average = values[0]
+    for n, value in enumerate(values[1:], start=1):
+        kept = min(share, (n + 1) / (n + 10))
+        average = kept * average + (1 - kept) * value
+    return average
+
+
+def test_rates_decay_and_averages_are_those_of_their_equations(windows, tmp_path):
+    """A weight without gradient only decays: w <- w (1 - rate decay); a bias does not."""
+    (tmp_path / "dead.py").write_text(DEAD)
+    settings = TrainSettings(epochs=4, batch=36, learning_rate=0.5, weight_decay=0.2, warm_up=0.5)
+    settings = replace(settings, network=f"{tmp_path / 'dead.py'}:build")
+    assert settings.n_iterations(len(windows)) == len(SHARES)
+
+    def weights_after(name, **changes):
+        run = train(CONFIG, windows, windows[:0], replace(settings, **changes), tmp_path / name)
+        return {(w.ndim > 1, w.shape): w for w in run.model.weights.values()}
+
+    first = weights_after("first", weight_decay=0.0)
+    decay = np.cumprod([1 - 0.5 * 0.2 * share for share in SHARES])
+    for name, changes, expected in (
+        ("decayed", {}, decay[-1]),
+        ("low average", {"averaging": 0.2}, averages(decay, 0.2)),
+        ("high average", {"averaging": 0.99}, averages(decay, 0.99)),
+        (
+            "no warm-up",
+            {"iterations": 3, "warm_up": 0.0},
+            0.9 * 0.9 * (1 - 0.1 * 0.5),
+        ),  # cos(0), cos(pi / 2)
+    ):
+        decayed = weights_after(name, **changes)
+        for (is_weight, shape), w in first.items():
+            if is_weight:
+                np.testing.assert_allclose(decayed[is_weight, shape], expected * w, rtol=2e-6)
+            elif shape == (4,):
+                np.testing.assert_allclose(decayed[is_weight, shape], w, rtol=2e-6)
+
+
+def test_batch_norms_have_the_average_of_their_statistics(windows, tmp_path):
+    """With all windows in each batch they are m (1 - .9^k) after k steps, m that of the batch."""
+    (tmp_path / "dead.py").write_text(DEAD)
+    network = f"{tmp_path / 'dead.py'}:normed"
+    settings = TrainSettings(epochs=5, batch=len(windows), augmentation=None, network=network)
+    means = {}
+    for averaging in (0.0, 0.7):
+        folder = tmp_path / str(averaging)
+        model = train(CONFIG, windows, windows[:0], replace(settings, averaging=averaging), folder).model
+        (means[averaging],) = (w for name, w in model.weights.items() if name.endswith("running_mean"))
+    shares = 1 - 0.9 ** np.arange(1, 6)
+    assert np.abs(means[0.0]).max() > 0
+    np.testing.assert_allclose(means[0.7], means[0.0] * averages(shares, 0.7) / shares[-1], rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.2])
+def test_loss_and_accuracy_of_an_epoch_are_means_over_its_windows(smoothing, windows, tmp_path):
+    """Also where its last batch is smaller. The same logits for all: only the class counts."""
+    (tmp_path / "dead.py").write_text(DEAD)
+    labels = np.array([0] * 18 + [1] * 6)
+    uneven = replace(windows, recordings=replace(windows.recordings, labels=labels))
+    settings = TrainSettings(epochs=1, batch=50, learning_rate=1e-12, label_smoothing=smoothing)
+    settings = replace(settings, network=f"{tmp_path / 'dead.py'}:build")
+    run = train(CONFIG, uneven, uneven[:0], settings, tmp_path / "run")
+    (logits,) = (w for w in run.model.weights.values() if w.shape == (2,))
+    told = logits - np.log(np.exp(logits).sum())
+    target = np.eye(2) * (1 - smoothing) + smoothing / 2
+    expected = 0.75 * -(target[0] @ told) + 0.25 * -(target[1] @ told)
+    assert run.history[0]["loss"] == pytest.approx(expected, rel=1e-5)
+    assert run.history[0]["training"] == pytest.approx((0.75, 0.25)[logits.argmax()])
 
 
 def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):

@@ -87,6 +87,18 @@ def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
     assert volume_of(config, (100_000_000, 33, 16, 1)).counts.kept == 1
 
 
+@pytest.mark.parametrize(("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"])
+def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
+    """A pixel at the side of four is 1.5 from the centre. k microseconds before tau = 1 it is at
+    1.5 / (1 - k / T), 4.17e-10 k past the border. In packets and one by one."""
+    config = TNT.replace(sensor=(4, 4), grid=(4, 4), bins=2, window_us=3_600_000_000, t_max=1.0)
+    for k, kept in ((1, 1), (2, 1), (3, 0), (4, 0), (25, 0), (1000, 0)):
+        event = config.window_us - k, x, y, 1
+        one, many = volume_of(config, event), volume_of(config)
+        many.update([np.array([value]) for value in event])
+        assert one.counts == many.counts and one.counts.kept == kept, k
+
+
 def test_rounding_leaves_no_trace_at_the_border_nor_on_the_next_cell():
     """At tau = 13 / 13 the first column is at -3.6e-15; pixel 49 of 50 is 1.1e-16 before the second column of two."""
     assert volume_of(TNT.replace(window_us=104), (13, 0, 33, 1)).counts.kept == 1

@@ -190,6 +190,8 @@ ROWS = b"\n".join(b"%d.5 1 2 1" % i if i != 150_000 else b"what" for i in range(
         ("a.dat", dat(EVENTS)[:-1] + b"\x70", r"event 11 \(byte .*\): t = .*, p = 7 is not a valid event", 11),
         ("a.aedat", aedat2(EVENTS, SMALL, "")[:-1], "the file ends 7 bytes into an event, which has 8", 11),
         ("a.aedat", aedat3(EVENTS)[:-45], "the file ends within a packet, which has 2 more events", 11),
+        ("a.aedat", aedat3(EVENTS)[:-3], "the file ends 5 bytes into a packet, which has 8", 12),
+        ("a.aedat", aedat3(EVENTS)[:-33], "the file ends 3 bytes into the header of a packet, which has 28", 12),
         ("a.aedat", aedat3(EVENTS) + b"\1\0" * 14, "has no valid header: type 1, 65537 events of 65537 bytes", 12),
         ("a.aedat", aedat3(EVENTS) + NEGATIVE, "in the packet around byte .*: t = -1, x = 0, y = 0, p = 0 is not", 12),
         ("a.txt", ROWS, "line 150001: .* got 'what'", 150_000),
@@ -210,3 +212,58 @@ def test_a_file_is_read_up_to_the_damage_with_one_warning(tmp_path, name, data, 
     assert str(caught[0].message).endswith(f"Keeping the {n_events} events before{until}.")
     with pytest.raises(ValueError, match=rf"{message}.*\. Fetch the file again\.$"):
         open_recording(tmp_path / name, strict=True).read()
+
+
+LONG = made_events(150_000, step_us=4, sensor=SMALL)
+
+
+def dat_with_a_polarity_of_8(k):
+    data = bytearray(dat(LONG))
+    place = len(data) - 8 * (len(LONG) - k)
+    data[place + 7] |= 0x80
+    return data, place, k
+
+
+def aedat2_with_another_address(k):
+    data = bytearray(aedat2(LONG, SMALL, ""))
+    place = len(data) - 16 * (len(LONG) - k) + 8  # the second of two: the first is no pixel's
+    data[place + 1] |= 1
+    return data, place, k
+
+
+def evt3_with_a_vector_off_every_sensor(k):
+    data = evt3(LONG[:k], (2048, 2048)) + struct.pack("<HHH", 0x8001, 0x0009, 0x3000 | 2040)  # time, row, base
+    return bytearray(data + struct.pack("<H", 0x4FFF) + bytes(1000)), len(data), k
+
+
+def evt2_that_ends_within_a_word(k):
+    data = evt2(LONG[:k]) + b"\1\2\3"
+    return bytearray(data), len(data), k
+
+
+def aedat3_with_an_impossible_packet(k):
+    data = aedat3(LONG[:k])
+    return bytearray(data + struct.pack("<hhiiiiii", 1, 1, 7, 4, 0, 1, 1, 1) + bytes(100)), len(data), k
+
+
+@pytest.mark.parametrize("k", [0, 11, 65_535, 65_536, 140_003])
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [
+        ("a.dat", dat_with_a_polarity_of_8),
+        ("a.aedat", aedat2_with_another_address),
+        ("a.raw", evt3_with_a_vector_off_every_sensor),
+        ("a.raw", evt2_that_ends_within_a_word),
+        ("a.aedat", aedat3_with_an_impossible_packet),
+    ],
+)
+def test_the_byte_of_the_damage_is_named_wherever_it_is(tmp_path, name, make, k):
+    """However many blocks were read before it."""
+    data, byte, n_before = make(k)
+    (tmp_path / name).write_bytes(data)
+    with pytest.warns(DamagedRecording, match=rf"\bbyte {byte}\b"):
+        events = open_recording(tmp_path / name).read()
+    if make is not evt3_with_a_vector_off_every_sensor:
+        np.testing.assert_array_equal(events, LONG[:n_before])
+    else:  # and perhaps those of the vector's events that are on a sensor
+        np.testing.assert_array_equal(events[:n_before], LONG[:n_before])

@@ -144,10 +144,14 @@ def test_addresses_of_cameras_by_hand(tmp_path):
         ("# AEChip: DAViS240C\r\n", of_davis, (189, 159)),
         ("# AEChip: DAViS240C\r\n", 0x23CEF80A, (0, 36)),  # its bytes are #, two that are no text, and a line end
         ("# AEChip: eu.DVS128\r\n", of_dvs128, (77, 107)),
+        ("# AEChip: eu.Foo\r\n# AEChip: eu.DVS128\r\n# AEChip: DAViS240C\r\n", of_dvs128, (77, 107)),  # the first known
+        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 10, None),  # from outside, not of a pixel
+        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 31, None),  # of a frame
+        ("", of_dvs128 | 1 << 15, None),
         ("", of_dvs128, (50, 20)),
     ):
         (tmp_path / "a.aedat").write_bytes(f"#!AER-DAT2.0\r\n{chip}".encode() + struct.pack(">II", address, 7))
-        assert open_recording(tmp_path / "a.aedat").read().tolist() == [(7, *pixel, 1)]
+        assert open_recording(tmp_path / "a.aedat").read().tolist() == ([(7, *pixel, 1)] if pixel else [])
 
 
 def test_atis_events_of_changing_light_by_hand(tmp_path):

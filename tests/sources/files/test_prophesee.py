@@ -64,6 +64,7 @@ HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0
         ([HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5], [(t, 5, 9, 0) for t in (8191, 8192, 8195)]),
         ([0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5], [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)]),  # back
         ([0x8005, ROW, X5, 0x8000, X5], [(5 << 12, 5, 9, 0), (0, 5, 9, 0)]),  # to the beginning
+        ([HIGH, ROW, X5, 0x8000 | 3000, X5], [(4096, 5, 9, 0), (3000 << 12, 5, 9, 0)]),  # a long pause
         ([0x8000 | 3000, ROW, X5, 0x8000 | 952, X5], [(3000 << 12, 5, 9, 0), (952 << 12, 5, 9, 0)]),  # half a period
         ([HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081], [(4101, x, 9, 0) for x in (100, 111, 112, 119)]),
         ([HIGH, ROW, BASE7 | 0x800, X5, VECTOR12], [(4096, 5, 9, 0), (4096, 7, 9, 1)]),  # polarity is the base's
@@ -74,6 +75,16 @@ HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0
 )
 def test_evt3_by_hand(decoded, words, events):
     assert decoded("3.0", words) == events
+
+
+def test_evt2_by_hand(decoded):
+    """A word is an event: polarity, six bits of time, x, y; those before a time are left out."""
+    on, off, high = 1 << 28 | 5 << 22 | 64 << 11 | 9, 63 << 22 | 2047 << 11 | 2047, 8 << 28 | 1
+    assert decoded("2.0", [on, off, high, on, off]) == [(69, 64, 9, 1), (127, 2047, 2047, 0)]
+    period = 1 << 28
+    last = 8 << 28 | period - 1
+    times = [t for t, *_ in decoded("2.0", [last, on, high, on])]
+    assert times == [(period - 1) << 6 | 5, (period + 1) << 6 | 5]
 
 
 def test_evt21_by_hand(decoded):
