@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 import torch
-from tnt_reference import event_volume, fitted_flow, hats, landmark, tnt_volume
+from tnt_reference import (
+    count_timestamp_image,
+    event_volume,
+    fitted_flow,
+    hats,
+    landmark,
+    tnt_volume,
+    windows_of_events,
+)
 
 # 9 bins in 800 us: bin position = TNT time = t / 100. Centre of a 5 x 5 grid: (2, 2).
 SQUARE = dict(start_us=0, window_us=800, sensor=(5, 5), grid=(5, 5))
@@ -81,6 +89,27 @@ def test_events_outside_the_window_take_no_part():
         assert torch.equal(rows[[1, 3]], landmark(name, [101, 102], [2, 4], [1, 3], **SMALL))
         assert rows[[0, 2, 4]].tolist() == [[2.0, 1.0]] * 3  # the centre: filled in, never read
     assert fitted_flow(t, x, y, **SMALL)[[0, 2, 4]].tolist() == [[0.0, 0.0]] * 3
+
+
+def test_windows_of_events_end_with_their_last_event_or_before_their_time_is_over():
+    """At most 20 us from a window's first event on: one exactly 20 us later begins the next."""
+    times = [0, 5, 19, 20, 21, 40, 39, 41, 42, 43]
+    for n, expected in (
+        (9, [[0, 1, 2], [3, 4], [5, 7, 8, 9]]),  # 39 is older than its window
+        (3, [[0, 1, 2], [3, 4], [5, 7, 8], [9]]),
+        (1, [[0], [1], [2], [3], [4], [5], [6], [7], [8], [9]]),
+    ):
+        assert [one.tolist() for one in windows_of_events(times, n, 20)] == expected
+    assert [one.tolist() for one in windows_of_events(times, 4)] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
+    assert windows_of_events([], 3, 20) == []
+
+
+def test_an_image_of_counts_and_times_leaves_out_what_is_outside_its_window():
+    """[10, 50) us: the event at 10 counts at time 0, one at 50 does not."""
+    at = dict(start_us=10, window_us=40, sensor=(3, 2))
+    image = count_timestamp_image([9, 10, 49, 50], [0, 1, 2, 0], [0, 0, 0, 1], [1, 1, 1, 1], **at)
+    assert image[0].tolist() == [[0, 1, 1], [0, 0, 0]] and image[1].sum() == image[3].sum() == 0
+    assert image[2].tolist() == [[0, 0, pytest.approx(39 / 40)], [0, 0, 0]]
 
 
 def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
