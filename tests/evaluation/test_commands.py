@@ -16,7 +16,8 @@ from made import thesis_model
 from processes import started
 from waiting import until
 
-from async_tnt.evaluation.early import decision_at
+from async_tnt.config import TNTConfig
+from async_tnt.evaluation.early import LEVELS, decision_at, early_fields, early_report
 from async_tnt.evaluation.records import processor_of
 
 
@@ -64,6 +65,38 @@ def test_a_moment_knows_the_events_before_it_and_no_others():
     window = [SimpleNamespace(window_start_us=5, time_us=5 + t) for t in times]
     expected = [None, window[0], window[0], window[1], window[1], window[3]]
     assert [decision_at(window, moment) for moment in (0, 1, 10, 11, 20, 30)] == expected
+
+
+def test_what_is_decided_early_by_hand():
+    """Two windows of 1 ms, decided every 20 us: the first of class 0 by three decisions and its end, two of them on an
+    event at a moment and of a level's very probability; the second of class 2, never sure."""
+    config = TNTConfig(window_us=1000)
+
+    def window(*decisions):
+        return [
+            SimpleNamespace(window_start_us=7, time_us=7 + t, index=k, probability=p, trigger=why)
+            for t, k, p, why in decisions
+        ]
+
+    sure = window((0, 1, 0.5, "every_us"), (100, 0, 0.7, "every_us"), (250, 0, 0.9, "every_us"), (990, 2, 0.95, "end"))
+    unsure = window((300, 0, 0.4, "every_us"), (900, 2, 0.45, "window"))
+    fields = [early_fields(one, config) for one in (sure, unsure)]
+    assert fields[0]["decided_at"] == [1, 0, *[0] * 7, 2] and fields[1]["decided_at"] == [-1] * 3 + [0] * 6 + [2]
+    assert fields[0]["probability_at"] == [0.5, 0.7, *[0.9] * 7, 0.95] and fields[1]["probability_at"][2:4] == [-1, 0.4]
+    assert LEVELS == (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
+    assert fields[0]["confident"] == [1, 0, 0, 0, 0, 2, -1] and fields[1]["confident"] == [-1] * 7
+    # the fiftieth after the newest event, as an event at a fiftieth is decided at the next one; the end at the end
+    assert fields[0]["confident_us"] == [20, 120, 120, 260, 260, 1000, -1] and fields[1]["confident_us"] == [-1] * 7
+    records = [{name: [value] for name, value in one.items()} for one in fields]
+    report = early_report(records, [0, 2], config)
+    against_time = [(row["time_us"], row["accuracy"], row["decided"]) for row in report["accuracy_against_time"]]
+    assert against_time[:4] == [(100, 0, 0.5), (200, 0.5, 0.5), (300, 0.5, 0.5), (400, 0.5, 1)]
+    assert against_time[-1] == (1000, 0.5, 1)
+    found = {row["level"]: row for row in report["confidence"]}
+    assert [found[level]["decided"] for level in LEVELS] == [0.5] * 6 + [0]
+    assert [found[level]["accuracy"] for level in LEVELS] == [0, 1, 1, 1, 1, 0, None]
+    assert [found[level]["window_accuracy"] for level in LEVELS] == [0.5, 1, 1, 1, 1, 0.5, 0.5]  # else at their ends
+    assert (found[0.6]["median_ms"], found[0.95]["p90_ms"], found[0.99]["median_ms"]) == (0.12, 1.0, None)
 
 
 @pytest.mark.parametrize(
