@@ -115,7 +115,10 @@ def test_objects_by_hand():
 
 def test_a_call_with_an_array_changes_no_later_objects():
     """Of an array before the first volume and between two: also where a window shows objects without any event."""
-    for model in (map_model(), replace(map_model(), weights=map_model().weights | {"nothing.bias": np.float32([-1.0])})):
+    for model in (
+        map_model(),
+        replace(map_model(), weights=map_model().weights | {"nothing.bias": np.float32([-1.0])}),
+    ):
         network = CompiledClassifier(model)
         called, untouched = Processor(model, classifier=network), Processor(model)
         rng = np.random.default_rng(0)

@@ -9,6 +9,7 @@ from tnt_reference import (
     fitted_flow,
     hats,
     landmark,
+    time_image,
     tnt_volume,
     windows_of_events,
 )
@@ -125,3 +126,11 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
     torch.testing.assert_close(hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2))
     with pytest.raises(TypeError, match="`x` and `y` must be whole pixels"):
         hats(t, x + 0.5, y, p, **at)
+
+
+def test_an_image_of_times_leaves_out_shares_below_a_billionth():
+    """The newest event lies a rounding error beside a pixel: the pixel next to it keeps its own time."""
+    shared = dict(start_us=0, window_us=8, sensor=(3, 3), grid=(3, 3), polarity="unsigned")
+    for share, newest in ((1e-12, 2 / 8), (1e-6, 4 / 8)):
+        image = time_image([2, 4], [0, 1 - share], [1, 1], [1, 1], representation="count_time", **shared)
+        assert image[1, 1, :2].tolist() == [newest, 4 / 8] and image[1].count_nonzero() == 2
