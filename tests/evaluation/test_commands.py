@@ -12,13 +12,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from evaluation.made_work import JOB
-from made import thesis_model
+from made import random_events, random_model, thesis_model
 from processes import started
 from waiting import until
 
 from async_tnt.config import TNTConfig
 from async_tnt.evaluation.early import LEVELS, decision_at, early_fields, early_report
 from async_tnt.evaluation.records import processor_of
+from async_tnt.sources.pixel_masks import save_mask
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -122,6 +123,41 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     code, _, message = program(*words)
     assert code == 2 and "was made with another model, version or" in message
     assert program(*words, "--restart")[0] == 0
+
+
+def test_results_of_whatever_changes_a_decision_are_never_mixed(tmp_path, program):
+    """Each selection of pixels and each part of a model; a training record changes no decision."""
+    folder = tmp_path / "set" / "0"
+    folder.mkdir(parents=True)
+    np.save(folder / "a.npy", random_events(60))
+    for name, row in (("upper", 3), ("lower", 30)):
+        save_mask(tmp_path / f"{name}.npy", np.arange(34)[:, None] + np.zeros(34, int) == row)
+    base = replace(random_model(TNTConfig(window_us=50_000), classes=3), classes=("0", "1", "2"))
+    other_weights = {name: w + (w.ndim == 1) for name, w in base.weights.items()}
+    models = {
+        "base": base,
+        "weights": replace(base, weights=other_weights),
+        "classes": replace(base, classes=("0", "1", "two")),
+        "configuration": replace(base, config=base.config.replace(landmark="center")),
+    }
+    for name, model in models.items():
+        model.save(tmp_path / f"{name}.safetensors")
+    selections = ["", "--roi 0,0,20,20", "--roi 1,0,20,20", "--roi 0,0,34,34", "--roi 0,0,34,34 --crop --sensor 34x34"]
+    selections += ["--sensor 34x34", *(f"--mask {tmp_path / name}.npy" for name in ("upper", "lower"))]
+    kinds = [("base", options) for options in selections] + [(name, "") for name in list(models)[1:]]
+    settings = set()
+    for model, options in kinds:
+        words = "evaluate", tmp_path / f"{model}.safetensors", folder.parent, *options.split(), "--out"
+        out = tmp_path / f"{len(settings)}.jsonl"
+        assert program(*words, out)[0] == 0
+        settings.add(json.loads(out.read_text())["settings"])
+        for earlier in range(len(settings) - 1):
+            code, _, message = program(*words, tmp_path / f"{earlier}.jsonl")
+            assert code == 2 and "was made with another model, version or selection of pixels" in message
+    assert len(settings) == len(kinds)
+    replace(base, record={"other": "record"}).save(tmp_path / "base.safetensors")
+    words = "evaluate", tmp_path / "base.safetensors", folder.parent, "--out", tmp_path / "0.jsonl"
+    assert program(*words)[0] == 0
 
 
 @pytest.mark.parametrize(

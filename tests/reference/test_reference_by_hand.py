@@ -128,6 +128,16 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
         hats(t, x + 0.5, y, p, **at)
 
 
+def test_hats_reach_three_pixels_in_each_direction():
+    """An earlier event counts in the neighbourhood's own place, up to its rim and corners, and not beyond."""
+    at = dict(start_us=0, window_us=100, sensor=(18, 18), grid=(2, 2), polarity="unsigned")
+    for z_x in range(-4, 5):
+        for z_y in range(-4, 5):
+            histogram = hats([1, 2], [4 + z_x, 4], [4 + z_y, 4], [1, 1], **at)[:, 0, 0].reshape(7, 7)
+            found = {(x - 3, y - 3): histogram[y, x].item() for y, x in histogram.nonzero().tolist()}
+            assert found == ({(z_x, z_y): 0.5} if max(abs(z_x), abs(z_y)) <= 3 else {})
+
+
 def test_an_image_of_times_leaves_out_shares_below_a_billionth():
     """The newest event lies a rounding error beside a pixel: the pixel next to it keeps its own time."""
     shared = dict(start_us=0, window_us=8, sensor=(3, 3), grid=(3, 3), polarity="unsigned")
