@@ -49,6 +49,16 @@ def test_one_event(t, x, y, transform, expected):
     assert cells(volume([t], [x], [y], [1], **SQUARE, **transform or {})) == expected
 
 
+@pytest.mark.parametrize(("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"])
+def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
+    """A pixel at the side of four is 1.5 from the centre; k microseconds before tau = 1 of T, it is 4.17e-10 k past the
+    border."""
+    window_us = 3_600_000_000
+    at = dict(start_us=0, window_us=window_us, sensor=(4, 4), grid=(4, 4), bins=2, t_max=1.0, landmark="center")
+    for k, kept in ((1, 1), (2, 1), (3, 0), (4, 0), (1000, 0)):
+        assert tnt_volume([window_us - k], [x], [y], [1], **at).sum().item() == pytest.approx(kept), k
+
+
 def test_eight_cells_and_polarities():
     # b = 1.5; x_g = 2 * 4 / 5 = 1.6; y_g = 4 * 4 / 5 = 3.2
     event = dict(t=[150], x=[2], y=[4], p=[0], **SQUARE | {"sensor": (6, 6)})

@@ -66,11 +66,8 @@ def test_neighbours_tell_what_a_window_does_not():
 def test_where_neighbours_do_not_help_the_windows_own_reason_is_told():
     """Few events between two windows of noise, which would be refused as noise."""
     rng = np.random.default_rng(3)
-
-    counts, begins = (2000, 20, 2000), (-WINDOW_US, 0, WINDOW_US)
-    t = np.concatenate(
-        [first + np.sort(rng.integers(0, WINDOW_US, n)) for n, first in zip(counts, begins, strict=True)]
-    )
+    parts = (-WINDOW_US, 2000), (0, 20), (WINDOW_US, 2000)
+    t = np.concatenate([np.sort(rng.integers(first_us, first_us + WINDOW_US, n)) for first_us, n in parts])
     x, y, p = (rng.integers(0, end, len(t)) for end in (*SENSOR, 2))
     window = t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)
     ((path, image),) = Reconstruction(SENSOR, WINDOW_US)([window], PIXELS)
