@@ -12,13 +12,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from evaluation.made_work import JOB
-from made import thesis_model
+from made import random_events, random_model, thesis_model
 from processes import started
 from waiting import until
 
-from async_tnt import TNTConfig
-from async_tnt.evaluation.early import LEVELS, decision_at, early_fields
+from async_tnt.config import TNTConfig
+from async_tnt.evaluation.early import LEVELS, decision_at, early_fields, early_report
 from async_tnt.evaluation.records import processor_of
+from async_tnt.sources.pixel_masks import save_mask
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -80,6 +81,38 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
     assert found["confident_us"][LEVELS.index(level)] == 420  # when the event at 410 was known
 
 
+def test_what_is_decided_early_by_hand():
+    """Two windows of 1 ms, decided every 20 us: the first of class 0 by three decisions and its end, two of them on an
+    event at a moment and of a level's very probability; the second of class 2, never sure."""
+    config = TNTConfig(window_us=1000)
+
+    def window(*decisions):
+        return [
+            SimpleNamespace(window_start_us=7, time_us=7 + t, index=k, probability=p, trigger=why)
+            for t, k, p, why in decisions
+        ]
+
+    sure = window((0, 1, 0.5, "every_us"), (100, 0, 0.7, "every_us"), (250, 0, 0.9, "every_us"), (990, 2, 0.95, "end"))
+    unsure = window((300, 0, 0.4, "every_us"), (900, 2, 0.45, "window"))
+    fields = [early_fields(one, config) for one in (sure, unsure)]
+    assert fields[0]["decided_at"] == [1, 0, *[0] * 7, 2] and fields[1]["decided_at"] == [-1] * 3 + [0] * 6 + [2]
+    assert fields[0]["probability_at"] == [0.5, 0.7, *[0.9] * 7, 0.95] and fields[1]["probability_at"][2:4] == [-1, 0.4]
+    assert LEVELS == (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
+    assert fields[0]["confident"] == [1, 0, 0, 0, 0, 2, -1] and fields[1]["confident"] == [-1] * 7
+    # the fiftieth after the newest event, as an event at a fiftieth is decided at the next one; the end at the end
+    assert fields[0]["confident_us"] == [20, 120, 120, 260, 260, 1000, -1] and fields[1]["confident_us"] == [-1] * 7
+    records = [{name: [value] for name, value in one.items()} for one in fields]
+    report = early_report(records, [0, 2], config)
+    against_time = [(row["time_us"], row["accuracy"], row["decided"]) for row in report["accuracy_against_time"]]
+    assert against_time[:4] == [(100, 0, 0.5), (200, 0.5, 0.5), (300, 0.5, 0.5), (400, 0.5, 1)]
+    assert against_time[-1] == (1000, 0.5, 1)
+    found = {row["level"]: row for row in report["confidence"]}
+    assert [found[level]["decided"] for level in LEVELS] == [0.5] * 6 + [0]
+    assert [found[level]["accuracy"] for level in LEVELS] == [0, 1, 1, 1, 1, 0, None]
+    assert [found[level]["window_accuracy"] for level in LEVELS] == [0.5, 1, 1, 1, 1, 0.5, 0.5]  # else at their ends
+    assert (found[0.6]["median_ms"], found[0.95]["p90_ms"], found[0.99]["median_ms"]) == (0.12, 1.0, None)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [({"version": "0.1"}, "a worker has async_tnt .*, but this program is 0.1"), ({}, "not the model that the job")],
@@ -103,6 +136,41 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     code, _, message = program(*words)
     assert code == 2 and "was made with another model, version or" in message
     assert program(*words, "--restart")[0] == 0
+
+
+def test_results_of_whatever_changes_a_decision_are_never_mixed(tmp_path, program):
+    """Each selection of pixels and each part of a model; a training record changes no decision."""
+    folder = tmp_path / "set" / "0"
+    folder.mkdir(parents=True)
+    np.save(folder / "a.npy", random_events(60))
+    for name, row in (("upper", 3), ("lower", 30)):
+        save_mask(tmp_path / f"{name}.npy", np.arange(34)[:, None] + np.zeros(34, int) == row)
+    base = replace(random_model(TNTConfig(window_us=50_000), classes=3), classes=("0", "1", "2"))
+    other_weights = {name: w + (w.ndim == 1) for name, w in base.weights.items()}
+    models = {
+        "base": base,
+        "weights": replace(base, weights=other_weights),
+        "classes": replace(base, classes=("0", "1", "two")),
+        "configuration": replace(base, config=base.config.replace(landmark="center")),
+    }
+    for name, model in models.items():
+        model.save(tmp_path / f"{name}.safetensors")
+    selections = ["", "--roi 0,0,20,20", "--roi 1,0,20,20", "--roi 0,0,34,34", "--roi 0,0,34,34 --crop --sensor 34x34"]
+    selections += ["--sensor 34x34", *(f"--mask {tmp_path / name}.npy" for name in ("upper", "lower"))]
+    kinds = [("base", options) for options in selections] + [(name, "") for name in list(models)[1:]]
+    settings = set()
+    for model, options in kinds:
+        words = "evaluate", tmp_path / f"{model}.safetensors", folder.parent, *options.split(), "--out"
+        out = tmp_path / f"{len(settings)}.jsonl"
+        assert program(*words, out)[0] == 0
+        settings.add(json.loads(out.read_text())["settings"])
+        for earlier in range(len(settings) - 1):
+            code, _, message = program(*words, tmp_path / f"{earlier}.jsonl")
+            assert code == 2 and "was made with another model, version or selection of pixels" in message
+    assert len(settings) == len(kinds)
+    replace(base, record={"other": "record"}).save(tmp_path / "base.safetensors")
+    words = "evaluate", tmp_path / "base.safetensors", folder.parent, "--out", tmp_path / "0.jsonl"
+    assert program(*words)[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,30 @@ def test_recordings_are_read_by_the_options(folder, saved, program):
     assert code == 0 and json.loads(out) == expected
 
 
+def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, saved, program):
+    """Of two that differ in what is there, found and right, and a third that cannot be read."""
+    write_points(folder / "a_td_objects.csv")
+    alone = [json.loads(program("evaluate", saved, folder, "--json")[1])]
+    other = folder.parent / "other"
+    other.mkdir()
+    np.savez(other / "b.npz", sensor=CONFIG.sensor, events=events_of(*np.array(EVENTS[10:30]).T))
+    write_points(other / "b_objects.csv", [(6000, "off", 50, 30), (6000, "off", 5, 5)])
+    alone.append(json.loads(program("evaluate", saved, other, "--json")[1]))
+    for path in other.iterdir():
+        path.rename(folder / path.name)
+    (folder / "c.npz").write_bytes(b"damaged")
+    write_points(folder / "c_objects.csv")
+    report = json.loads(program("evaluate", saved, folder, "--json")[1])
+    for name in ("objects", "found", "recordings", "moments"):
+        assert report[name] == sum(one[name] for one in alone), name
+    for kind in ("on", "off"):
+        for name in ("objects", "found", "right"):
+            assert report["per_class"][kind][name] == sum(one["per_class"][kind][name] for one in alone), (kind, name)
+    assert len(report["skipped"]) == 1 and "c.npz" in report["skipped"][0]
+    at = {ms: round(2 * right / n, 5) for ms, right, n in [("0.3", 2, 8), ("0.5", 2, 8), ("1", 4, 12)]}
+    assert report["f1_against_time_ms"] == at
+
+
 def test_prophesees_names(folder, saved, program):
     """By the dictionary beside the boxes; of a class that the model does not know, they do not count."""
     write_boxes(folder / "a_bbox.npy")

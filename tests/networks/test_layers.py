@@ -62,6 +62,10 @@ DAMAGED = [
     (update(0, padding=[0, 16383, 0, 16382]), "layer 'conv1' (conv): its map (2, 4, 32768) must have sides below"),
     (update(0, groups=3), "layer 'conv1' (conv): 3 groups must divide its 2 channels and 2 filters"),
     (update(0, weights={"bias": "conv1.bias"}), "layer 'conv1' (conv): `weights` must be weight, bias, got bias"),
+    (
+        update(0, weights={role: f"conv1.{role.replace('slope', 'bias')}" for role in ("weight", "bias", "slope")}),
+        "layer 'conv1' (conv): `weights` must be weight, bias, got ",
+    ),
     (update(2, padding=[2, 0, 0, 0]), "layer 'pool1' (average_pool): padding [2, 0, 0, 0] must be less than kernel [2"),
     (insert(1, op="clip", name="c", inputs=["conv1"], low=2, high=1), "layer 'c' (clip): `low` must be at most `high`"),
     (
@@ -69,6 +73,15 @@ DAMAGED = [
         "layer 'h' (heatmap_c",
     ),
 ]
+
+
+def test_a_clip_between_equal_limits_gives_them(tmp_path):
+    network = copy.deepcopy(thesis_network(SMALL))
+    last = network["classifier"][-1]["name"]
+    network["classifier"].append({"name": "all", "op": "clip", "inputs": [last], "low": 0.25, "high": 0.25})
+    model = Model(SMALL, changed(), ("a", "b", "c"), network=network)
+    for one in (model, load_model(model.save(tmp_path / "m.safetensors"))):
+        assert CompiledClassifier(one)(np.ones(SMALL.shape, np.float32)).tolist() == [0.25] * 3
 
 
 @pytest.mark.parametrize("edit, message", CANNOT_RUN + DAMAGED)

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,6 +111,27 @@ def test_objects_by_hand():
     assert a.probability == pytest.approx(e(4) / (e(4) + e(0) + e(1)))
     assert (b.label, b.x, b.y, b.id) == ("b", 1.5 + 4 * 6, 1.5 + 2, 1)
     assert decision.to_dict()["objects"][0] == {"id": 0, "label": "a", "probability": 0.93624, "x": 6.5, "y": 5.5}
+
+
+def test_a_call_with_an_array_changes_no_later_objects():
+    """Of an array before the first volume and between two: also where a window shows objects without any event."""
+    for model in (
+        map_model(),
+        replace(map_model(), weights=map_model().weights | {"nothing.bias": np.float32([-1.0])}),
+    ):
+        network = CompiledClassifier(model)
+        called, untouched = Processor(model, classifier=network), Processor(model)
+        rng = np.random.default_rng(0)
+        for k, array in enumerate((np.zeros(network.shape), rng.normal(size=network.shape), np.ones(network.shape))):
+            network(array.astype(np.float32))
+            assert as_rows(called.fire().objects) == as_rows(untouched.fire().objects)
+            events = random_events(200, seed=k, sensor=CONFIG.sensor, duration_us=1500)
+            events["t"] += 1500 * k
+            for one in (called, untouched):
+                one.push(events)
+            network(array.astype(np.float32))
+            found = called.fire().objects
+            assert as_rows(found) == as_rows(untouched.fire().objects) and len(found) > 2
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])

@@ -141,6 +141,18 @@ def test_a_landmark_network_of_any_layers_holds(read):
     assert all(one.holds for one in check_recording(random_events(150, duration_us=90_000), model, prefixes=2))
 
 
+@pytest.mark.parametrize("start_us", [None, 5_000])
+def test_windows_without_events_and_events_of_closed_ones_hold_too(start_us):
+    """Windows 0, 2 and 5 of 20 ms hold events, and among those of the last are some of the one before."""
+    times = [np.linspace(20_000 * k, 20_000 * k + 19_000, 30).astype(int) for k in (0, 2, 5)]
+    times[2][3:20:5] -= 60_000
+    events = random_events(90, sensor=(20, 16))
+    events["t"] = 5_000 + np.concatenate(times)
+    model = random_model(TNTConfig(sensor=(20, 16), grid=(12, 8), bins=3, window_us=20_000))
+    comparisons = check_recording(events, model, prefixes=2, start_us=start_us)
+    assert [c for c in comparisons if not c.holds] == []
+
+
 @pytest.mark.parametrize("window_us", [None, 20_000])
 def test_windows_of_events_hold_too(window_us):
     config = TNTConfig(sensor=(20, 16), grid=(12, 8), bins=3, t_max=2.0, window_events=40, window_us=window_us)

@@ -2,13 +2,17 @@
 
 import json
 import re
+import threading
+from types import SimpleNamespace
 
 import pytest
 from listening import sent
+from waiting import PATIENCE_S
 
 from async_tnt import Processor, load_model
 from async_tnt.sources import open_source
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.keep_up import KeepUp
 
 EVENTS = open_recording(sample_recordings()[7]).read()
 
@@ -48,3 +52,36 @@ def test_a_port_that_the_system_chooses_is_told(command, address, program, tmp_p
     _, _, err = program(name, url, *rest)
     ports = re.findall(re.escape(f"udp://{address}:") + r"(\d+)\b", err)
     assert len(ports) == 2 and len(set(ports)) == 1 and int(ports[0]) > 0
+
+
+@pytest.mark.parametrize(("keep_up_ms", "n_skipped"), [(31, 0), (29, 800)])
+def test_packets_older_than_keep_up_milliseconds_are_skipped(keep_up_ms, n_skipped, program, monkeypatch):
+    """All but the newest: three packets wait for 30 ms, of a simulated time, before the first is read."""
+    now_us, have_waited = [1_000_000], threading.Event()
+    clock = SimpleNamespace(monotonic_ns=lambda: 1_000 * now_us[0])
+    for module in ("queue", "keep_up"):
+        monkeypatch.setattr(f"async_tnt.sources.{module}.time", clock)
+
+    class Source:
+        sensor = 34, 34
+
+        def __iter__(self):
+            yield from (EVENTS[:400], EVENTS[400:800], EVENTS[800:])
+            now_us[0] += 30_000
+            have_waited.set()
+
+        def close(self):
+            pass
+
+        def summary(self):
+            return "closed"
+
+    class KeepUpLate(KeepUp):
+        def __init__(self, *given, **settings):
+            super().__init__(*given, **settings)
+            assert have_waited.wait(PATIENCE_S)
+
+    monkeypatch.setattr("async_tnt.sources.keep_up.KeepUp", KeepUpLate)
+    monkeypatch.setattr("async_tnt.cli.packets.open_source", lambda *_: Source())
+    code, _, err = program("run", "camera", "--keep-up", keep_up_ms)
+    assert code == 0 and f"closed; {n_skipped} skipped to stay fresh, at most 30.0 ms waited" in err

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 import torch
-from tnt_reference import event_volume, fitted_flow, hats, landmark, tnt_volume
+from tnt_reference import (
+    count_timestamp_image,
+    event_volume,
+    fitted_flow,
+    hats,
+    landmark,
+    time_image,
+    tnt_volume,
+    windows_of_events,
+)
 
 # 9 bins in 800 us: bin position = TNT time = t / 100. Centre of a 5 x 5 grid: (2, 2).
 SQUARE = dict(start_us=0, window_us=800, sensor=(5, 5), grid=(5, 5))
@@ -38,6 +47,16 @@ ONE_EVENT = [  # t, x, y, settings of a transform or None, cells
 def test_one_event(t, x, y, transform, expected):
     volume = event_volume if transform is None else tnt_volume
     assert cells(volume([t], [x], [y], [1], **SQUARE, **transform or {})) == expected
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"])
+def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
+    """A pixel at the side of four is 1.5 from the centre; k microseconds before tau = 1 of T, it is 4.17e-10 k past the
+    border."""
+    window_us = 3_600_000_000
+    at = dict(start_us=0, window_us=window_us, sensor=(4, 4), grid=(4, 4), bins=2, t_max=1.0, landmark="center")
+    for k, kept in ((1, 1), (2, 1), (3, 0), (4, 0), (1000, 0)):
+        assert tnt_volume([window_us - k], [x], [y], [1], **at).sum().item() == pytest.approx(kept), k
 
 
 def test_eight_cells_and_polarities():
@@ -83,6 +102,27 @@ def test_events_outside_the_window_take_no_part():
     assert fitted_flow(t, x, y, **SMALL)[[0, 2, 4]].tolist() == [[0.0, 0.0]] * 3
 
 
+def test_windows_of_events_end_with_their_last_event_or_before_their_time_is_over():
+    """At most 20 us from a window's first event on: one exactly 20 us later begins the next."""
+    times = [0, 5, 19, 20, 21, 40, 39, 41, 42, 43]
+    for n, expected in (
+        (9, [[0, 1, 2], [3, 4], [5, 7, 8, 9]]),  # 39 is older than its window
+        (3, [[0, 1, 2], [3, 4], [5, 7, 8], [9]]),
+        (1, [[0], [1], [2], [3], [4], [5], [6], [7], [8], [9]]),
+    ):
+        assert [one.tolist() for one in windows_of_events(times, n, 20)] == expected
+    assert [one.tolist() for one in windows_of_events(times, 4)] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
+    assert windows_of_events([], 3, 20) == []
+
+
+def test_an_image_of_counts_and_times_leaves_out_what_is_outside_its_window():
+    """[10, 50) us: the event at 10 counts at time 0, one at 50 does not."""
+    at = dict(start_us=10, window_us=40, sensor=(3, 2))
+    image = count_timestamp_image([9, 10, 49, 50], [0, 1, 2, 0], [0, 0, 0, 1], [1, 1, 1, 1], **at)
+    assert image[0].tolist() == [[0, 1, 1], [0, 0, 0]] and image[1].sum() == image[3].sum() == 0
+    assert image[2].tolist() == [[0, 0, pytest.approx(39 / 40)], [0, 0, 0]]
+
+
 def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
     """Cells of 10 x 5 pixels. In the left upper one, ON at (2, 1) twice, then at (4, 2); OFF at (4, 1)."""
     t, x, y, p = np.array([(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]).T
@@ -96,3 +136,21 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
     torch.testing.assert_close(hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2))
     with pytest.raises(TypeError, match="`x` and `y` must be whole pixels"):
         hats(t, x + 0.5, y, p, **at)
+
+
+def test_hats_reach_three_pixels_in_each_direction():
+    """An earlier event counts in the neighbourhood's own place, up to its rim and corners, and not beyond."""
+    at = dict(start_us=0, window_us=100, sensor=(18, 18), grid=(2, 2), polarity="unsigned")
+    for z_x in range(-4, 5):
+        for z_y in range(-4, 5):
+            histogram = hats([1, 2], [4 + z_x, 4], [4 + z_y, 4], [1, 1], **at)[:, 0, 0].reshape(7, 7)
+            found = {(x - 3, y - 3): histogram[y, x].item() for y, x in histogram.nonzero().tolist()}
+            assert found == ({(z_x, z_y): 0.5} if max(abs(z_x), abs(z_y)) <= 3 else {})
+
+
+def test_an_image_of_times_leaves_out_shares_below_a_billionth():
+    """The newest event lies a rounding error beside a pixel: the pixel next to it keeps its own time."""
+    shared = dict(start_us=0, window_us=8, sensor=(3, 3), grid=(3, 3), polarity="unsigned")
+    for share, newest in ((1e-12, 2 / 8), (1e-6, 4 / 8)):
+        image = time_image([2, 4], [0, 1 - share], [1, 1], [1, 1], representation="count_time", **shared)
+        assert image[1, 1, :2].tolist() == [newest, 4 / 8] and image[1].count_nonzero() == 2

@@ -95,6 +95,14 @@ def test_cells_average_their_pixels():
     assert frames[-1].tolist() == [[1.0, 0, 0], [0, 0, 0.5]]
 
 
+@pytest.mark.parametrize("cell", [1, 2, 5])
+def test_noise_is_white_after_whitening(cell):
+    """Of a cell's mean, which varies less than one pixel's."""
+    covariance = reference.noise_covariance(K).numpy() / cell**2
+    white = moving_image.MovingImage((340, 260), 1_000, cell).whitening
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(K), atol=1e-12)
+
+
 def test_pictures_move_as_the_reference_moves_an_image():
     """Between the places of the fine image the light is interpolated: the finer, the nearer."""
     image = np.random.default_rng(1).normal(size=(5, 7))

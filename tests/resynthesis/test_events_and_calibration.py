@@ -5,10 +5,10 @@ import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, calibrate
+from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, SimulatedPixels, calibrate
 from async_tnt.resynthesis.calibration import describe
 from async_tnt.resynthesis.moving_image import N_FRAMES
-from async_tnt.simulation.measured_pixels import measure_pixels
+from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 
@@ -87,6 +87,20 @@ def test_other_motions_have_their_polarity(calibrated):
             on, off = (np.array([events[a][events["p"] == p].mean() for a in "xy"]) for p in (1, 0))
             agree.append((off - on) @ motion[-1] > 0)
     assert np.mean(agree) > 0.9
+
+
+def test_each_polarity_comes_at_its_own_threshold(calibrated):
+    """A quarter of the contrast for an ON event gives about four times as many of them for each OFF event."""
+    windows, reconstruction, calibration = calibrated
+    images = [image for _, image in reconstruction(windows[:8], calibration.pixels.measured) if image is not None]
+
+    def on_for_each_off(step_on):
+        pixels = SimulatedPixels(MeasuredPixels(step_on=step_on, step_off=1 / step_on), calibration.pixels.scale)
+        p = np.concatenate([image.as_recorded(pixels, np.random.default_rng(0))["p"] for image in images])
+        return p.sum() / (p == 0).sum()
+
+    for step_on in (0.5, 2.0):
+        assert on_for_each_off(step_on) / on_for_each_off(1.0) == pytest.approx(step_on**-2, rel=0.4)
 
 
 def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):

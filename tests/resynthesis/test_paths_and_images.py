@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight
 
 from async_tnt.resynthesis import Reconstruction, SimulatedPixels
-from async_tnt.resynthesis.moving_image import cell_for
+from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
+from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.simulation.measured_pixels import MeasuredPixels, part_of
 from async_tnt.simulation.random_motion import minimum_jerk
 from async_tnt.simulation.simulator import PixelModel, simulate
@@ -60,6 +61,50 @@ def test_neighbours_tell_what_a_window_does_not():
             seen = pictures(scene, [net / 2])[0]
             assert np.corrcoef(moved.ravel(), seen.ravel())[0, 1] > 0.6
             assert image.as_recorded(SimulatedPixels(PIXELS), rng)["t"].max() < third
+
+
+def test_where_neighbours_do_not_help_the_windows_own_reason_is_told():
+    """Few events between two windows of noise, which would be refused as noise."""
+    rng = np.random.default_rng(3)
+    parts = (-WINDOW_US, 2000), (0, 20), (WINDOW_US, 2000)
+    t = np.concatenate([np.sort(rng.integers(first_us, first_us + WINDOW_US, n)) for first_us, n in parts])
+    x, y, p = (rng.integers(0, end, len(t)) for end in (*SENSOR, 2))
+    window = t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)
+    ((path, image),) = Reconstruction(SENSOR, WINDOW_US)([window], PIXELS)
+    assert (path.refused, path.n_events, path.span, image) == ("few events", 20, 1, None)
+
+
+STEPS = np.stack([np.arange(1.0, N_FRAMES + 1), np.zeros(N_FRAMES)], 1)
+"""A pixel to the right in each part of a window."""
+
+
+@pytest.mark.parametrize("span", [1, 3])
+def test_a_windows_part_of_a_path_begins_at_0(span):
+    """Of three windows, the middle one has a third of the way, and the first third lies before it."""
+    path = MotionPath(STEPS, span=span)
+    at = path.at(np.array([0, 0.5, 1]))
+    np.testing.assert_allclose(at, [(share * N_FRAMES / span, 0) for share in (0, 0.5, 1)])
+    np.testing.assert_allclose(path.before, (N_FRAMES * (span - 1) / 2 / span, 0))
+    assert path.length == pytest.approx(N_FRAMES / span)
+
+
+@pytest.mark.parametrize(
+    ("measured", "reason"),
+    [
+        ({}, ""),
+        ({"n_events": 50, "margin": 6.0, "agreement": 0.0, "explained": 0.0}, ""),  # no less than enough
+        ({"n_events": 49}, "few events"),
+        ({"positions": 0.005 * STEPS}, "no motion"),
+        ({"margin": 5.99}, "ambiguous direction"),
+        ({"agreement": -0.01}, "several objects"),
+        ({"events_a_cell": 0.5, "explained": 0.25}, ""),  # few events need explain little: their square
+        ({"events_a_cell": 0.5, "explained": 0.24}, "noise"),
+        ({"events_a_cell": 7.0, "explained": 0.5}, ""),  # and many at most half
+        ({"events_a_cell": 7.0, "explained": 0.49}, "noise"),
+    ],
+)
+def test_why_a_path_is_refused_by_hand(measured, reason):
+    assert MotionPath(**{"positions": STEPS} | measured).refused == reason
 
 
 @pytest.mark.parametrize("kind", NOISE)

@@ -120,6 +120,17 @@ def test_closing_from_another_thread_ends_the_loop_and_wakes_the_source(read):
         closer.join()
 
 
+@in_both_ways
+def test_who_closes_a_reader_wants_no_error_any_more_and_wakes_the_source_once(read):
+    """Also where the source has failed before: closing twice, or after that, ends the loop without a word."""
+    woken = []
+    reader = BackgroundReader(Source(PACKETS[:2], error=OSError("gone")), on_close=lambda: woken.append(1))
+    until(lambda: repr(reader).startswith("BackgroundReader(ended"))
+    reader.close()
+    reader.close()
+    assert read(reader) == [] and woken == [1]
+
+
 # -- arguments -------------------------------------------------------------------------------------------
 
 

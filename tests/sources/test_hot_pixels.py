@@ -1,6 +1,8 @@
 """Hot pixels: all that were planted are found, and none where there are none; and `async-tnt mask`."""
 
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -111,6 +113,19 @@ def test_it_finds_what_was_planted(tmp_path, program):
     pixels = [{"x": 30, "y": 2, "events": at[0]}, {"x": 3, "y": 31, "events": at[1]}]
     result = {"sensor": [34, 34], "events": len(events), "out": str(out)}
     assert json.loads(program(*words)[1]) == result | {"hot_pixels": pixels, "share": sum(at) / len(events)}
+
+
+def test_a_mask_never_replaces_a_recording_by_whichever_path(tmp_path, program, monkeypatch):
+    path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500))
+    before = path.read_bytes()
+    monkeypatch.chdir(tmp_path)
+    Path("link.npy").symlink_to(path)
+    os.link(path, "second_name.npy")
+    (tmp_path / "below").mkdir()
+    for other in ("a.npy", "below/../a.npy", "link.npy", "second_name.npy"):
+        code, _, err = program("mask", path, "--sensor", "34x34", "--out", other)
+        assert (code, err.count("\n")) == (2, 1) and f"--out is one of the recordings, {other}" in err
+        assert path.read_bytes() == before
 
 
 def test_where_nothing_stands_out_the_mask_masks_nothing(tmp_path, program):

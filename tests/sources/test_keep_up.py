@@ -92,6 +92,24 @@ def test_decisions_become_rarer_before_packets_are_skipped(trigger, overload, cl
     assert (processor.every_us, processor.every_events) == (trigger.get("every_us"), trigger.get("every_events"))
 
 
+def test_how_long_packets_wait_decides_by_hand(clock, reader_of):
+    """In percent of the delay: rarer above 25, oftener below 5, else as it was; and so soon after a change, neither."""
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0], every_us=1_000)
+    reader = reader_of(processor, max_delay_us=100_000)
+    steps = [(24, 1), (26, 2), (6, 2), (24, 2), (26, 4), (24, 4), (6, 4), (4, 2), (6, 2), (4, 1), (0, 1)]
+    for k, (percent, slower) in enumerate(steps):
+        clock.now_us += 30_000  # more than there is between two changes
+        reader.put(packet(k))
+        clock.now_us += 1_000 * percent
+        next(reader)
+        assert (reader.slower, processor.every_us) == (slower, 1_000 * slower), (k, percent)
+    for percent, slower in ((26, 2), (24, 2), (26, 4), (51, 8), (4, 8)):  # one after the other, without a pause
+        reader.put(packet(k))
+        clock.now_us += 1_000 * percent
+        next(reader)
+        assert reader.slower == slower, percent
+
+
 def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of):
     """Twice as many events as the volume can take: no rarer decision helps."""
     processor = Processor(CONFIG, classifier=lambda volume: [0.0], every_us=1_000)

@@ -117,6 +117,16 @@ def test_a_stream_without_one_good_event_is_reported_once(caplog):
     assert caplog.text.count(line) == 1
 
 
+def test_a_stream_with_a_good_event_is_not_reported(caplog):
+    """Some noise between good events says nothing against format and camera."""
+    wrong = events_of(range(WARN_AFTER), [0] * WARN_AFTER, [0] * WARN_AFTER, [2] * WARN_AFTER)
+    with listening(sensor=SENSOR) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        for events in (events_of([0], [0], [0], [1]), wrong):
+            sender.sendto(events.tobytes(), (source.address, source.port))
+        assert sum(map(len, source)) == 1 and source.counts.malformed == WARN_AFTER
+    assert caplog.text == ""
+
+
 # -- names and settings ----------------------------------------------------------------------------------
 
 

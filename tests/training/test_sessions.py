@@ -9,7 +9,8 @@ from sources.files.written import aedat3
 from training.gestures import bar, write
 
 from async_tnt import TNTConfig
-from async_tnt.sources.labelled_recordings import find_recordings
+from async_tnt.sources.files.recording import READERS
+from async_tnt.sources.labelled_recordings import find_recordings, recordings_under
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 from async_tnt.training.simulated_pictures import find_pictures
@@ -208,3 +209,18 @@ def test_times_that_the_file_does_not_have_are_answered_with_those_it_has(sessio
     (reason,) = data.record["left_out"]
     first, last = 5_000_000, int(part("flat", 22, 2)["t"][-1])
     assert reason == f"user02_led.npz[20:80]: no events; the file has {first} to {last} us"
+
+
+@pytest.mark.parametrize("suffix", sorted(READERS))
+def test_a_folder_holds_recordings_of_every_format_with_its_suffix_in_any_case(tmp_path, suffix):
+    """In class folders, as sessions, and anywhere below a folder."""
+    name = f"a{suffix.upper()}"
+    (tmp_path / "classes" / "wave").mkdir(parents=True)
+    (tmp_path / "classes" / "wave" / name).touch()
+    (found,) = find_recordings(tmp_path / "classes")["wave"]
+    assert found.path.name == name and recordings_under(tmp_path) == [found.path]
+    (tmp_path / "sessions").mkdir()
+    (tmp_path / "sessions" / name).touch()
+    (tmp_path / "sessions" / "a_labels.csv").write_text(HEADER + "wave,0,1\n")
+    (found,) = find_recordings(tmp_path / "sessions")["wave"]
+    assert (found.path.name, found.between_us) == (name, (0, 1))

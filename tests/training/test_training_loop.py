@@ -108,7 +108,8 @@ def test_evaluation_by_hand():
 
     recordings = Recordings.from_events([recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0])
     pipeline = Pipeline(TNTConfig(transform="none"), DecidesByTheSum())
-    found = evaluate(pipeline, make_windows(recordings, 105_000), times_ms=(10, 100))
+    found = evaluate(pipeline, make_windows(recordings, 105_000), times_ms=(10, 100, 105, 400))  # the end counts once
+    assert found.times_ms == (10, 100, 105)
     assert found.per_window == pytest.approx(5 / 6)
     np.testing.assert_array_equal(found.confusion, [[3, 0], [1, 2]])
     assert (found.to_dict()["windows"], found.to_dict()["recordings"]) == (6, 2)

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
 
-from made import events_of
+from made import events_of, opened
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -84,6 +84,16 @@ def test_slices_are_the_bins_of_the_volumes(polarity):
     drawn = pictures(draw_overview(shown, 2).axes)
     assert_equal([cells for cells in drawn if cells.shape == raw[0].shape], [*raw, *tnt])
     assert np.abs(raw).max() > 1 and np.abs(tnt).max() > 1
+
+
+@pytest.mark.parametrize("bins", [1, 2, 5, 9])
+def test_the_time_of_a_bin_is_that_of_the_events_that_it_holds_alone(bins):
+    config = async_tnt.TNTConfig(window_us=8_000, bins=bins, transform="none")
+    for k in range(max(1, bins - 1)):
+        time_ms = float(figure_window.bin_ms(config, k).removesuffix(" ms"))
+        volume = opened(config, events_of([round(1e3 * time_ms)], [5], [4], [1]))
+        assert np.flatnonzero(volume.array[:, 4, 5]).tolist() == [k]
+    assert bins == 1 or figure_window.bin_ms(config, bins - 1) == "8 ms"  # the window's end
 
 
 def test_probabilities_are_those_of_the_streams_decisions():

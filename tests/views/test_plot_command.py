@@ -91,6 +91,15 @@ def test_options_reach_the_picture(plot):
     assert not [label for label in labels if label not in text]
 
 
+def test_a_models_flow_removal_goes_with_its_line(plot):
+    random_model(TNTConfig(landmark="line", remove_flow=True, t_max=2.0)).save("m.safetensors")
+    for landmark, words in (("line", "line, flow removed, t_max 2"), ("center", "center, t_max 2")):
+        assert plot(5, "--model", "m.safetensors", "--volume", f"landmark={landmark}", "--out", "s.svg")[0] == 0
+        assert f"after TNT ({words})" in text_of("s.svg")
+    code, _, err = plot(5, "--volume", "landmark=center,remove_flow=yes")
+    assert (code, err.count("\n")) == (2, 1) and "remove_flow" in err
+
+
 def test_a_recording_of_another_camera_needs_no_model(plot):
     """Its sensor comes from the file or the option."""
     events = random_events(30_000, sensor=(120, 80))
