@@ -1,7 +1,7 @@
 """What is known of the package and the machine before anything is imported: version, cores, and names that are imported
 when first used, so that programs start at once."""
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from async_tnt import saved_state
 from async_tnt.checks import Method, Running, one_at_a_time, short
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
@@ -26,6 +25,7 @@ from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, until_due, why_due
 from async_tnt.networks.model import Model
 from async_tnt.restarts import OnRestart, RestartWatch, part_of
+from async_tnt.saved_state import dump_state, load_state
 from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings, warn_if_never_due
 from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import Regressor
@@ -468,7 +468,7 @@ class Processor(TriggerAttributes):
         `from_state` continues it, bit for bit, in any process of the same release. It is a pickle: load none that you
         do not trust.
         """
-        return saved_state.dumps(super().__getstate__(), _networks(self.classifier, self._windows.regressor))
+        return dump_state(super().__getstate__(), _networks(self.classifier, self._windows.regressor))
 
     @classmethod
     def from_state(
@@ -488,7 +488,7 @@ class Processor(TriggerAttributes):
         ValueError : the state is of another configuration or of other classes; or it is none.
         """
         config, classifier, regressor, classes = networks_of(model, classifier, regressor, None)
-        values = saved_state.loads(state, _networks(classifier, regressor))
+        values = load_state(state, _networks(classifier, regressor))
         if not (isinstance(values, tuple) and len(values) == 2 and isinstance(values[1], dict)):
             raise ValueError(f"`state` must be what `save_state` returned, got a pickle of {type(values).__name__}")
         processor = cls.__new__(cls)

@@ -9,7 +9,7 @@ from typing import Any
 from async_tnt.checks import one_line
 
 
-def dumps(values: Any, networks: dict[str, Any]) -> bytes:
+def dump_state(values: Any, networks: dict[str, Any]) -> bytes:
     """Pickle values, and of each of these networks (name -> object, None: there is none) the name alone."""
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, pickle.HIGHEST_PROTOCOL)
@@ -18,8 +18,8 @@ def dumps(values: Any, networks: dict[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def loads(state: bytes, networks: dict[str, Any]) -> Any:
-    """The values that `dumps` has pickled, with these networks.
+def load_state(state: bytes, networks: dict[str, Any]) -> Any:
+    """The values that `dump_state` has pickled, with these networks.
 
     Raises
     ------

@@ -29,9 +29,9 @@ class _Sharing(NamedTuple):
     columns: Columns
     first: int
     counts: tuple[int, int, int]
-    """Of the scheduler before: received, late, dropped_decided."""
+    """The counts of the scheduler before: received, late, dropped_decided."""
     of_oldest: tuple[int, int]
-    """Of the oldest window before: late, dropped_decided."""
+    """The counts of the oldest window before: late, dropped_decided."""
     received: list[int]
     """Events that each window had received before."""
 

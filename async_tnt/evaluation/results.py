@@ -184,8 +184,6 @@ def _record_of(line: bytes, job: Job, out: Path) -> Record:
         record = parse_json(line)
     except ValueError:
         record = None
-    if isinstance(record, dict):
-        record.setdefault("off_sensor", 0)  # earlier releases refused such recordings
     if not isinstance(record, dict) or record.keys() != set(FIELDS) or not isinstance(record["recording"], str):
         raise ValueError(f"{_not_ours(out)}, or damaged")
     if record["settings"] != job.id:

@@ -31,7 +31,7 @@ class Interrupted(BaseException):
 
 @functools.cache
 def handles_signals(code):
-    """Of each instruction of a function: whether CPython may handle a signal right after it."""
+    """For each instruction of a function, whether CPython may handle a signal right after it."""
     return {
         one.offset: one.opname.startswith(("CALL", "JUMP_BACKWARD")) and one.opname != "CALL_INTRINSIC_1"
         for one in dis.get_instructions(code)

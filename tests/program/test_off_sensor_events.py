@@ -65,16 +65,6 @@ def test_evaluate_and_its_records_count_it(program, stray, tmp_path):
     assert (record["error"], record["off_sensor"], record["events"]) == (None, 1, 4_952)
 
 
-def test_results_of_a_release_that_did_not_count_them_are_resumed(program, stray, tmp_path):
-    out = tmp_path / "r.jsonl"
-    program("evaluate", "digits", stray.parents[1], "--out", out)
-    record = json.loads(out.read_text())
-    del record["off_sensor"]
-    out.write_text(json.dumps(record | {"events": 7}) + "\n")
-    code, text, _ = program("evaluate", "digits", stray.parents[1], "--out", out, "--json")
-    assert (code, json.loads(text)["off_sensor"], json.loads(text)["events"]) == (0, 0, 7)
-
-
 def test_training_data_leave_it_out_and_count_it(stray):
     from async_tnt.sources.pixel_selection import PixelSelection
     from async_tnt.training.dataset import read_dataset
