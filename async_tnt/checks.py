@@ -135,7 +135,7 @@ _TOO_DEEP = f"its JSON is nested more than {MAX_JSON_DEPTH} deep"
 
 
 class _JsonError(ValueError):
-    """Of `_json_object`, in our words."""
+    """A fault that `_json_object` has found, in our words."""
 
 
 def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

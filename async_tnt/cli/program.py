@@ -127,7 +127,7 @@ class _Signals:
         """SIGTERM and SIGHUP raise KeyboardInterrupt like Ctrl-C, so that a command can clean up.
 
         A signal that follows at once does nothing: a terminal that is closed sends two, and the
-        second would end the cleaning up. A later one is obeyed, in case that takes for ever.
+        second would end the cleaning up. A later one is obeyed, in case that takes forever.
         """
         now_s = time.monotonic()
         if self.received and now_s < self._accepted_s + REPEATED_S:

@@ -74,7 +74,7 @@ def _begin_fork() -> None:
     """Wait until no other thread compiles, and let none begin.
 
     A child of `fork` has a copy of every lock, but only the thread that forked. A lock that another
-    thread held would stay locked there for ever, and what it guards would stay half done.
+    thread held would stay locked there forever, and what it guards would stay half done.
     """
     for lock in _locks:
         lock.__enter__()

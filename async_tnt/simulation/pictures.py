@@ -22,7 +22,7 @@ SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".t
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
 """Pillow's names of what these suffixes promise. It knows others by their first bytes, and starts programs for some."""
 MAX_PIXELS = 50_000_000
-"""Of a picture's file: to decode more takes more than a gigabyte."""
+"""Pixels of the largest picture that is read: to decode more takes more than a gigabyte."""
 LARGEST_SIDE = 512
 """Larger pictures are made smaller: no object is that large on an event camera."""
 ALIKE, DIFFERS = 0.03, 0.05

@@ -53,8 +53,8 @@ RANK = 4
 FACTOR = 5.0
 FALSE_ALARMS = 0.01  # over the whole sensor
 MAX_PIXELS = 1 << 24
-"""Of a sensor whose hot pixels are counted, which takes up to 40 bytes a pixel. The largest event cameras have one or
-two million; but a file of a few hundred bytes may state a thousand times as many."""
+"""Pixels of the largest sensor whose events are counted by pixel, which takes up to 40 bytes a pixel. The largest event
+cameras have one or two million; but a file of a few hundred bytes may state a thousand times as many."""
 
 
 def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:

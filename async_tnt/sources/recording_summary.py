@@ -12,14 +12,12 @@ from async_tnt.events import ANY_SENSOR
 from async_tnt.kernels.pixels import count_events
 from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixel_masks import hot_pixels, listed_pixels
+from async_tnt.sources.pixel_masks import MAX_PIXELS, hot_pixels, listed_pixels
 from async_tnt.sources.sensor import Sensor
 
 PACKET_EVENTS = 1 << 16
 N_PARTS = 60
 """Of a recording, whose events are counted apart."""
-MOST_PIXELS = 1 << 24
-"""Of a sensor whose hot pixels are searched for: a file may state any."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None, **read
     """
     recording = open_recording(path, PACKET_EVENTS, sensor=sensor, off_sensor="count", **reading)
     known = recording.sensor
-    counted = known is not None and known[0] * known[1] <= MOST_PIXELS
+    counted = known is not None and known[0] * known[1] <= MAX_PIXELS
     pixels = np.zeros(known[::-1] if known and counted else (0, 0), np.int64)
     first_us, duration_us = recording.earliest_us, recording.duration_us
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)

@@ -56,7 +56,7 @@ def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
 
 
 def share_while_cooling(step: int, first: int, last: int) -> float:
-    """Of the learning rate that there was at step `first`, at a step of first .. last - 1: it falls in a line to 0.
+    """The share that is left of the learning rate of step `first`, at a step in first .. last - 1. It falls to 0.
 
     Examples
     --------

@@ -284,7 +284,7 @@ def _set_rate(
 
 
 def _share_of_rate(settings: TrainSettings, step: int, n_steps: int) -> float:
-    """Of the highest rate, at a step of a training that does not end early."""
+    """The share of the highest rate, at a step of a training that does not end early."""
     warm = max(1, int(settings.warm_up * n_steps))
     if step < warm:
         return (step + 1) / warm

@@ -55,7 +55,7 @@ SQLITE = b"SQLite format 3\0"
 ZSTANDARD = b"\x28\xb5\x2f\xfd"
 """The first bytes of a message that was compressed by itself; CDR begins with zeros."""
 BLOCK_BYTES = 1 << 17
-"""Of the events of the messages that are sent together."""
+"""Size of the events of the messages that are sent together."""
 MAX_SIDE = 1 << 16
 TIME_HIGH = 0
 TIME_LOW = 1

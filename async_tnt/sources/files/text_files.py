@@ -36,7 +36,7 @@ from async_tnt.sources.sensor import Sensor
 
 CHUNK_BYTES = 1 << 18
 FIRST_BYTES = 1 << 12
-"""Of a file's rows, among which the first event is looked for before all of them are read."""
+"""Bytes of rows among which the first event is looked for, before all of them are read."""
 ORDER_ROWS = 1_000
 """The first rows of a file, by which the order of its columns is judged."""
 MAX_ROW_BYTES = 1 << 16
@@ -45,7 +45,7 @@ SEPARATORS = ",;\t"
 UZH_ORDER = "txyp"
 CSV_ORDER = "txyp"
 METAVISION_ORDER = "xypt"
-"""Of a CSV file with a line `%geometry:WIDTH,HEIGHT`."""
+"""The order of columns in a CSV file with a line `%geometry:WIDTH,HEIGHT`."""
 MAX_SIDE = 1 << 16
 """Pixels of the longest side that a file may state."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
