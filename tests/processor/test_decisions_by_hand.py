@@ -13,6 +13,7 @@ from made import random_model, thesis_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* it never makes a decision due")
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none", polarity="unsigned")
 
 

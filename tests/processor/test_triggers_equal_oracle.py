@@ -16,6 +16,7 @@ from oracles import Oracle, as_values
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* it never makes a decision due", "ignore:times went back")
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=2, window_us=1000, t_max=2.0, transform="none")
 TNT = CONFIG.replace(transform="tnt")
 REPLAYED = CONFIG.replace(transform="tnt", landmark="window")

@@ -63,6 +63,7 @@ def test_packets_older_than_keep_up_milliseconds_are_skipped(keep_up_ms, n_skipp
         monkeypatch.setattr(f"async_tnt.sources.{module}.time", clock)
 
     class Source:
+        name = "camera"
         sensor = 34, 34
 
         def __iter__(self):

@@ -109,7 +109,7 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     assert err == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
     np.save("camera.npy", events)
     code, _, err = plot("camera.npy")
-    assert code == 2 and "sensor; the file states none, --sensor, the model or another recording does" in err
+    assert code == 2 and "; the file states none, --sensor, the model or another recording does" in err
     assert plot("camera.npy", "--sensor", "120x80")[0] == 0
     code, _, err = plot("camera.npz", "--volume", "transform=none")
     assert code == 2 and "the volume without the transform is drawn anyway" in err

@@ -224,18 +224,6 @@ def dat_with_a_polarity_of_8(k):
     return data, place, k
 
 
-def aedat2_with_another_address(k):
-    data = bytearray(aedat2(LONG, SMALL, ""))
-    place = len(data) - 16 * (len(LONG) - k) + 8  # the second of two: the first is no pixel's
-    data[place + 1] |= 1
-    return data, place, k
-
-
-def evt3_with_a_vector_off_every_sensor(k):
-    data = evt3(LONG[:k], (2048, 2048)) + struct.pack("<HHH", 0x8001, 0x0009, 0x3000 | 2040)  # time, row, base
-    return bytearray(data + struct.pack("<H", 0x4FFF) + bytes(1000)), len(data), k
-
-
 def evt2_that_ends_within_a_word(k):
     data = evt2(LONG[:k]) + b"\1\2\3"
     return bytearray(data), len(data), k
@@ -251,8 +239,6 @@ def aedat3_with_an_impossible_packet(k):
     ("name", "make"),
     [
         ("a.dat", dat_with_a_polarity_of_8),
-        ("a.aedat", aedat2_with_another_address),
-        ("a.raw", evt3_with_a_vector_off_every_sensor),
         ("a.raw", evt2_that_ends_within_a_word),
         ("a.aedat", aedat3_with_an_impossible_packet),
     ],
@@ -261,9 +247,10 @@ def test_the_byte_of_the_damage_is_named_wherever_it_is(tmp_path, name, make, k)
     """However many blocks were read before it."""
     data, byte, n_before = make(k)
     (tmp_path / name).write_bytes(data)
+    if n_before == 0:  # another format
+        with pytest.raises(ValueError, match=rf"not one event can be read: .*\bbyte {byte}\b"):
+            open_recording(tmp_path / name)
+        return
     with pytest.warns(DamagedRecording, match=rf"\bbyte {byte}\b"):
         events = open_recording(tmp_path / name).read()
-    if make is not evt3_with_a_vector_off_every_sensor:
-        np.testing.assert_array_equal(events, LONG[:n_before])
-    else:  # and perhaps those of the vector's events that are on a sensor
-        np.testing.assert_array_equal(events[:n_before], LONG[:n_before])
+    np.testing.assert_array_equal(events, LONG[:n_before])
