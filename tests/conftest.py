@@ -24,6 +24,14 @@ if os.name != "nt" and signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # und
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Kernels are compiled once, before the workers start, by two processes."""
+    if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
+        from async_tnt import warmup  # not above: OMP_NUM_THREADS has to be set first
+
+        warmup()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
     """Kernels are compiled once, here: a program that a test starts would say on stderr that it compiles."""
