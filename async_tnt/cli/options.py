@@ -266,7 +266,7 @@ def command_words(
     words = [program]
     for action in parser._actions:
         value = getattr(args, action.dest)
-        if action.type is user_path or value == action.default or action.dest in leave_out:
+        if action.type in (Path, user_path) or value == action.default or action.dest in leave_out:
             continue
         if isinstance(value, tuple):  # a region, a range, or a size
             separator = {"roi": ",", "size": "-"}.get(action.dest, "x")
