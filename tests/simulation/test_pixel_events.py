@@ -37,16 +37,24 @@ BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not
     "a reference far below": ([2.5, 2.5], [100, 200], {"reference": 0.0}, [(100, 1), (100, 1)]),
     "a reference far above": ([2.5, 2.5], [100, 200], {"reference": 4.0}, [(100, 0)]),
     "times are rounded": ([0, 3], [0, 10], {}, [(3, 1), (7, 1), (10, 1)]),
+    "a half is rounded up": ([0, 2], [0, 5], {"threshold_on": 0.5}, [(1, 1), (3, 1), (4, 1), (5, 1)]),
     # at 7.1 and 7.2 up past 1 and 2, at 7.3 and 7.4 down past 1 and 0
     "one microsecond keeps its order": ([0, 2, 0], [7.0, 7.2, 7.4], {}, [(7, 1), (7, 1), (7, 0), (7, 0)]),
 }
 
 
+def of_kernel(*arguments):
+    return noiseless_events(*arguments).tolist()
+
+
+@pytest.mark.parametrize("events_of", [of_kernel, reference_events])
 @pytest.mark.parametrize(("light", "times", "settings", "expected"), BY_HAND.values(), ids=BY_HAND)
-def test_one_pixel_by_hand(light, times, settings, expected):
+def test_one_pixel_by_hand(light, times, settings, expected, events_of):
     frames = np.array(light, float).reshape(-1, 1, 1)
-    events = noiseless_events(frames, times, **{"threshold_on": 1.0, "threshold_off": 1.0} | settings)
-    assert [(t, p) for t, x, y, p in events.tolist()] == expected
+    known = {"threshold_on": 1.0, "threshold_off": 1.0, "reference": light[0], "refractory_us": 0.0} | settings
+    of_pixel = (np.full((1, 1), known[name]) for name in ("threshold_on", "threshold_off", "reference"))
+    events = events_of(frames, times, *of_pixel, known["refractory_us"])
+    assert [(t, p) for t, x, y, p in events] == expected
 
 
 def test_more_events_than_the_first_buffer_holds():
