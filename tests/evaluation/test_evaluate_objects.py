@@ -275,6 +275,16 @@ def test_how_near_is_near_enough(tmp_path):
     assert (table.reach.tolist(), table.middle.tolist()) == ([[4, 0.5], [5, 5]], [[14, 20], [10, 20]])
 
 
+def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
+    """As spreadsheets write it."""
+    write_points(path := tmp_path / "a_objects.csv")
+    expected = read_table(path, ("on", "off"))
+    path.write_bytes("\ufeff".encode() + path.read_bytes())
+    found = read_table(path, ("on", "off"))
+    assert found.t.tolist() == expected.t.tolist() == [6000, 6000, 6000, 9900]
+    assert found.middle.tolist() == expected.middle.tolist()
+
+
 def test_matches_by_hand():
     """An object is matched once, with the nearest of its class; a second one found there is too many."""
     found = np.zeros((4, FOUND_SIZE))
