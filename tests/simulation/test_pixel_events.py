@@ -159,3 +159,17 @@ def test_invalid_frames_and_pixels_are_refused(frames, times, message):
     ):
         with pytest.raises(ValueError, match=f"`{name}` must be {rule}"):
             PixelModel(**{name: value})
+
+
+@pytest.mark.parametrize("start_us", [1, 1 << 24, 1 << 40])
+def test_events_do_not_depend_on_when_the_frames_begin(start_us):
+    """Of pixels that leak, follow slowly, fire for themselves and again; within the rounding of a microsecond."""
+    frames = np.cumsum(np.random.default_rng(1).normal(0.0, 0.3, (30, 6, 7)), axis=0)
+    times = 1_000.0 * np.arange(30)
+    pixels = PixelModel(leak_hz=40.0, bandwidth_hz=300.0, noise_hz=30.0, hot_share=0.1, after_share=0.3)
+    first, later = (simulate(frames, times + t, np.random.default_rng(2), pixels=pixels) for t in (0, start_us))
+    assert len(first) == len(later) > 200
+    for one in (first, later):
+        one.sort(order=("x", "y", "p", "t"))
+    assert np.abs(later["t"].astype(np.int64) - start_us - first["t"].astype(np.int64)).max() <= 1
+    np.testing.assert_array_equal(later[["x", "y", "p"]], first[["x", "y", "p"]])
