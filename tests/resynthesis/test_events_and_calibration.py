@@ -32,6 +32,19 @@ def test_pixels_are_measured(ratio):
     assert 800 <= measured.refractory_us < 4_000
 
 
+def test_simulated_pixels_are_like_the_measured_ones():
+    """Each number of theirs; thresholds and refractory time vary about them from window to window."""
+    measured = MeasuredPixels(1.25, 0.8, refractory_us=900.0, noise_hz=0.7, noise_on_share=0.3, after_share=0.2)
+    rng = np.random.default_rng(0)
+    drawn = [SimulatedPixels(measured, scale=0.3).draw(rng) for _ in range(500)]
+    assert {(one.noise_hz, one.noise_on_share, one.after_share) for one in drawn} == {(0.7, 0.3, 0.2)}
+    on, off, refractory_us = np.array([(one.threshold_on, one.threshold_off, one.refractory_us) for one in drawn]).T
+    np.testing.assert_allclose(on / off, 1.25 / 0.8)
+    assert np.median(on) == pytest.approx(0.3 * 1.25, rel=0.03) and np.log(on).std() == pytest.approx(0.1, rel=0.15)
+    assert np.mean(refractory_us) == pytest.approx(900, rel=0.05)
+    assert 540 <= refractory_us.min() < 600 and 1_200 < refractory_us.max() <= 1_260
+
+
 def test_numbers_of_windows_by_hand():
     """Pixel (1, 1) at 0, 2 and 6 ms and pixel (5, 9) once; then pixel (1, 1) twice, 8 ms apart; then nothing."""
     first = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0)]
