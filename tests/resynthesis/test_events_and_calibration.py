@@ -8,7 +8,7 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, SimulatedPixels, calibrate
 from async_tnt.resynthesis.calibration import describe
 from async_tnt.resynthesis.moving_image import N_FRAMES
-from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
+from async_tnt.simulation.measured_pixels import MeasuredPixels, is_after_pulse, measure_pixels
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 
@@ -30,6 +30,13 @@ def test_pixels_are_measured(ratio):
     assert measured.step_on * measured.step_off == pytest.approx(1)
     assert measured.noise_hz == pytest.approx(0.5, rel=0.3) and measured.noise_on_share == pytest.approx(0.8, abs=0.1)
     assert 800 <= measured.refractory_us < 4_000
+
+
+def test_after_pulses_by_hand():
+    """Within a millisecond, of the other sign, and at the same pixel."""
+    rows = [(0, 3, 4, 1), (1_000, 3, 4, 0), (2_001, 3, 4, 1), (2_002, 3, 4, 1), (2_003, 4, 4, 0), (2_003, 3, 5, 0)]
+    t, x, y, p = np.array([*rows, (2_900, 3, 4, 0)]).T
+    assert is_after_pulse((t, x, y, p)).tolist() == [False, True, False, False, False, False, True]
 
 
 def test_simulated_pixels_are_like_the_measured_ones():
