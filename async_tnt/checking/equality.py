@@ -1,6 +1,7 @@
 """Compare the stream with the batch reference on one recording: the promise of equality as a function.
 
-(a) the streamed volume is bit for bit the same however the stream was cut into packets;
+(a) the streamed volume is bit for bit the same however the stream was cut into packets, and made of the events that
+    the reference has in that window;
 (b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9 px;
 (c) logits equal the reference's to 1e-4 (of the largest, where it exceeds 1), and with them the class, but for ties;
 (d) a decision after every event, for which only what changed is computed, has the bits of the whole network's;
@@ -128,6 +129,7 @@ def _check_config(
     windows = Comparison("windows against reference", name, 0.0)
     in_reference = reference_windows(events, config, start_us)
     windows.add(float([start for start, _ in expected] != [start for start, _ in in_reference]))
+    of_window = dict(expected)
     for start, inside, ends in _prefixes(in_reference, prefixes):
         volume.open(start)
         for before, n in pairwise([0, *ends]):
@@ -140,6 +142,7 @@ def _check_config(
                 landmarks.add(_distance(ours, theirs))
             elif transformed:
                 landmarks.add(_distance(ours, reference_landmark(seen, config, start)))
+        windows.add(float(_digest(volume.array) != of_window.get(start)))
     return [packets, windows, volumes, *[landmarks] * transformed]
 
 
@@ -190,7 +193,7 @@ def _closed_windows(
     digests: list[bytes] = []
 
     def keep(volume: np.ndarray) -> list[float]:
-        digests.append(hashlib.blake2b(volume.tobytes()).digest())
+        digests.append(_digest(volume))
         return [0.0]
 
     processor = Processor(config, classifier=keep, regressor=regressor, start_us=start_us)
@@ -198,6 +201,10 @@ def _closed_windows(
     packets = events.tolist() if packet_size == 1 else [events[k : k + size] for k in range(0, events.size, size)]
     decisions = [decision for packet in packets for decision in processor.push(packet)] + processor.finish()
     return [(decision.window_start_us, digest) for decision, digest in zip(decisions, digests, strict=True)]
+
+
+def _digest(volume: np.ndarray) -> bytes:
+    return hashlib.blake2b(volume.tobytes()).digest()
 
 
 def _prefixes(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -91,6 +92,8 @@ def score_objects(
 def score_recording(model: Model, recording: Recording, table: ObjectTable) -> dict[float, ObjectScores]:
     """Of a window that ends at each moment of the table, after each of `SHARES` of it.
 
+    The scores depend neither on the order of the events nor on packets: the recording is read twice.
+
     Parameters
     ----------
     model : a map model, for the recording's sensor.
@@ -121,16 +124,45 @@ def score_recording(model: Model, recording: Recording, table: ObjectTable) -> d
 
 
 def _windows(packets: Iterable[np.ndarray], ends_us: Sequence[int], window_us: int) -> Iterator[np.ndarray]:
-    """The events of a window before each of these times, sorted, from time 0 on."""
+    """The events of a window before each of these times, sorted, from time 0 on.
+
+    They depend neither on the order of the events nor on packets. What is kept in memory is what
+    the windows have that late events reach.
+
+    Parameters
+    ----------
+    packets : iterated twice.
+    ends_us : in order.
+    """
+    n_needed = np.maximum.accumulate(_packets_needed(packets, np.array(ends_us), window_us))
     stream = iter(packets)
+    n_read = 0
     kept: list[np.ndarray] = []
-    newest_us = -1
-    for end_us in ends_us:
-        while newest_us < end_us and (packet := next(stream, None)) is not None:
-            kept.append(packet)
-            newest_us = max(newest_us, int(packet["t"].max(initial=-1)))
-        kept = [packet for packet in kept if packet["t"].max(initial=-1) >= end_us - window_us]
+    for end_us, n in zip(ends_us, n_needed.tolist(), strict=True):
+        start_us = end_us - window_us
+        kept = [packet for packet in kept if packet["t"].max() >= start_us]
+        for packet in itertools.islice(stream, n - n_read):
+            still_of_use = packet[packet["t"] >= start_us]
+            if len(still_of_use):
+                kept.append(still_of_use)
+        n_read = n
+
         events = np.concatenate([np.empty(0, EVENT_DTYPE), *kept])
-        events = events[(events["t"] >= end_us - window_us) & (events["t"] < end_us)]
-        events["t"] -= end_us - window_us
+        events = events[(events["t"] >= start_us) & (events["t"] < end_us)]
+        events["t"] -= start_us
         yield events[np.argsort(events["t"], kind="stable")]
+
+
+def _packets_needed(packets: Iterable[np.ndarray], ends_us: np.ndarray, window_us: int) -> np.ndarray:
+    """How many packets, from the first on, have all events of the window before each of these times."""
+    n_needed = np.zeros(len(ends_us), np.int64)
+    for n, packet in enumerate(packets, 1):
+        if not len(packet):
+            continue
+        t_us = np.sort(packet["t"])
+        first = np.searchsorted(ends_us, t_us[0], side="right")
+        stop = np.searchsorted(ends_us, t_us[-1] + window_us, side="right")
+        near_us = ends_us[first:stop]
+        has_some = np.searchsorted(t_us, near_us - window_us) < np.searchsorted(t_us, near_us)
+        n_needed[first:stop][has_some] = n
+    return n_needed

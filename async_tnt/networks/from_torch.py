@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import operator
 from collections.abc import Mapping, Sequence
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -41,7 +43,8 @@ def layers_from_torch(
     Raises
     ------
     TypeError : `module` is not a torch module.
-    NotImplementedError : names the operations that are not among these, or the first module with hooks.
+    NotImplementedError : names the operations that are not among these, those that change in place
+        what a view that is read later shows, or the first module with hooks.
     ValueError : a layer does not fit `shape`.
     """
     if not isinstance(module, nn.Module):
@@ -140,14 +143,21 @@ class _Tracer(fx.Tracer):
 class _Conversion:
     """Reads the nodes of a trace in their order.
 
-    An in-place operation is read as one whose result takes its input's place. Where other values lie in the same
-    memory, that differs from what the module computes, and `check_torch_layers` refuses it.
+    An operation in place is read as one whose result takes its input's place, under all names of
+    that tensor. A view of the tensor would have to change, too: where one is read later, the
+    operation is refused.
     """
 
     def __init__(self, module: nn.Module, made: LayerList) -> None:
         self._module, self._made = module, made
+        self._position: dict[fx.Node, int] = {}
+        self._tensor: dict[fx.Node, fx.Node] = {}
+        """A result in place -> the first node that is the same tensor; others are their own."""
+        self._memory: dict[fx.Node, fx.Node] = {}
+        """What may lie in another node's memory -> that node; others have their own."""
 
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
+        self._position = {node: k for k, node in enumerate(graph.nodes)}
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
             raise NotImplementedError(f"the module must take one volume, got {len(inputs)} arguments")
@@ -187,7 +197,7 @@ class _Conversion:
         kind, module, operation = self._operation(node)
         where = f"layer {node.target!r} ({kind})" if module is not None else f"operation {node.name!r} ({kind})"
         if operation is None:
-            if not node.users:
+            if not node.users and not _may_change_its_input(node, module):
                 return
             instead = ": a decision has the softmax of its logits, leave it out" if "softmax" in kind.lower() else ""
             raise NotImplementedError(f"{where} has no compiled form{instead}")
@@ -195,9 +205,38 @@ class _Conversion:
             call = Call(node, self._with_tensors(operation.arguments(node, module)), module)
             if node.users or call.written is not None:
                 name = operation.rule(self._made, call)
-                self._made.names |= {node: name, **({} if call.written is None else {call.written: name})}
+                if call.written is not None:
+                    self._write(node, call.written, name)
+                elif operation.may_share:
+                    self._memory[node] = self._memory.get(call["input"], call["input"])
+                self._made.names[node] = name
         except NotImplementedError as error:
             raise NotImplementedError(f"{where}: {error}") from None
+
+    def _write(self, node: fx.Node, written: fx.Node, name: str) -> None:
+        """Give all names of the written tensor, also the node's own, the value of this layer.
+
+        Raises
+        ------
+        NotImplementedError : another value that lies in its memory is read later.
+        """
+        tensor = self._tensor.get(written, written)
+        memory = self._memory.get(written, written)
+        is_change = name != self._made.source(written)
+        for other in list(self._made.names):
+            if self._tensor.get(other, other) is tensor:
+                self._made.names[other] = name
+            elif is_change and self._memory.get(other, other) is memory and self._is_read(other, node):
+                raise NotImplementedError(
+                    f"a change in place of memory that {other.name!r} shares, which is read later, has no compiled form"
+                )
+        self._tensor[node] = tensor
+        self._memory[node] = memory
+
+    def _is_read(self, node: fx.Node, after: fx.Node) -> bool:
+        """Whether its value, and not its size alone, is read by a later operation whose result counts."""
+        later = [user for user in node.users if self._position[user] > self._position[after]]
+        return any((user.users or user.op == "output") and not self._is_size(user) for user in later)
 
     def _with_tensors(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """The module's own parameters and buffers in place of the nodes that read them."""
@@ -217,3 +256,18 @@ class _Conversion:
         name = node.target if isinstance(node.target, str) else getattr(node.target, "__name__", str(node.target))
         known = {"call_method": METHODS, "call_function": FUNCTIONS}.get(node.op, {})
         return name, None, known.get(node.target)
+
+
+def _may_change_its_input(node: fx.Node, module: nn.Module | None) -> bool:
+    """Whether an operation without a compiled form may work in place: torch's say so, others may."""
+    if module is not None:
+        return bool(getattr(module, "inplace", False))
+    if node.op == "call_method":
+        return str(node.target).endswith("_") or "out" in node.kwargs
+    function: Any = node.target
+    if function.__name__.endswith("_") or "out" in node.kwargs:
+        return True
+    if not isinstance(function, FunctionType):
+        return False
+    given = inspect.signature(function).bind(*node.args, **node.kwargs).arguments
+    return not function.__module__.startswith("torch.") or bool(given.get("inplace"))

@@ -243,6 +243,8 @@ class Operation:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """After the inputs, in torch's order: name -> default. A module has them as attributes."""
     inputs: tuple[str, ...] = ("input",)
+    may_share: bool = False
+    """Whether its result may lie in the memory of its input, as a view does."""
 
     def arguments(self, node: fx.Node, module: nn.Module | None) -> dict[str, Any]:
         if self.rule is _view:
@@ -276,9 +278,9 @@ PIXEL_SHUFFLE = Operation(
     lambda made, call: made.add("depth_to_space", call, block=call["upscale_factor"]), {"upscale_factor": None}
 )
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
-FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1})
-VIEW = Operation(_view)
-DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_FLAG})
+FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1}, may_share=True)
+VIEW = Operation(_view, may_share=True)
+DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_FLAG}, may_share=True)
 
 MODULES: dict[type, Operation] = {
     nn.Conv2d: Operation(_conv),
@@ -300,7 +302,7 @@ MODULES: dict[type, Operation] = {
     nn.PixelShuffle: PIXEL_SHUFFLE,
     nn.Flatten: FLATTEN,
     **dict.fromkeys((nn.Dropout, nn.Dropout1d, nn.Dropout2d), DROPOUT),
-    nn.Identity: Operation(_same),
+    nn.Identity: Operation(_same, may_share=True),
     HeatmapCentroid: _function("heatmap_centroid"),
 }
 """By the very type: a subclass may compute anything."""
@@ -344,5 +346,5 @@ METHODS: dict[Any, Operation] = {
     **dict.fromkeys(("log1p", "log1p_"), LOG1P),
     "flatten": FLATTEN,
     **dict.fromkeys(("view", "reshape"), VIEW),
-    "contiguous": Operation(_same, {"memory_format": None}),
+    "contiguous": Operation(_same, {"memory_format": None}, may_share=True),
 }

@@ -8,6 +8,7 @@ from made import random_model, thesis_model
 from training.gestures import bar, write, write_set
 
 from async_tnt import Processor, TNTConfig
+from async_tnt.evaluation.scores import score_recordings
 from async_tnt.sources.files.recording import open_recording
 
 CLASSES = ("flat", "slanted", "upright")
@@ -91,6 +92,13 @@ def test_the_numbers_are_those_of_an_independent_count(saved, dataset, windows, 
     np.testing.assert_allclose([row["accuracy"] for row in against_time], right, atol=1e-12)
     np.testing.assert_allclose([row["decided"] for row in against_time], decided, atol=1e-12)
     assert report["events"] == 11 * 1500 and report["decisions"] >= report["windows"]
+
+
+def test_classes_without_recordings_do_not_count_in_the_balance():
+    windows = [np.array([[0.9, 0.1, 0.0]]), np.array([[0.2, 0.8, 0.0]]), np.array([[0.1, 0.9, 0.0]])]
+    scores = score_recordings(["a", "b", "never there"], [0, 0, 1], windows)
+    assert scores["per_class"] == {"a": 0.5, "b": 1.0, "never there": None}
+    assert scores["balanced_accuracy"] == 0.75
 
 
 def test_early_decisions_are_those_of_an_independent_count(saved, dataset, windows, program):

@@ -1,6 +1,7 @@
 """`async-tnt evaluate` of a map model: counts by hand, tables in both forms, and what is refused."""
 
 import json
+import weakref
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from torch import nn
 
 from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
 from async_tnt.evaluation.object_scores import score_objects, score_recording
-from async_tnt.evaluation.object_tables import read_table
+from async_tnt.evaluation.object_tables import ObjectTable, read_table
 from async_tnt.kernels.objects import FOUND_SIZE, X, Y
 
 CONFIG = TNTConfig(
@@ -204,17 +205,18 @@ def scored_by_hand(model, events, rows, share):
 
 
 @pytest.mark.parametrize("packet_events", [1, 37, 100_000])
-def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, packet_events):
+@pytest.mark.parametrize("order", ["sorted", "late events", "backwards"])
+def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, order, packet_events):
     """Moments closer together than a window, several objects at one, and a table in no order.
 
-    Late events are found within their packet.
+    They depend neither on the order of the events nor on packets.
     """
     rng, model = np.random.default_rng(4), load_model(saved)
     events = clusters(rng)
-    if packet_events < len(events):
-        events = events[np.argsort(events["t"], kind="stable")]
+    in_time = events[np.argsort(events["t"], kind="stable")]
+    events = {"sorted": in_time, "late events": events, "backwards": in_time[::-1]}[order]
     rows = []
-    for event in events[rng.permutation(len(events))[:60]].tolist():
+    for event in in_time[rng.permutation(len(events))[:60]].tolist():
         x, y = (int(np.clip(event[1 + k] + rng.integers(-4, 5), 0, (63, 39)[k])) for k in range(2))
         rows.append((event[0] + 100 * int(rng.integers(1, 10)), ("off", "on")[event[3]], x, y))
     np.savez(tmp_path / "a.npz", sensor=CONFIG.sensor, events=events)
@@ -233,11 +235,54 @@ def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, packet_events)
         assert words["precision"] == round(right / n_found, 5) and words["recall"] == round(right / there, 5)
 
 
+@pytest.mark.parametrize("moment, is_known", [(8900, False), (8901, True), (9900, True), (9901, False)])
+def test_a_window_has_its_start_and_not_its_end(folder, saved, program, moment, is_known):
+    """Of a recording of one event, at 8900."""
+    np.savez(folder / "a_td.npz", sensor=CONFIG.sensor, events=events_of([8900], [20], [10], [1]))
+    write_points(folder / "a_td_objects.csv", [(moment, "on", 20, 10)])
+    code, _, err = program("evaluate", saved, folder)
+    assert (code == 0) == is_known
+    assert is_known or f"no event in the 1000 us before any time in its table, {moment} to {moment}" in err
+
+
+def test_memory_does_not_grow_with_the_time_between_moments(saved):
+    """Of a recording of which all but the last window lies before the only moment."""
+    n_alive = []
+
+    class Packets:
+        path = "a.npz"
+
+        def __iter__(self):
+            alive = []
+            for k in range(300):
+                t = 1000 * k - 1200 * (k % 2 == 0) + np.arange(50)
+                packet = events_of(np.maximum(t, 0), *np.ones((3, 50), int))
+                alive.append(weakref.ref(packet))
+                yield packet
+                del packet
+                n_alive.append(sum(one() is not None for one in alive))
+
+    label, middle = np.array([0]), np.array([[1.0, 1.0]])
+    table = ObjectTable(np.array([300_000]), label, middle, np.array([[5.0, 5.0]]), {})
+    scores = score_recording(load_model(saved), Packets(), table)
+    assert scores[1.0].right.sum() == 1 and max(n_alive) <= 5
+
+
 def test_how_near_is_near_enough(tmp_path):
     """Within a box, of at least a pixel a side, or so many pixels from a point."""
     write_points(tmp_path / "a_objects.csv", [(1, "on", 10, 20, 8, 0), (2, "on", 10, 20, 0, 0)], "t,class,x,y,w,h")
     table = read_table(tmp_path / "a_objects.csv", ("on",))
     assert (table.reach.tolist(), table.middle.tolist()) == ([[4, 0.5], [5, 5]], [[14, 20], [10, 20]])
+
+
+def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
+    """As spreadsheets write it."""
+    write_points(path := tmp_path / "a_objects.csv")
+    expected = read_table(path, ("on", "off"))
+    path.write_bytes("\ufeff".encode() + path.read_bytes())
+    found = read_table(path, ("on", "off"))
+    assert found.t.tolist() == expected.t.tolist() == [6000, 6000, 6000, 9900]
+    assert found.middle.tolist() == expected.middle.tolist()
 
 
 def test_matches_by_hand():

@@ -19,6 +19,9 @@ WAY_OUT = (
     "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
 )
 
+RARE = 1e6
+"""Larger than what any of the volumes gives that a module and its layers are compared on."""
+
 
 def model_of(module):
     return Model.from_torch(module, CONFIG, list("abcd"), record={"by": "hand"})
@@ -51,6 +54,8 @@ class Written(nn.Module):
         torch.manual_seed(1)
         self.body, self.conv, self.dense = body, nn.Conv2d(3, 3, 3, padding=1), nn.Linear(3 * 18 * 20, 4)
         self.head = nn.Conv2d(3, 4, 1)
+        self.flatten, self.identity = nn.Flatten(), nn.Identity()
+        self.limit, self.threshold = nn.Hardtanh(-RARE, RARE, inplace=True), nn.Threshold(-RARE, 0.0, inplace=True)
         self.register_buffer("scales", torch.tensor([0.5, 2.0, 3.0])[:, None, None])
 
     def forward(self, x):
@@ -83,16 +88,119 @@ def test_modes_and_changes_in_place_are_read_as_they_are(module):
     assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
 
 
-def changes_through_a_view(m, x):
-    h = m.conv(x)
-    return m.dense(h.flatten(1).relu_()) + m.logits(h)
+VIEWS = {
+    "flatten": lambda m, h: h.flatten(1),
+    "torch.flatten": lambda m, h: torch.flatten(h, 1),
+    "Flatten": lambda m, h: m.flatten(h),
+    "view": lambda m, h: h.view(h.size(0), -1),
+    "reshape": lambda m, h: h.reshape(1, -1),
+    "a view of a view": lambda m, h: h.contiguous().flatten(1),
+    "of a result in place": lambda m, h: h.relu_().flatten(1),
+    "of dropout": lambda m, h: F.dropout(h, training=False).flatten(1),
+    "of Identity": lambda m, h: m.identity(h).flatten(1),
+}
+IN_PLACE = {  # its name -> what changes only numbers beyond RARE
+    "clamp_": lambda m, h: h.clamp_(max=RARE),
+    "clip_": lambda m, h: torch.clip_(h, max=RARE),
+    "hardtanh": lambda m, h: F.hardtanh(h, -RARE, RARE, inplace=True),
+    "Hardtanh": lambda m, h: m.limit(h),
+    "clamp": lambda m, h: torch.clamp(h, max=RARE, out=h),
+}
 
 
-def changes_what_a_view_shows(m, x):
+def through_a_view(view, change):
+    """The view is changed, the map is read."""
+
+    def body(m, x):
+        h = m.conv(x)
+        flat = view(m, h)
+        change(m, flat)
+        return m.dense(flat) + m.logits(h)
+
+    return body
+
+
+def under_a_view(view, change):
+    """The map is changed, the view is read."""
+
+    def body(m, x):
+        h = m.conv(x)
+        flat = view(m, h)
+        change(m, h)
+        return m.dense(flat)
+
+    return body
+
+
+@pytest.mark.parametrize("order", [through_a_view, under_a_view])
+@pytest.mark.parametrize("change", IN_PLACE)
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_change_in_place_that_a_view_shares_is_refused_by_name(view, change, order):
+    """Although no volume that both are compared on shows the difference."""
+    with pytest.raises(NotImplementedError) as raised:
+        model_of(Written(order(VIEWS[view], IN_PLACE[change])))
+    where, _, why = str(raised.value).partition(": ")
+    assert where.endswith(f"({change})") and why.startswith("a change in place of memory that '")
+    assert "\n" not in why and why.endswith(f", which is read later, has no compiled form{WAY_OUT}")
+
+
+def of_one_tensor(m, x):
+    """Changed under each of its names: all of them show it."""
     h = m.conv(x)
-    flat = h.flatten(1)
-    h.relu_()
-    return m.dense(flat) + m.logits(h)
+    first = h.clamp_(-0.3, 0.4)
+    second = F.leaky_relu_(first, 0.1)
+    h.mul_(3)
+    return m.logits(h + 0.5 * first) + m.logits(second)
+
+
+def views_that_nobody_reads_later(m, x):
+    """One read before, one that keeps its values, and those of which a size or nothing is read."""
+    h = m.conv(x)
+    before = m.dense(h.flatten(1))
+    n = h.size(0)
+    flat = h.view(n, -1)
+    F.dropout(flat, training=False, inplace=True)
+    g = m.conv(h)
+    shown = g.flatten(1)
+    after = m.dense(flat.relu_().view(h.size(0), -1)) + m.logits(g.relu_())
+    shown.exp()
+    return before + after
+
+
+@pytest.mark.parametrize("body", [of_one_tensor, views_that_nobody_reads_later])
+def test_changes_in_place_that_no_view_shares_are_read(body):
+    module = Written(body)
+    found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
+    expected = logits_of(module)
+    assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
+
+
+def limits(h):
+    return h.clamp_(max=RARE)
+
+
+torch.fx.wrap("limits")
+UNREAD = {  # named as they would be if their results were read
+    "clamp_max_": lambda m, h: h.clamp_max_(RARE),
+    "threshold_": lambda m, h: F.threshold_(h, -RARE, 0.0),
+    "celu": lambda m, h: F.celu(h, 1.0, True),
+    "Threshold": lambda m, h: m.threshold(h),
+    "limits": lambda m, h: limits(h),
+    "neg": lambda m, h: torch.neg(torch.neg(h), out=h),
+}
+
+
+@pytest.mark.parametrize("name", UNREAD)
+def test_an_unknown_change_in_place_is_refused_though_nobody_reads_its_result(name):
+    """Of most, no volume shows a difference."""
+
+    def body(m, x):
+        h = m.conv(x)
+        UNREAD[name](m, h)
+        return m.logits(h)
+
+    with pytest.raises(NotImplementedError, match=rf"\({name}\) has no compiled form"):
+        model_of(Written(body))
 
 
 def squares_the_volume(m, x):
@@ -137,7 +245,7 @@ def of_body(body):
     return lambda: Written(body)
 
 
-HIDDEN = [changes_through_a_view, changes_what_a_view_shows, squares_the_volume, counts_its_calls]
+HIDDEN = [counts_its_calls]
 OTHER_NUMBERS = "the module cannot be read as layers: its layers compute other numbers (by "
 FORM, HOOKS = "has no compiled form", "has hooks, which a trace does not show: remove them"
 REFUSED = [  # what makes it, the beginning of the message
@@ -154,6 +262,7 @@ REFUSED = [  # what makes it, the beginning of the message
     (of_body(lambda m, x: x if x.sum() > 0 else -x), "torch.fx cannot trace this module: symbolically traced variable"),
     (of_body(own_function_named_relu), f"operation 'relu' (relu) {FORM}"),
     (hooked, f"layer '0' (Conv2d) {HOOKS}"),
+    (of_body(squares_the_volume), f"operation 'pow_' (pow_) {FORM}"),
     *((of_body(body), OTHER_NUMBERS) for body in HIDDEN),
     (of_body(lambda m, x: x.mean((2, 3), dtype=torch.float64)), "operation 'mean' (mean): the argument 'dtype' has"),
     (of_body(lambda m, x: m.dense(x.reshape(2, -1))), "operation 'reshape' (reshape): a view other than (n, -1)"),

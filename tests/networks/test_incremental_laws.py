@@ -99,6 +99,23 @@ def test_two_volumes_and_two_classifiers_in_any_order(network, script):
         assert volumes[v].array.tobytes() == twins[v].array.tobytes()
 
 
+@pytest.mark.parametrize("duplicate", DUPLICATES)
+@pytest.mark.parametrize("network", [DIGITS, LARGE], ids=str)
+def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, duplicate):
+    """With as many other events in each, which only the volume itself tells apart."""
+    volume, classifier, (width, height) = network.volume(), network.classifier(), network.config.sensor
+    volume.update(random_events(40, seed=1, duration_us=300, sensor=network.config.sensor))
+    classifier.refresh(volume)
+    both = volume, DUPLICATES[duplicate](volume)
+    for k in range(6):
+        for n, one in enumerate(both):
+            one.update_one(300 + k, width // 2 + k % 3, height // 2 + 2 * n, 1)
+        for one in both:
+            is_right = classifier.refresh(one).tobytes() == network.dense()(one.array).tobytes()
+            assert is_right
+    assert not np.array_equal(both[0].array, both[1].array)
+
+
 def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monkeypatch):
     """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first process."""
     classifier, volume = SMALL.classifier(), SMALL.volume()

@@ -246,6 +246,26 @@ def test_an_object_keeps_its_number_while_it_moves():
     assert show(0, (0, 7)) == {7: ("a", 0)}
 
 
+@pytest.mark.parametrize("late_us", [0, 1])
+def test_an_object_is_known_for_as_long_as_a_window_and_no_longer(late_us):
+    """Also by the reference."""
+    numbers = ObjectNumbers((4.0, 4.0), memory_us=1000, most=2, room=4)
+    assert numbers.follow(10, [(10.0, 10.0)]) == [0]
+    assert numbers.follow(1010 + late_us, [(10.0, 10.0)]) == [late_us]
+
+    shown = np.zeros((2, 10, 10), np.float32)
+    config = CONFIG.replace(sensor=(40, 40), grid=(40, 40), window_us=1000)
+    processor = Processor(config, classifier=lambda volume: shown, classes=["a"], every_events=1, start_us=0)
+
+    def ids(t, score):
+        shown[0, 5, 5] = score
+        return [found.id for decision in processor.push(([t], [5], [5], [1])) for found in decision.objects]
+
+    assert ids(10, 3) == [0]
+    assert ids(1005, -3) == []  # at the end of the first window, and here
+    assert ids(1010 + late_us, 3) == [late_us]
+
+
 WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsigned")
 
 

@@ -60,6 +60,19 @@ def test_a_folder_names_its_classes_and_what_cannot_be_read(program, tmp_path):
     assert code == 2 and "no recordings in this folder" in err
 
 
+def test_what_is_hidden_does_not_count(program, tmp_path):
+    """At every depth: files, folders, and what lies in hidden folders, also of other names."""
+    for name in ("wave/a.npy", "wave/deep/b.npy"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        np.save(tmp_path / name, random_events(100))
+    expected = program("info", tmp_path)
+    assert expected[0] == 0 and "2 recordings" in expected[1]
+    for name in (".cache/a.npy", ".cache/deep/a.npy", "wave/.trash/c.npy", "wave/.c.npy", "wave/deep/.x/a.npy"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        np.save(tmp_path / name, random_events(100))
+    assert program("info", tmp_path) == expected
+
+
 @pytest.mark.parametrize("name", bundled_models())
 def test_a_model_says_what_it_decides_and_costs(program, name):
     code, text, _ = program("info", name)

@@ -233,6 +233,8 @@ MINUTE_US = 60_000_000
         (range(0, 143 * MINUTE_US, MINUTE_US), 2),  # each of less than 2**32 us
         ([5, 6, 5 + 35 * MINUTE_US], 1),
         ([5, 6, 6 + (1 << 31) - 1], 1),
+        ([*range(0, 70 * MINUTE_US, 30 * MINUTE_US), (1 << 32) - 1], 1),
+        ([*range(0, 70 * MINUTE_US, 30 * MINUTE_US), 1 << 32, (1 << 32) + 1], 2),
         ([5, 6, 6 + (1 << 31)], 2),
         ([5, 6, 5 + 40 * MINUTE_US, 6 + 40 * MINUTE_US], 2),
         ([0, 30 * MINUTE_US, 60 * MINUTE_US, 20 * MINUTE_US, 21 * MINUTE_US], 2),  # back by 40 minutes

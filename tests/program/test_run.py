@@ -84,3 +84,19 @@ def test_late_events_are_reported(program):
     n = len(open_recording(SAMPLES[5]).read())
     message = program("run", "--start-us", "200000", SAMPLES[5])[2]
     assert f" of {n} events were too late and dropped (see --late, --start-us)\n" in message
+
+
+@pytest.mark.parametrize(
+    ("late", "expected", "message"),
+    [
+        ("accept", 0, ""),
+        ("drop", 0, "1 of 1000 events were too late and dropped"),
+        ("raise", 2, "`t` must not run backwards"),
+    ],
+)
+def test_late_decides_what_happens_to_events_older_than_the_newest_one(late, expected, message, program, tmp_path):
+    events = open_recording(SAMPLES[5]).read()[:1000]
+    events["t"][500] = events["t"][499] - 1
+    np.savez(tmp_path / "a.npz", sensor=(34, 34), events=events)
+    code, _, err = program("run", "--late", late, tmp_path / "a.npz")
+    assert code == expected and (message in err if message else err == "")

@@ -8,7 +8,7 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, SimulatedPixels, calibrate
 from async_tnt.resynthesis.calibration import describe
 from async_tnt.resynthesis.moving_image import N_FRAMES
-from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
+from async_tnt.simulation.measured_pixels import MeasuredPixels, is_after_pulse, measure_pixels
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 
@@ -30,6 +30,26 @@ def test_pixels_are_measured(ratio):
     assert measured.step_on * measured.step_off == pytest.approx(1)
     assert measured.noise_hz == pytest.approx(0.5, rel=0.3) and measured.noise_on_share == pytest.approx(0.8, abs=0.1)
     assert 800 <= measured.refractory_us < 4_000
+
+
+def test_after_pulses_by_hand():
+    """Within a millisecond, of the other sign, and at the same pixel."""
+    rows = [(0, 3, 4, 1), (1_000, 3, 4, 0), (2_001, 3, 4, 1), (2_002, 3, 4, 1), (2_003, 4, 4, 0), (2_003, 3, 5, 0)]
+    t, x, y, p = np.array([*rows, (2_900, 3, 4, 0)]).T
+    assert is_after_pulse((t, x, y, p)).tolist() == [False, True, False, False, False, False, True]
+
+
+def test_simulated_pixels_are_like_the_measured_ones():
+    """Each number of theirs; thresholds and refractory time vary about them from window to window."""
+    measured = MeasuredPixels(1.25, 0.8, refractory_us=900.0, noise_hz=0.7, noise_on_share=0.3, after_share=0.2)
+    rng = np.random.default_rng(0)
+    drawn = [SimulatedPixels(measured, scale=0.3).draw(rng) for _ in range(500)]
+    assert {(one.noise_hz, one.noise_on_share, one.after_share) for one in drawn} == {(0.7, 0.3, 0.2)}
+    on, off, refractory_us = np.array([(one.threshold_on, one.threshold_off, one.refractory_us) for one in drawn]).T
+    np.testing.assert_allclose(on / off, 1.25 / 0.8)
+    assert np.median(on) == pytest.approx(0.3 * 1.25, rel=0.03) and np.log(on).std() == pytest.approx(0.1, rel=0.15)
+    assert np.mean(refractory_us) == pytest.approx(900, rel=0.05)
+    assert 540 <= refractory_us.min() < 600 and 1_200 < refractory_us.max() <= 1_260
 
 
 def test_numbers_of_windows_by_hand():

@@ -37,16 +37,24 @@ BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not
     "a reference far below": ([2.5, 2.5], [100, 200], {"reference": 0.0}, [(100, 1), (100, 1)]),
     "a reference far above": ([2.5, 2.5], [100, 200], {"reference": 4.0}, [(100, 0)]),
     "times are rounded": ([0, 3], [0, 10], {}, [(3, 1), (7, 1), (10, 1)]),
+    "a half is rounded up": ([0, 2], [0, 5], {"threshold_on": 0.5}, [(1, 1), (3, 1), (4, 1), (5, 1)]),
     # at 7.1 and 7.2 up past 1 and 2, at 7.3 and 7.4 down past 1 and 0
     "one microsecond keeps its order": ([0, 2, 0], [7.0, 7.2, 7.4], {}, [(7, 1), (7, 1), (7, 0), (7, 0)]),
 }
 
 
+def of_kernel(*arguments):
+    return noiseless_events(*arguments).tolist()
+
+
+@pytest.mark.parametrize("events_of", [of_kernel, reference_events])
 @pytest.mark.parametrize(("light", "times", "settings", "expected"), BY_HAND.values(), ids=BY_HAND)
-def test_one_pixel_by_hand(light, times, settings, expected):
+def test_one_pixel_by_hand(light, times, settings, expected, events_of):
     frames = np.array(light, float).reshape(-1, 1, 1)
-    events = noiseless_events(frames, times, **{"threshold_on": 1.0, "threshold_off": 1.0} | settings)
-    assert [(t, p) for t, x, y, p in events.tolist()] == expected
+    known = {"threshold_on": 1.0, "threshold_off": 1.0, "reference": light[0], "refractory_us": 0.0} | settings
+    of_pixel = (np.full((1, 1), known[name]) for name in ("threshold_on", "threshold_off", "reference"))
+    events = events_of(frames, times, *of_pixel, known["refractory_us"])
+    assert [(t, p) for t, x, y, p in events] == expected
 
 
 def test_more_events_than_the_first_buffer_holds():
@@ -151,3 +159,17 @@ def test_invalid_frames_and_pixels_are_refused(frames, times, message):
     ):
         with pytest.raises(ValueError, match=f"`{name}` must be {rule}"):
             PixelModel(**{name: value})
+
+
+@pytest.mark.parametrize("start_us", [1, 1 << 24, 1 << 40])
+def test_events_do_not_depend_on_when_the_frames_begin(start_us):
+    """Of pixels that leak, follow slowly, fire for themselves and again; within the rounding of a microsecond."""
+    frames = np.cumsum(np.random.default_rng(1).normal(0.0, 0.3, (30, 6, 7)), axis=0)
+    times = 1_000.0 * np.arange(30)
+    pixels = PixelModel(leak_hz=40.0, bandwidth_hz=300.0, noise_hz=30.0, hot_share=0.1, after_share=0.3)
+    first, later = (simulate(frames, times + t, np.random.default_rng(2), pixels=pixels) for t in (0, start_us))
+    assert len(first) == len(later) > 200
+    for one in (first, later):
+        one.sort(order=("x", "y", "p", "t"))
+    assert np.abs(later["t"].astype(np.int64) - start_us - first["t"].astype(np.int64)).max() <= 1
+    np.testing.assert_array_equal(later[["x", "y", "p"]], first[["x", "y", "p"]])

@@ -249,6 +249,17 @@ def test_events_whose_time_jumps_are_left_out():
     assert camera.summary() == "2 packets, 2 events (jumps in time: 2, lost: unknown)"
 
 
+def test_events_off_the_sensor_are_left_out_and_counted_once():
+    """In x, in y, and with a time that jumps as well; a packet of nothing else does not come."""
+    packets = [made_events(1, 2, 3, 1 << 63), made_events(4), made_events(5)]
+    packets[0]["x"] = [0, 3, 2, 3]
+    packets[1]["y"] = 4
+    _, camera = opened(*packets, sensor=(3, 4))
+    came = list(islice(camera, 2))
+    assert [packet["t"].tolist() for packet in came] == [[1, 3], [5]]
+    assert camera.summary() == "2 packets, 3 events (off the sensor: 3, lost: unknown)"
+
+
 # -- async-tnt run camera --------------------------------------------------------------------------------
 
 UNPLUGGED = RuntimeError("Usb(NoDevice)")

@@ -115,6 +115,16 @@ def test_it_finds_what_was_planted(tmp_path, program):
     assert json.loads(program(*words)[1]) == result | {"hot_pixels": pixels, "share": sum(at) / len(events)}
 
 
+@pytest.mark.parametrize(("n", "more"), [(9, []), (10, []), (11, ["... and 1 more"])])
+def test_at_most_ten_hot_pixels_are_listed(tmp_path, program, n, more):
+    path = with_hot_pixels(tmp_path / "a.npy", *((3 * k, 2 + 2 * (k % 2), 900) for k in range(n)))
+    code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", tmp_path / "mask.npy")
+    *pixels, total = printed.splitlines()
+    assert code == 0 and total.startswith(f"{n} hot pixels of 34x34 made ")
+    assert pixels[10:] == more and all(line.startswith("x ") for line in pixels[:10])
+    assert len(pixels[:10]) == min(n, 10)
+
+
 def test_a_mask_never_replaces_a_recording_by_whichever_path(tmp_path, program, monkeypatch):
     path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500))
     before = path.read_bytes()

@@ -71,6 +71,8 @@ def test_filter_equals_numpy(data, settings):
             {"roi": (-1, 0, 3, 2)},
             r"`roi` .* must lie on the sensor of 30x20 .*, x and y at least 0, .* got \(-1, 0, 3, 2\)",
         ),
+        ({"roi": (5, 5, 0, 1)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 0, 1\)"),
+        ({"roi": (5, 5, 1, 0)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 1, 0\)"),
         ({"roi": (5, 5, 3.0, 1)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3.0, 1\)"),
         ({"crop": True}, r"`crop` belongs to `roi`: the region that .* the sensor"),
         ({"mask": np.zeros((30, 20), bool)}, r"a mask of a 30x20 sensor must be .* \(30, 20\); transpose it with .T"),

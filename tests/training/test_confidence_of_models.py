@@ -13,7 +13,9 @@ from async_tnt.config import TNTConfig  # noqa: E402
 from async_tnt.networks.compiled import CompiledClassifier  # noqa: E402
 from async_tnt.processor import Processor  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
+from async_tnt.training.data import TrainingData  # noqa: E402
 from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
+from async_tnt.training.fitting import fit, moments_ms  # noqa: E402
 from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
@@ -103,3 +105,18 @@ def test_a_calibrated_model_decides_the_same(models):
     for volume in volumes:
         logits, softer = (np.array(CompiledClassifier(m)(volume)) for m in (model, calibrated_model))
         np.testing.assert_allclose(softer, logits / 2.5, rtol=1e-5, atol=1e-5)
+
+
+def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):
+    """On what was held out, after the calibration, which changes it."""
+    training, validation = shapes(60, 0), shapes(40, 1)
+    data = TrainingData(CONFIG, ("spot", "ring"), training, validation, record={})
+    settings = TrainSettings(epochs=1, batch=16, augmentation=Augmentation(nothing=0.0))
+    model = fit(data, settings, tmp_path).model
+    found = evaluate(pipeline_of(model), validation, times_ms=moments_ms(model)).to_dict()
+    told = model.record["validation"]
+    assert model.record["temperature"] != 1 and told["calibration_error"] > 0
+    assert told["calibration_error"] == pytest.approx(found["calibration_error"], abs=1e-4)
+    one_window = 1 / len(validation)  # rounding may make one of them sure
+    assert told["sure_of_nothing"] == pytest.approx(found["sure_of_nothing"], abs=1.1 * one_window)
+    assert told["confusion"] == found["confusion"]

@@ -127,6 +127,18 @@ def test_the_files_of_dvs128_gesture(tmp_path):
         find_recordings(tmp_path, "Test")
 
 
+def test_tables_and_lists_may_begin_with_a_byte_order_mark(sessions):
+    """As spreadsheets write it."""
+    (sessions / "gesture_mapping.csv").write_text("action,label\nlying,flat\nstanding,upright\n")
+    (sessions / "trials_to_train.txt").write_text("user01_lab.npz\nuser02_led.npz\n")
+    (sessions / "trials_to_test.txt").write_text("user02_lab.npz\n")
+    expected = [find_recordings(sessions, part) for part in ("Train", "Test")]
+    assert [len(found["lying"]) for found in expected] == [4, 2]
+    for path in (*sessions.glob("*.csv"), *sessions.glob("*.txt")):
+        path.write_bytes("\ufeff".encode() + path.read_bytes())
+    assert [find_recordings(sessions, part) for part in ("Train", "Test")] == expected
+
+
 @pytest.mark.parametrize(
     ("lists", "train", "test"),
     [
@@ -137,7 +149,7 @@ def test_the_files_of_dvs128_gesture(tmp_path):
         ({"train": "", "test": "b"}, "", "b"),
         ({"test": ""}, "abc", ""),
     ],
-    ids=str,
+    ids=lambda names: "".join(sorted(names)) if isinstance(names, set) else str(names),
 )
 def test_what_a_list_sets_aside_is_not_for_the_other_part(tmp_path, lists, train, test):
     for seed, name in enumerate("abc"):

@@ -35,6 +35,17 @@ def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(
     assert trained.with_suffix(".curves.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(("share", "n_held_out"), [("0", 0), ("0.5", 6)])
+def test_so_many_recordings_of_each_class_are_held_out_as_asked(share, n_held_out, tmp_path, train):
+    folder = write_set(tmp_path / "set", {"upright": 6, "flat": 6})
+    code, _, out = train(folder, "--validation", share)
+    assert code == 0
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert len(report["held_out"]) == n_held_out
+    validation = load_model(out).record.get("validation", {"recordings": 0})
+    assert validation["recordings"] == n_held_out
+
+
 def test_a_run_with_other_options_is_refused_before_recordings_are_read(tmp_path, train, monkeypatch):
     folder = write_set(tmp_path / "set", {"upright": 3, "flat": 3})
     write(folder / "flat" / "silent.npz", bar("flat", 0)[:0])

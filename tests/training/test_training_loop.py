@@ -329,7 +329,18 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
         (windows, ONE_EPOCH, ("a",), r"labels must be in \[0, 1\), one for each class, got 1"),
     ):
         with pytest.raises(ValueError, match=message):
-            loop.train(CONFIG, training, windows[:0], settings, trained[1], classes=classes)
+            loop.train(CONFIG, training, training[:0], settings, trained[1], classes=classes)
+
+
+@pytest.mark.parametrize("column", ["t", "x", "y", "p", "labels", "recording", "start_us"])
+def test_whatever_differs_in_the_data_is_another_run(column, windows, trained):
+    """In one number."""
+    columns = {name: getattr(windows, name).copy() for name in ("recording", "start_us")}
+    of_recordings = {name: getattr(windows.recordings, name).copy() for name in ("t", "x", "y", "p", "labels")}
+    (columns | of_recordings)[column][9] ^= 1
+    other = replace(windows, **columns, recordings=replace(windows.recordings, **of_recordings))
+    with pytest.raises(ValueError, match="holds a run with other data"):
+        train(CONFIG, other, other[:0], ONE_EPOCH, trained[1])
 
 
 def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):

@@ -61,6 +61,19 @@ def test_a_recording_becomes_a_file(tmp_path, program, monkeypatch):
         subprocess.run([rerun, "rrd", "verify", out], capture_output=True, timeout=600, env=SILENT, check=True)
 
 
+def test_windows_begin_at_the_start_that_is_given(tmp_path, program):
+    """At the recording's first event, or where events before it are left out."""
+    first_us, starts = int(EVENTS["t"][0]), {}
+    for start_us in (None, first_us + 100_000):
+        words = () if start_us is None else ("--start-us", start_us)
+        assert program("view", SAMPLE, "--out", tmp_path / f"{start_us}.rrd", *words)[0] == 0
+        processor = Processor(load_model("digits"), start_us=start_us)
+        expected = [decision.time_us for decision in processor.push(EVENTS) + processor.finish()]
+        starts[start_us] = [time for time, _ in Rrd(tmp_path / f"{start_us}.rrd").series(log.DECISIONS, "TextLog:text")]
+        assert starts[start_us] == expected
+    assert starts[None] != starts[first_us + 100_000]
+
+
 @pytest.mark.parametrize(
     "words, message",
     [

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from deciding import total_and_size
-from made import opened, random_events, random_model
+from made import events_of, opened, random_events, random_model
 
 from async_tnt import CompiledRegressor, Processor, TNTConfig, TNTVolume
 
@@ -28,6 +28,17 @@ def test_window_is_half_open(landmark):
     assert volume.update_one(999, 30, 30, 1) == 0 and volume.n_events == 1
     assert volume.counts.dropped_late == 1
     assert volume.update_one(10**15 + 7, 3, 3, 1) == 1 and volume.start_us == 10**15
+
+
+@pytest.mark.parametrize("landmark", ["center", "window"])
+@pytest.mark.parametrize("update", [TNTVolume.update, lambda volume, events: volume.update_one(*events[0].tolist())])
+def test_a_window_without_events_is_not_closed_but_left(update, landmark):
+    volume = opened(CONFIG.replace(landmark=landmark))
+    first, second = events_of([5_000], [3], [3], [1]), events_of([7_000], [3], [3], [1])
+    assert update(volume, first) == 0 and volume.start_us == 5_000
+    assert update(volume, second) == 1 and volume.start_us == 7_000
+    volume.open(9_000)
+    assert update(volume, events_of([10_000], [3], [3], [1])) == 0
 
 
 def test_array_is_a_read_only_float32_view_of_the_open_window():
