@@ -4,7 +4,9 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -37,6 +39,19 @@ def test_one_volume_that_differs_is_one_too_many(wrong):
     compare(network, network, network.shape)
     with pytest.raises(ValueError, match=r"^its layers compute other numbers \(by "):
         compare(sometimes_wrong, network, network.shape)
+
+
+@pytest.mark.parametrize(
+    ("large", "small", "is_same"), [(5e-3, 0, True), (2e-2, 0, False), (0, 5e-5, True), (0, 1e-3, False)]
+)
+def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large, small, is_same):
+    """Of a network that gives 100 for a volume of large numbers, and 1 for others."""
+
+    def network(volume, large=0.0, small=0.0):
+        return np.array([100 + large if np.abs(volume).max() > 50 else 1 + small])
+
+    with nullcontext() if is_same else pytest.raises(ValueError, match="its layers compute other numbers"):
+        compare(network, partial(network, large=large, small=small), (2, 6, 5))
 
 
 # -- the command -------------------------------------------------------------------------------------------

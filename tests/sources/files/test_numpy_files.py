@@ -6,6 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from made import random_events
 from sources.files.written import columns_of
 
 from async_tnt.events import EVENT_DTYPE
@@ -22,6 +23,16 @@ def saved(path, arrays):
     """`arrays` : one, or a dict for a `.npz`."""
     np.savez(path, **arrays) if path.suffix == ".npz" else np.save(path, arrays)
     return path
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_tables_of_either_order_are_read_the_same(tmp_path, suffix, order):
+    """Rows one after the other, or columns, as NumPy saves what is written in either way."""
+    events = random_events(50, seed=1)
+    table = np.array([events[name] for name in "txyp"], np.int64).T.copy(order)
+    path = saved(tmp_path / f"a{suffix}", {"events": table} if suffix == ".npz" else table)
+    np.testing.assert_array_equal(open_recording(path).read(), events)
 
 
 @pytest.mark.parametrize("off", [0, -1])
