@@ -130,7 +130,7 @@ def test_a_damaged_recording_is_read_up_to_the_damage_or_refused(program, tmp_pa
 )
 def test_a_camera_and_the_network_have_no_such_options(program, tmp_path, command, option):
     more = ("--out", tmp_path / "a.rrd") if command == "view" else ()
-    code, _, err = program(command, "udp://127.0.0.1:0", *more, *option)
+    code, _, err = program(command, "udp://127.0.0.1:0?timeout_s=.01", *more, *option)
     assert code == 2 and f"{option[0]} must come with recordings, got udp://127.0.0.1:0" in err
 
 
