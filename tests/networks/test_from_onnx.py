@@ -128,6 +128,7 @@ ACCEPTED = {
     "a sum below a logarithm that is read by another node, too": ([*SUM, node("Flatten", "a", "f"), LINEAR[1]], 1),
     "one constant as two matrices": (TWICE, 1),
     "a batch of two": (LINEAR, 2),
+    "a leaky ReLU without its slope": ([node("LeakyRelu", "x", "r"), node("Flatten", "r", "f"), LINEAR[1]], 1),
 }
 
 

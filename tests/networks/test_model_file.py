@@ -32,6 +32,15 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
         assert CompiledClassifier(loaded)(volume).tobytes() == CompiledClassifier(model)(volume).tobytes()
 
 
+def test_a_model_keeps_its_weights_whatever_becomes_of_the_arrays_it_was_made_of():
+    given = {name: w.copy() for name, w in changed().items()}
+    model = thesis_model(SMALL, given, CLASSES)
+    expected = {name: w.copy() for name, w in given.items()}
+    for w in given.values():
+        w += 1
+    assert all((model.weights[name] == w).all() for name, w in expected.items())
+
+
 def test_extreme_weights_names_and_records_come_back_from_a_plain_safetensors_file(tmp_path):
     special = np.array([np.finfo("f4").max, np.finfo("f4").tiny, 1e-45, -0.0], np.float32)
     record = {"data": "N-MNIST", "Genauigkeit": [0.5, 1, None, True], "nested": {"猫": "\n\"'\\\0"}}

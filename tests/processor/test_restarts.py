@@ -163,6 +163,17 @@ def test_counts_begin_again_with_a_reset():
     assert (processor.counts.received, processor.counts.dropped_late) == (len(ONE), 0)
 
 
+def test_a_recording_that_is_streamed_twice_through_one_processor_is_a_restart():
+    """The first stream has closed its windows."""
+    processor = Processor(load_model("digits"))
+    list(stream(packets_of(SEVEN, 500), processor))
+    with pytest.warns(UserWarning, match=WARNING):
+        list(stream(packets_of(SEVEN, 500), processor))
+    processor = Processor(load_model("digits"), on_restart="reset")
+    once = decided(stream(packets_of(SEVEN, 500), processor))
+    assert decided(stream(packets_of(SEVEN, 500), processor)) == once != []
+
+
 def test_an_unknown_policy_is_refused():
     with pytest.raises(ValueError, match="`on_restart` must be one of warn, reset, raise, got 'ignore'"):
         Processor(CONFIG, classifier=total_and_size, on_restart="ignore")
