@@ -206,3 +206,15 @@ def test_a_stream_may_continue_after_finish(classifier):
     assert processor.push_one(500, 3, 3, 1) == [] and processor.counts.dropped_late == 1
     assert processor.push_one(1500, 3, 3, 1) == []
     assert summary(processor.finish()) == [("end", 1000, 1500, 1)]
+
+
+@pytest.mark.parametrize("settings", [{}, {"every_events": 1}, {"every_us": 100}], ids=str)
+def test_of_equal_logits_the_first_class_decides(settings):
+    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=3, widths=(1, 1, 1)).weights.items()}
+    weights["fc2.bias"] = np.float32([0, 1, 1])
+    compiled = CompiledClassifier(thesis_model(CONFIG, weights, ("a", "b", "c")))
+    for classifier in (compiled, lambda volume: [0.0, 1.0, 1.0]):
+        processor = Processor(CONFIG, classifier=classifier, classes=("a", "b", "c"), **settings)
+        decisions = processor.push(([0, 250, 400, 1_000], [1, 2, 3, 4], [1, 2, 3, 4], [1, 1, 1, 1]))
+        decisions.append(processor.fire())
+        assert {(decision.label, decision.index) for decision in decisions} == {("b", 1)}
