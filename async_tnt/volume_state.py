@@ -123,7 +123,10 @@ class ReplayBuffer:
         # first, also if no event will be stored: an exception, such as Ctrl-C, may come right after the kernel
         self._landmark = None
         self._is_replayed = False
-        return int(store_events(buffer, *columns[:4], first, last, *self._columns[:4], self._n_most))
+        room = min(
+            self._n_most, self._columns.t.size
+        )  # another thread may have changed the times since they were counted
+        return int(store_events(buffer, *columns[:4], first, last, *self._columns[:4], room))
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
         """The landmark (x, y) in grid pixels of a window with events, where it is deferred; computed once, until new

@@ -31,13 +31,15 @@ def change():
 def again(use, times=120):
     thread = threading.Thread(target=change)
     thread.start()
-    for _ in range(times):
-        try:
-            use()
-        except ValueError:  # what was changed before it was checked
-            pass
-    stop.set()
-    thread.join()
+    try:
+        for _ in range(times):
+            try:
+                use()
+            except ValueError:  # what was changed before it was checked
+                pass
+    finally:
+        stop.set()
+        thread.join()
 """
 CASES = {
     "volume": """
