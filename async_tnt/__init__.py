@@ -1,17 +1,19 @@
-"""Classify what an event camera sees, event by event, with the Temporal Normalization Transform (TNT).
+"""Classify what an event camera sees, event by event, with the Temporal Normalization Transform
+(TNT).
 
     import async_tnt
 
     for decision in async_tnt.stream(source, "digits", every_us=5_000):
         print(decision.label, decision.probability)
 
-Start with `Processor` (events in, decisions out), `TNTVolume` (the representation alone) and `TNTConfig`
-(what it holds). The batch reference is the package `tnt_reference`.
+Start with `Processor` (events in, decisions out), `TNTVolume` (the representation alone) and
+`TNTConfig` (what it holds). The batch reference is the package `tnt_reference`.
 """
 
 from async_tnt.package import __version__ as __version__
 
-TYPE_CHECKING = False  # type checkers assume True, as for `typing.TYPE_CHECKING`, whose import takes milliseconds
+# type checkers assume True, as for `typing.TYPE_CHECKING`, whose import takes milliseconds
+TYPE_CHECKING = False
 if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.compile_ahead import warmup
     from async_tnt.config import TNTConfig

@@ -1,5 +1,5 @@
-"""Checks: of arguments (whole numbers as Python's int, arrays without a mask), of JSON from outside, of installed
-extras, and of calls that must not overlap; text for messages."""
+"""Checks: of arguments (whole numbers as Python's int, arrays without a mask), of JSON from
+outside, of installed extras, and of calls that must not overlap; text for messages."""
 
 from __future__ import annotations
 
@@ -52,7 +52,9 @@ def whole_number(name: str, value: Any, low: int, end: int, rule: str = "") -> i
 
 def positive_int(name: str, value: Any) -> int:
     """A whole number of at least 1 that compiled code can hold."""
-    return whole_number(name, value, 1, 1 << 62, "at least 1" if is_whole(value) and value < 1 else "below 2**62")
+    return whole_number(
+        name, value, 1, 1 << 62, "at least 1" if is_whole(value) and value < 1 else "below 2**62"
+    )
 
 
 def checked_time(name: str, t_us: Any) -> int:
@@ -61,17 +63,22 @@ def checked_time(name: str, t_us: Any) -> int:
 
 
 def plain_array(name: str, values: Any) -> np.ndarray:
-    """`np.asarray`, except that a masked array, whose mask that would silently drop, is a TypeError."""
+    """`np.asarray`, except that a masked array, whose mask that would silently drop, is a
+    TypeError."""
     if type(values) is not np.ndarray:  # a masked array is of another
         refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
     return np.asarray(values)
 
 
 def refuse_mask(name: str, values: Any, advice: str) -> None:
-    """Raise a TypeError for a masked array, even one that masks nothing; `advice` is what to pass instead."""
-    # through `sys.modules`: nothing can be masked before numpy.ma is imported, and importing it takes 10 ms
+    """Raise a TypeError for a masked array, even one that masks nothing; `advice` is what to pass
+    instead."""
+    # through `sys.modules`: nothing can be masked before numpy.ma is imported, and importing it
+    # takes 10 ms
     if isinstance(values, getattr(sys.modules.get("numpy.ma"), "MaskedArray", ())):
-        raise TypeError(f"`{name}` must not be a masked array, whose mask would be ignored; pass {advice}")
+        raise TypeError(
+            f"`{name}` must not be a masked array, whose mask would be ignored; pass {advice}"
+        )
 
 
 def one_line(error: Exception | str, limit: int = 300) -> str:
@@ -97,11 +104,16 @@ def printable(text: str) -> str:
     >>> print(printable("a\\nb: no events"))
     a\\nb: no events
     """
-    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return (
+        text
+        if text.isprintable()
+        else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    )
 
 
 MAX_JSON_DEPTH = 100
-"""Lists and objects within each other. Python's reader and writer would end in a RecursionError at some thousand."""
+"""Lists and objects within each other. Python's reader and writer would end in a RecursionError at
+some thousand."""
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -109,8 +121,9 @@ def parse_json(text: str | bytes) -> Any:
 
     Raises
     ------
-    ValueError : it is not JSON, is nested deeper than `MAX_JSON_DEPTH`, has a whole number of thousands of digits, or
-        an object names a value twice, of which Python would silently use the last. One line.
+    ValueError : it is not JSON, is nested deeper than `MAX_JSON_DEPTH`, has a whole number of
+        thousands of digits, or an object names a value twice, of which Python would silently use
+        the last. One line.
 
     Examples
     --------
@@ -126,7 +139,9 @@ def parse_json(text: str | bytes) -> Any:
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"it is not JSON: {one_line(error)}") from None
     except ValueError:  # of Python's limit of digits
-        raise ValueError("it has a whole number of thousands of digits; expected numbers of float64 or int64") from None
+        raise ValueError(
+            "it has a whole number of thousands of digits; expected numbers of float64 or int64"
+        ) from None
     _check_depth(value)
     return value
 
@@ -151,7 +166,9 @@ def _check_depth(value: Any) -> None:
     """Refuse a value with more than `MAX_JSON_DEPTH` lists and objects within each other."""
     level = [value]
     for _ in range(MAX_JSON_DEPTH):
-        inner = [one.values() if type(one) is dict else one for one in level if type(one) in (dict, list)]
+        inner = [
+            one.values() if type(one) is dict else one for one in level if type(one) in (dict, list)
+        ]
         level = [one for some in inner for one in some if type(one) in (dict, list)]
         if not level:
             return
@@ -160,23 +177,27 @@ def _check_depth(value: Any) -> None:
 
 @contextmanager
 def needs_extra(extra: str, what: str) -> Iterator[None]:
-    """Imports within the block that fail raise an ImportError in one line: `what` needs it, and how to install it."""
+    """Imports within the block that fail raise an ImportError in one line: `what` needs it, and how
+    to install it."""
     try:
         yield
     except ImportError as error:
         raise ImportError(f"{what}: pip install 'async_tnt[{extra}]' ({error})") from None
 
 
-# -- calls that must not overlap ---------------------------------------------------------------------------
-# Compiled code runs without the GIL and does not check bounds: two calls that change the same memory would corrupt it.
+# -- calls that must not overlap -------------------------------------------------------------------
+# Compiled code runs without the GIL and does not check bounds: two calls that change the same
+# memory would corrupt it.
 
 
 class Running:
-    """Whether a call is running on an object, which errors call `name`; on a copy or a pickled one, none is.
+    """Whether a call is running on an object, which errors call `name`; on a copy or a pickled one,
+    none is.
 
-    With the GIL, test and assignment are one step: CPython switches threads and handles signals only at calls, at the
-    start of functions and where loops jump back. So this is as safe as a lock, and not left set by Ctrl-C. Without the
-    GIL, two calls that begin within some nanoseconds of each other can both pass.
+    With the GIL, test and assignment are one step: CPython switches threads and handles signals
+    only at calls, at the start of functions and where loops jump back. So this is as safe as a
+    lock, and not left set by Ctrl-C. Without the GIL, two calls that begin within some nanoseconds
+    of each other can both pass.
     """
 
     __slots__ = ("name", "now")
@@ -189,7 +210,8 @@ class Running:
         return Running, (self.name,)
 
     def begin(self) -> None:
-        """Refuse to begin if a call is running. To be followed by `try`, and at its end by `now = False`."""
+        """Refuse to begin if a call is running. To be followed by `try`, and at its end by `now =
+        False`."""
         if self.now:
             raise self.overlap()
         self.now = True
@@ -197,13 +219,15 @@ class Running:
     def overlap(self) -> RuntimeError:
         """The error of the second call."""
         return RuntimeError(
-            f"a {self.name} was called while another call on it is running, in another thread or further up in this "
+            f"a {self.name} was called while another call on it is running, in another thread or "
+            "further up in this "
             f"one; use one {self.name} per thread, or hold one lock around every call"
         )
 
 
 def one_at_a_time(method: Method) -> Method:
-    """Refuse a call of this method while one of this kind is running on the same object, by its `_running`.
+    """Refuse a call of this method while one of this kind is running on the same object, by its
+    `_running`.
 
     Takes 0.2 us; methods that take about a microsecond themselves write it out.
     """

@@ -1,4 +1,5 @@
-"""Compile the kernels that a stream will call before its first event: no event waits for the compiler."""
+"""Compile the kernels that a stream will call before its first event: no event waits for the
+compiler."""
 
 from __future__ import annotations
 
@@ -38,12 +39,14 @@ EVENT_TRIGGERS = {"until_due", "why_due"}
 def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
     """Compile everything that a stream may call, or load it from Numba's cache.
 
-    The first time on a machine this takes some seconds: a line on stderr says so, and a second process compiles the
-    network's kernels meanwhile. Later it takes a fraction of a second. After it, no event waits for the compiler.
+    The first time on a machine this takes some seconds: a line on stderr says so, and a second
+    process compiles the network's kernels meanwhile. Later it takes a fraction of a second. After
+    it, no event waits for the compiler.
 
     Parameters
     ----------
-    model : for streams of this model, given also by its name or path, or configuration only; by default, for any.
+    model : for streams of this model, given also by its name or path, or configuration only; by
+        default, for any.
 
     Returns
     -------
@@ -53,7 +56,9 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
     if isinstance(model, (str, Path)):
         model = load_model(model)
     if not isinstance(model, (Model, TNTConfig, type(None))):
-        raise TypeError(f"`model` must be a Model, the name or path of one, or a TNTConfig, got {short(model)}")
+        raise TypeError(
+            f"`model` must be a Model, the name or path of one, or a TNTConfig, got {short(model)}"
+        )
     config = model.config if isinstance(model, Model) else model
     names = EVENTS | LATE | OTHER_CLASSIFIERS | EVENT_TRIGGERS
     if config is None or config.needs_replay:
@@ -70,20 +75,27 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
 
 
 def compile_for(
-    config: TNTConfig, classifier: object, regressor: object, triggers: TriggerSettings, finds_late: bool
+    config: TNTConfig,
+    classifier: object,
+    regressor: object,
+    triggers: TriggerSettings,
+    finds_late: bool,
 ) -> None:
     """Compile, in this process and without a word, what a Processor with these settings calls.
 
     Parameters
     ----------
     config : TNTConfig.
-    classifier, regressor : what decides, and what finds the landmark or None; other code than ours is not compiled.
+    classifier, regressor : what decides, and what finds the landmark or None; other code than ours
+        is not compiled.
     triggers : when decisions are made.
     finds_late : whether late events are searched for.
     """
     compiled = classifier if type(classifier) is CompiledClassifier else None
     finds_objects = compiled is not None and compiled.reader is not None
-    names = EVENTS | (OTHER_CLASSIFIERS if compiled is None else LOCATOR if finds_objects else CLASSIFIER)
+    names = EVENTS | (
+        OTHER_CLASSIFIERS if compiled is None else LOCATOR if finds_objects else CLASSIFIER
+    )
     if compiled is None and getattr(classifier, "places", None) is not None:
         names |= {"locate_on_map"}
     if finds_late:
@@ -94,7 +106,12 @@ def compile_for(
         names |= REGRESSOR
     if triggers.by_event:
         names |= EVENT_TRIGGERS
-    if (triggers.by_event or triggers.every_us) and compiled and not finds_objects and not config.needs_replay:
+    if (
+        (triggers.by_event or triggers.every_us)
+        and compiled
+        and not finds_objects
+        and not config.needs_replay
+    ):
         names |= {"absorb_and_decide"}
     compile_kernels(names)
 
@@ -107,17 +124,23 @@ def compile_kernels(names: Iterable[str]) -> None:
 
 
 def fill_cache(
-    names: Iterable[str] | None = None, model: object = None, first: Callable[[], object] = lambda: None
+    names: Iterable[str] | None = None,
+    model: object = None,
+    first: Callable[[], object] = lambda: None,
 ) -> None:
-    """Where nothing has been compiled yet, say so on stderr and compile these kernels with two processes.
+    """Where nothing has been compiled yet, say so on stderr and compile these kernels with two
+    processes.
 
-    The commands call it with their model, for the largest kernels of its streams, before they make a `Processor`.
+    The commands call it with their model, for the largest kernels of its streams, before they make
+    a `Processor`.
 
     Parameters
     ----------
     first : called before a compilation. It raises what would otherwise show only 20 s later.
     """
-    names = names or EVENTS | (LOCATOR if getattr(model, "places", None) is not None else CLASSIFIER)
+    names = names or EVENTS | (
+        LOCATOR if getattr(model, "places", None) is not None else CLASSIFIER
+    )
     absorb, types = ENTRY_POINTS["absorb"]
     with _not_collecting():
         if is_cached(absorb, types):
@@ -127,8 +150,13 @@ def fill_cache(
         told = "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can"
         print(f"async_tnt: compiling kernels, {told} ...", file=sys.stderr, flush=True)
         return
-    print("async_tnt: compiling kernels, once on this machine (8 to 20 s) ...", file=sys.stderr, flush=True)
-    # the network's kernels and those for events have nothing in common; `absorb_and_decide` has both
+    print(
+        "async_tnt: compiling kernels, once on this machine (8 to 20 s) ...",
+        file=sys.stderr,
+        flush=True,
+    )
+    # the network's kernels and those for events have nothing in common; `absorb_and_decide` has
+    # both
     network = (CLASSIFIER | LOCATOR | REGRESSOR).intersection(names)
     child = _start_child(_in_order(network | {"forward"})) if network else None
     if child is None:
@@ -147,7 +175,8 @@ def fill_cache(
 
 @contextlib.contextmanager
 def _not_collecting() -> Iterator[None]:
-    """Without garbage collection: a tenth of the time, and Numba makes no garbage in the meantime."""
+    """Without garbage collection: a tenth of the time, and Numba makes no garbage in the
+    meantime."""
     collecting = gc.isenabled()
     gc.disable()
     try:
@@ -164,14 +193,18 @@ def _in_order(names: Iterable[str]) -> list[str]:
 
 
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
-    """Start a process that compiles these kernels into the cache; None where that cannot be or would save no time."""
+    """Start a process that compiles these kernels into the cache; None where that cannot be or
+    would save no time."""
     if available_cores() < 2 or not sys.executable or getattr(sys, "frozen", False):
         return None
-    # -P, and our own path: it shall find the same modules as this process, and nothing in the current folder
+    # -P, and our own path: it shall find the same modules as this process, and nothing in the
+    # current folder
     path = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)
     nothing: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     code = f"from async_tnt.compile_ahead import compile_kernels; compile_kernels({names})"
     try:
-        return subprocess.Popen([sys.executable, "-P", "-c", code], env=os.environ | {"PYTHONPATH": path}, **nothing)
+        return subprocess.Popen(
+            [sys.executable, "-P", "-c", code], env=os.environ | {"PYTHONPATH": path}, **nothing
+        )
     except OSError:
         return None

@@ -14,8 +14,11 @@ Landmark = Literal["center", "running", "line", "window", "regressor"]
 Polarity = Literal["signed", "unsigned", "split"]
 Transform = Literal["tnt", "none"]
 Representation = Literal["volume", "count", "count_time", "mean_time", "time_surface"]
-LANDMARKS, POLARITIES, TRANSFORMS, REPRESENTATIONS = map(get_args, (Landmark, Polarity, Transform, Representation))
-IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1}  # channels of one polarity
+LANDMARKS, POLARITIES, TRANSFORMS, REPRESENTATIONS = map(
+    get_args, (Landmark, Polarity, Transform, Representation)
+)
+# channels of one polarity
+IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1}
 TIME_IMAGES = ("count_time", "mean_time", "time_surface")
 BINS = 9
 MAX_SIDE = 1 << 15
@@ -37,23 +40,28 @@ class TNTConfig:
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
     bins : B, time bins of the volume, by default 9; of an image, its channels of one polarity.
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
-    window_events : windows of so many events instead. Such a window begins with an event, and times are scaled by its
-        newest one, as in the thesis, which is known only when the volume is read: the events are stored, and replayed
-        then. `window_us` is the longest that it may last, by default an hour.
-    t_max : TNT time, by which positions are divided, at the end of a window. An object shrinks by this factor until
-        then; a smaller value loses fewer events over the border early in the window.
-    landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the window's
-        events so far, `line`: the intercept of their running regression line, `window`: the centroid of all the
-        window's events when it is read (they are stored, and replayed then), `regressor`: a network's estimate from
-        the raw event volume when it is read (replayed, too).
-    polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF bins); by default
-        `signed` for a volume and `split` for an image.
-    transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and `none` for an image.
+    window_events : windows of so many events instead. Such a window begins with an event, and times
+        are scaled by its newest one, as in the thesis, which is known only when the volume is read:
+        the events are stored, and replayed then. `window_us` is the longest that it may last, by
+        default an hour.
+    t_max : TNT time, by which positions are divided, at the end of a window. An object shrinks by
+        this factor until then; a smaller value loses fewer events over the border early in the
+        window.
+    landmark : the point that events are normalized about: `center` of the grid, `running` centroid
+        of the window's events so far, `line`: the intercept of their running regression line,
+        `window`: the centroid of all the window's events when it is read (they are stored, and
+        replayed then), `regressor`: a network's estimate from the raw event volume when it is read
+        (replayed, too).
+    polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF
+        bins); by default `signed` for a volume and `split` for an image.
+    transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and
+        `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
-    representation : `volume`, the event volume; or an image: `count` (events per pixel), `count_time` (the same, and
-        the time of the newest, as a fraction of the window), `mean_time` (the mean time), or `time_surface` (exp(-age /
-        tau) of the newest event at the window's end, tau half a window). With `split` polarity the channels of ON come
-        first, then those of OFF. Images of times (all but `count`) take no transform, and no `signed` polarity.
+    representation : `volume`, the event volume; or an image: `count` (events per pixel),
+        `count_time` (the same, and the time of the newest, as a fraction of the window),
+        `mean_time` (the mean time), or `time_surface` (exp(-age / tau) of the newest event at the
+        window's end, tau half a window). With `split` polarity the channels of ON come first, then
+        those of OFF. Images of times (all but `count`) take no transform, and no `signed` polarity.
 
     Raises
     ------
@@ -82,7 +90,9 @@ class TNTConfig:
     representation: Representation = "volume"
 
     def __post_init__(self) -> None:
-        self._set("representation", _FIELDS["representation"]("representation", self.representation))
+        self._set(
+            "representation", _FIELDS["representation"]("representation", self.representation)
+        )
         is_image = self.representation != "volume"
         for name, default in (
             ("bins", IMAGE_BINS.get(self.representation, BINS)),
@@ -96,11 +106,14 @@ class TNTConfig:
             self._set(name, check(name, getattr(self, name)))
         for holds, rule, names in _RELATIONS:
             if not holds(self):
-                raise ValueError(f"{rule}, got {', '.join(f'{name}={getattr(self, name)!r}' for name in names)}")
+                raise ValueError(
+                    f"{rule}, got {', '.join(f'{name}={getattr(self, name)!r}' for name in names)}"
+                )
         cells = (self.channels + second_bin(self)) * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells > MAX_CELLS:
             raise ValueError(
-                f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a program may raise "
+                f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a "
+                "program may raise "
                 "async_tnt.config.MAX_CELLS)"
             )
 
@@ -129,12 +142,13 @@ class TNTConfig:
 
     @property
     def needs_replay(self) -> bool:
-        """Whether the landmark or the window's duration is known only when the volume is read, so that events are
-        stored until then."""
+        """Whether the landmark or the window's duration is known only when the volume is read, so
+        that events are stored until then."""
         return self.defers_landmark or self.window_events is not None
 
     def to_grid(self, x: float, y: float) -> tuple[float, float]:
-        """Sensor pixels (`x`, `y`) to grid pixels, corner to corner; also displacements and flows."""
+        """Sensor pixels (`x`, `y`) to grid pixels, corner to corner; also displacements and
+        flows."""
         gain_x, gain_y = self._gains
         return x * gain_x, y * gain_y
 
@@ -155,32 +169,42 @@ class TNTConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
-        """The inverse of `to_dict`: a configuration of the `values` of its fields; an unknown name is a ValueError."""
+        """The inverse of `to_dict`: a configuration of the `values` of its fields; an unknown name
+        is a ValueError."""
         if not isinstance(values, Mapping):
-            raise TypeError(f"a configuration must be a mapping of names to values, got {short(values)}")
+            raise TypeError(
+                f"a configuration must be a mapping of names to values, got {short(values)}"
+            )
         known = {field.name for field in fields(cls)}
         if unknown := sorted(str(name) for name in set(values) - known):
-            raise ValueError(f"unknown configuration {', '.join(unknown)}; known: {', '.join(sorted(known))}")
-        arguments: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+            raise ValueError(
+                f"unknown configuration {', '.join(unknown)}; known: {', '.join(sorted(known))}"
+            )
+        arguments: dict[str, Any] = {
+            name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
+        }
         return cls(**arguments)
 
     def replace(self, **changes: Any) -> TNTConfig:
-        """A copy with other values in the fields that `changes` names. With another representation, or with windows of
-        another kind, the values whose defaults depend on that are its defaults."""
+        """A copy with other values in the fields that `changes` names. With another representation,
+        or with windows of another kind, the values whose defaults depend on that are its
+        defaults."""
         if changes.get("representation", self.representation) != self.representation:
             changes = dict.fromkeys(("bins", "polarity", "transform")) | changes
-        if (changes.get("window_events", self.window_events) is None) != (self.window_events is None):
+        if (changes.get("window_events", self.window_events) is None) != (
+            self.window_events is None
+        ):
             changes = {"window_us": None} | changes
         return replace(self, **changes)
 
 
 def second_bin(config: TNTConfig) -> int:
-    """Planes of cells from an event's first bin to its second, see `kernels.state`; so many lie behind those that are
-    read."""
+    """Planes of cells from an event's first bin to its second, see `kernels.state`; so many lie
+    behind those that are read."""
     return config.channels if config.bins == 1 else 1
 
 
-# -- the constraints: of each field, and between fields ----------------------------------------------------
+# -- the constraints: of each field, and between fields --------------------------------------------
 
 
 def _one_of(allowed: Sequence[str]) -> Callable[[str, Any], str]:
@@ -197,7 +221,11 @@ def _whole(low: int, high: int) -> Callable[[str, Any], int]:
 
 
 def _size(name: str, value: Any) -> tuple[int, int]:
-    if not (isinstance(value, (tuple, list)) and len(value) == 2 and all(is_whole(side) for side in value)):
+    if not (
+        isinstance(value, (tuple, list))
+        and len(value) == 2
+        and all(is_whole(side) for side in value)
+    ):
         raise TypeError(f"`{name}` must be two whole numbers (width, height), got {short(value)}")
     size = int(value[0]), int(value[1])
     if not all(2 <= side <= MAX_SIDE for side in size):
@@ -245,11 +273,15 @@ _RELATIONS: tuple[tuple[Callable[[TNTConfig], bool], str, tuple[str, ...]], ...]
     ),
     (
         lambda c: c.bins == IMAGE_BINS.get(c.representation, c.bins),
-        f"`bins` of an image must be {', '.join(f'{n} ({name})' for name, n in IMAGE_BINS.items())}",
+        f"`bins` of an image must be "
+        f"{', '.join(f'{n} ({name})' for name, n in IMAGE_BINS.items())}",
         ("representation", "bins"),
     ),
     (
-        lambda c: c.representation not in TIME_IMAGES or (c.transform == "none" and c.polarity != "signed"),
+        lambda c: (
+            c.representation not in TIME_IMAGES
+            or (c.transform == "none" and c.polarity != "signed")
+        ),
         'an image of times needs transform="none" and polarity "split" or "unsigned"',
         ("representation", "transform", "polarity"),
     ),

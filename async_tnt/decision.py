@@ -1,4 +1,5 @@
-"""Decision: what a window shows at one moment; Object: what stands where; Counts: what became of the events."""
+"""Decision: what a window shows at one moment; Object: what stands where; Counts: what became of
+the events."""
 
 from __future__ import annotations
 
@@ -25,12 +26,16 @@ class Object:
     """Where it stands, in sensor pixels."""
     y: float
     id: int
-    """The same from decision to decision while it moves little. A new object that `fire` finds has the number of the
-    next one; the next decision may give it to another."""
+    """The same from decision to decision while it moves little. A new object that `fire` finds has
+    the number of the next one; the next decision may give it to another."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; probability to six decimals, position to two."""
-        numbers = {"probability": round(self.probability, 6), "x": round(self.x, 2), "y": round(self.y, 2)}
+        numbers = {
+            "probability": round(self.probability, 6),
+            "x": round(self.x, 2),
+            "y": round(self.y, 2),
+        }
         return {"id": self.id, "label": self.label, **numbers}
 
 
@@ -38,7 +43,8 @@ LIKELIEST = 3
 """Classes, or objects, that the `repr` of a decision names."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)  # arrays have no truth value to compare by
+# arrays have no truth value to compare by
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Decision:
     """What a window shows at one moment: its class, or with a map model the objects in it."""
 
@@ -47,21 +53,24 @@ class Decision:
     index: int
     """Number of that class, from 0; -1 where there is no object."""
     probabilities: np.ndarray
-    """Softmax of the logits: float64, shape (n_classes,); of n objects (n, n_classes + 1), the last column nothing."""
+    """Softmax of the logits: float64, shape (n_classes,); of n objects (n, n_classes + 1), the last
+    column nothing."""
     logits: np.ndarray
-    """What the classifier answered: float32, shape (n_classes,); of a map model (n_classes + 1, R, C), read-only, and
-    valid until the next decision: copy it to keep it."""
+    """What the classifier answered: float32, shape (n_classes,); of a map model (n_classes + 1, R,
+    C), read-only, and valid until the next decision: copy it to keep it."""
     window_start_us: int
     """Start of the window, in microseconds."""
     time_us: int
-    """Time of the newest event in the window, in microseconds; the window's start if it has none."""
+    """Time of the newest event in the window, in microseconds; the window's start if it has
+    none."""
     events: int
     """Events in the window so far."""
     complete: bool
-    """Whether this decision closes the window: at its end, or early by `confidence`; not at the end of the stream."""
+    """Whether this decision closes the window: at its end, or early by `confidence`; not at the end
+    of the stream."""
     trigger: Trigger
-    """What caused it: `window` (which closed), `every_us`, `every_events`, `confidence` (which closed the
-    window), `fire` (on demand), `end` (of the stream)."""
+    """What caused it: `window` (which closed), `every_us`, `every_events`, `confidence` (which
+    closed the window), `fire` (on demand), `end` (of the stream)."""
     objects: tuple[Object, ...] | None = None
     """What a map model has found, the likeliest first; None with any other model."""
 
@@ -79,19 +88,24 @@ class Decision:
             listed = ", ".join(f"{k}: {self.probabilities[k]:.3f}" for k in best)
             rest = f"likeliest={{{listed}}}"
         else:
-            named = [f"{one.label!r} at ({one.x:.1f}, {one.y:.1f})" for one in self.objects[:LIKELIEST]]
+            named = [
+                f"{one.label!r} at ({one.x:.1f}, {one.y:.1f})" for one in self.objects[:LIKELIEST]
+            ]
             more = len(self.objects) - len(named)
             rest = f"objects=[{', '.join([*named, *([f'{more} more'] if more else [])])}]"
         return (
-            f"Decision(label={self.label!r}, probability={self.probability:.3f}, trigger={self.trigger!r}, "
+            f"Decision(label={self.label!r}, probability={self.probability:.3f}, "
+            f"trigger={self.trigger!r}, "
             f"time_us={self.time_us}, events={self.events}, {rest})"
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; probabilities to six decimals, no logits. With a map model `objects` in place of
-        `probabilities`."""
+        """Plain values, for JSON; probabilities to six decimals, no logits. With a map model
+        `objects` in place of `probabilities`."""
         if self.objects is None:
-            answer: dict[str, Any] = {"probabilities": [round(float(p), 6) for p in self.probabilities]}
+            answer: dict[str, Any] = {
+                "probabilities": [round(float(p), 6) for p in self.probabilities]
+            }
         else:
             answer = {"objects": [found.to_dict() for found in self.objects]}
         return {
@@ -107,7 +121,8 @@ class Decision:
 
 
 def class_of_recording(classes: Sequence[str], windows: Sequence[np.ndarray]) -> tuple[str, str]:
-    """The class of the highest mean probability over the last decisions of its windows; and that mean, in words."""
+    """The class of the highest mean probability over the last decisions of its windows; and that
+    mean, in words."""
     mean = np.mean(windows, axis=0)
     best = int(mean.argmax())
     n_windows = "1 window" if len(windows) == 1 else f"{len(windows)} windows"
@@ -118,8 +133,8 @@ def class_of_recording(classes: Sequence[str], windows: Sequence[np.ndarray]) ->
 class Counts:
     """What became of the events since the volume was made or reset.
 
-    Where windows do not overlap, every event is counted once, as kept or as dropped for one reason: received =
-    kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_decided.
+    Where windows do not overlap, every event is counted once, as kept or as dropped for one reason:
+    received = kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_decided.
     """
 
     received: int = 0
@@ -133,7 +148,8 @@ class Counts:
     dropped_late: int = 0
     """Older than all open windows and not `dropped_decided`, or late under late="drop"."""
     dropped_decided: int = 0
-    """Late for a window that `confidence` had closed early, as it had all later ones before the oldest open one."""
+    """Late for a window that `confidence` had closed early, as it had all later ones before the
+    oldest open one."""
 
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))

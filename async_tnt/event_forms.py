@@ -1,16 +1,18 @@
 """The accepted forms of events, each split into four columns, unchecked.
 
-    a structured array      fields t|ts|timestamp, x, y, p|on|polarity|pol, in any order and of any integer type:
-                            Metavision, faery, neuromorphic-drivers, dv-processing's .numpy(), tonic
+    a structured array      fields t|ts|timestamp, x, y, p|on|polarity|pol, in any order and of any
+                            integer type: Metavision, faery, neuromorphic-drivers, dv-processing's
+                            .numpy(), tonic
     a tuple of four columns (t, x, y, p): arrays, lists, tensors; or a named tuple with these names
     a tuple of four numbers (t, x, y, p): a single event
     a table                 with columns of these names: a dict of columns, pandas, polars, pyarrow
-    an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets), or with .numpy()
+    an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets),
+                            or with .numpy()
     None, or an empty list, tuple or array: no events
 
-Times are integer microseconds, or NumPy's datetime64 and timedelta64; polarity is bool, 0/1 or -1/+1. A field under two
-names, two columns of one name, and masked arrays are rejected. Plain arrays do not say what their columns are, see
-`event_columns`.
+Times are integer microseconds, or NumPy's datetime64 and timedelta64; polarity is bool, 0/1 or
+-1/+1. A field under two names, two columns of one name, and masked arrays are rejected. Plain
+arrays do not say what their columns are, see `event_columns`.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ CALENDAR_DAYS = MappingProxyType({"M": 31, "Y": 366})
 """Days that NumPy's months and years have at most."""
 MAX_DEPTH = 4  # `.numpy()` may return events in another form, but not endlessly
 FORMS = (
-    "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict or table of such columns, a tuple "
+    "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict or table of "
+    "such columns, a tuple "
     "of four columns (t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
 )
 
@@ -81,14 +84,18 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
             return None
         _check_four(events)
         if not by_name:  # a named tuple names its columns
-            t, x, y, p = (_as_column(field, column) for field, column in zip(NAMES, events, strict=True))
+            t, x, y, p = (
+                _as_column(field, column) for field, column in zip(NAMES, events, strict=True)
+            )
             return t, x, y, p
     if depth < MAX_DEPTH and hasattr(events, "polarity_events"):
         return named_columns(events.polarity_events, depth + 1)
     if by_name:
         have = [name for names in NAMES.values() for name in names if hasattr(events, name)]
         what = f"a {type(events).__name__} with attributes {', '.join(have)}"
-        t, x, y, p = (_as_column(field, getattr(events, the_name(field, have, what))) for field in NAMES)
+        t, x, y, p = (
+            _as_column(field, getattr(events, the_name(field, have, what))) for field in NAMES
+        )
         return t, x, y, p
     if depth < MAX_DEPTH and callable(getattr(events, "numpy", None)):
         try:
@@ -109,8 +116,9 @@ def event_columns(table: Any, order: str) -> Four:
 
     Raises
     ------
-    ValueError : another shape or `order`; columns that look like another order, which the message names; floats of
-        2**24 (float32) or 2**53 (float64) and more, which may have been rounded. All else is checked by a push.
+    ValueError : another shape or `order`; columns that look like another order, which the message
+        names; floats of 2**24 (float32) or 2**53 (float64) and more, which may have been rounded.
+        All else is checked by a push.
 
     Examples
     --------
@@ -121,18 +129,22 @@ def event_columns(table: Any, order: str) -> Four:
     array = np.asarray(table)
     check_order("order", order)
     if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iufb":
-        raise ValueError(f"`table` must be numbers in shape (N, 4), got {array.dtype} in shape {array.shape}")
+        raise ValueError(
+            f"`table` must be numbers in shape (N, 4), got {array.dtype} in shape {array.shape}"
+        )
     if (likely := likely_order(array, order)) != order:
         raise ValueError(f"the columns are not {order!r}; they look like {likely!r}")
     columns = dict(zip(order, array.T, strict=True))
     for field, column in columns.items():
         if column.dtype.kind == "f":
-            exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)  # from here on floats may have been rounded
+            # from here on floats may have been rounded
+            exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)
             fits = (np.rint(column) == column) & (np.abs(column) < exact)
             if not fits.all():  # not a number, too
                 i = int(np.argmin(fits))
                 raise ValueError(
-                    f"`{field}` must be whole numbers, as {column.dtype} below {exact}, got {column[i]} in row {i}; "
+                    f"`{field}` must be whole numbers, as {column.dtype} below {exact}, got "
+                    f"{column[i]} in row {i}; "
                     "times are microseconds"
                 )
             columns[field] = column.astype(np.int64)
@@ -140,13 +152,17 @@ def event_columns(table: Any, order: str) -> Four:
 
 
 def check_order(name: str, order: Any) -> None:
-    """A ValueError that names the parameter, if `order` does not have each of the letters t, x, y and p once."""
+    """A ValueError that names the parameter, if `order` does not have each of the letters t, x, y
+    and p once."""
     if not isinstance(order, str) or sorted(order) != sorted("txyp"):
-        raise ValueError(f"`{name}` must have the letters t, x, y and p, each once, got {short(order)}")
+        raise ValueError(
+            f"`{name}` must have the letters t, x, y and p, each once, got {short(order)}"
+        )
 
 
 def likely_order(table: np.ndarray, order: str) -> str:
-    """The order of a table's columns: `order`, unless nothing speaks for it and all for another one.
+    """The order of a table's columns: `order`, unless nothing speaks for it and all for another
+    one.
 
     Parameters
     ----------
@@ -157,14 +173,16 @@ def likely_order(table: np.ndarray, order: str) -> str:
         return order
     for letters in permutations("txyp"):  # x and y cannot be told apart: x comes first
         other = "".join(letters)
-        if other.index("x") < other.index("y") and all(_signs(dict(zip(other, table.T, strict=True)))):
+        if other.index("x") < other.index("y") and all(
+            _signs(dict(zip(other, table.T, strict=True)))
+        ):
             return other
     return order
 
 
 def _signs(columns: Mapping[str, np.ndarray]) -> tuple[bool, bool]:
-    """Two signs that columns are what they are called: polarity has its values, and times increase; or it has them, and
-    times are the largest numbers."""
+    """Two signs that columns are what they are called: polarity has its values, and times increase;
+    or it has them, and times are the largest numbers."""
     if not np.isin(columns["p"], (-1, 0, 1)).all():
         return False, False
     t = columns["t"]
@@ -190,8 +208,14 @@ def _columns_of_array(events: np.ndarray | np.void) -> Four | None:
     if names is None:
         if isinstance(events, np.ndarray) and events.size == 0:
             return None
-        order = "; async_tnt.event_columns(array, order) says what its columns are" if events.shape[1:] == (4,) else ""
-        raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}{order}")
+        order = (
+            "; async_tnt.event_columns(array, order) says what its columns are"
+            if events.shape[1:] == (4,)
+            else ""
+        )
+        raise TypeError(
+            f"events must be {FORMS}; got a plain array of shape {np.shape(events)}{order}"
+        )
     what = f"a structured array with fields {', '.join(names)}"
     t, x, y, p = (np.atleast_1d(events[the_name(field, names, what)]) for field in NAMES)
     return _microseconds(t), x, y, p
@@ -199,14 +223,19 @@ def _columns_of_array(events: np.ndarray | np.void) -> Four | None:
 
 def _check_four(events: tuple[Any, ...] | list[Any]) -> None:
     """Refuse a list of single events, and anything but four columns."""
-    is_event = isinstance(events[0], (dict, np.void)) or (isinstance(events[0], tuple) and len(events) != 4)
+    is_event = isinstance(events[0], (dict, np.void)) or (
+        isinstance(events[0], tuple) and len(events) != 4
+    )
     if isinstance(events, list) and is_event:
         raise TypeError(
-            f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: pass it to "
+            f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: "
+            "pass it to "
             "`stream`, event by event, or push four columns (t, x, y, p)"
         )
     if len(events) != 4:
-        raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
+        raise ValueError(
+            f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}"
+        )
 
 
 def _as_column(field: str, values: Any) -> np.ndarray:
@@ -214,11 +243,18 @@ def _as_column(field: str, values: Any) -> np.ndarray:
     try:
         column = np.atleast_1d(np.asarray(values))
     except Exception as error:  # whatever a foreign object's __array__ raises
-        raise ValueError(f"`{field}` must be a column of whole numbers: {one_line(error)}") from error
+        raise ValueError(
+            f"`{field}` must be a column of whole numbers: {one_line(error)}"
+        ) from error
     if column.size == 0:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
-    if column.dtype.kind == "f" and isinstance(values, (list, tuple)) and all(type(v) is int for v in values):
-        return np.array(values, object)  # some beyond int64: NumPy made floats of them, `_check_type` names them
+    if (
+        column.dtype.kind == "f"
+        and isinstance(values, (list, tuple))
+        and all(type(v) is int for v in values)
+    ):
+        # some beyond int64: NumPy made floats of them, `_check_type` names them
+        return np.array(values, object)
     return _microseconds(column) if field == "t" else column
 
 
@@ -234,7 +270,9 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
     unit, multiple = np.datetime_data(t.dtype)
     in_calendar = unit in CALENDAR_DAYS
     if in_calendar and t.dtype.kind == "m":
-        raise ValueError(f"`t` must be durations of a fixed length, got {t.dtype}; convert them to microseconds")
+        raise ValueError(
+            f"`t` must be durations of a fixed length, got {t.dtype}; convert them to microseconds"
+        )
     length = multiple * (CALENDAR_DAYS[unit] * UNITS_AS["D"] if in_calendar else UNITS_AS[unit])
     factor = length // math.gcd(length, UNITS_AS["us"])
     divisor = UNITS_AS["us"] // math.gcd(length, UNITS_AS["us"])
@@ -243,7 +281,9 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
     if beyond.any():
         i = int(np.argmax(beyond))
         step = unit if multiple == 1 else f"x {multiple} {unit}"
-        raise ValueError(f"`t` must be in [0, 2**62) microseconds, got {count[i]} {step} at event {i}")
+        raise ValueError(
+            f"`t` must be in [0, 2**62) microseconds, got {count[i]} {step} at event {i}"
+        )
     if in_calendar:
         return t.astype("M8[us]").astype(np.int64)
     if factor == 1:
@@ -266,5 +306,9 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
         return found[0]
     if found:
         got = " and ".join(found) if len(set(found)) > 1 else f"{found[0]} {len(found)} times"
-        raise ValueError(f"events need one field `{field}`, got {got} in {what}; leave out all but one")
-    raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
+        raise ValueError(
+            f"events need one field `{field}`, got {got} in {what}; leave out all but one"
+        )
+    raise ValueError(
+        f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}"
+    )

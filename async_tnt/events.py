@@ -1,7 +1,8 @@
 """Decoding: events in any accepted form become four checked, contiguous columns.
 
-Nothing is checked again after this. Numba compiles separately for read-only, strided and unaligned arrays and never
-checks bounds, so packets are brought into one form here, once, and rejected here if they are invalid.
+Nothing is checked again after this. Numba compiles separately for read-only, strided and unaligned
+arrays and never checks bounds, so packets are brought into one form here, once, and rejected here
+if they are invalid.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from async_tnt.kernels.records import (
 )
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-"""How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
+"""How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0
+= OFF."""
 ANY_SENSOR = (1 << 16, 1 << 16)
 """Every pixel that uint16 can hold."""
 
@@ -58,7 +60,8 @@ def empty_columns(n: int) -> Columns:
 _T, _XY, _P = map(np.dtype, (np.int64, np.uint16, np.uint8))
 _DTYPES = (_T, _XY, _XY, _P)
 _ARRAY = np.ndarray
-_RECORDS = (np.ndarray, np.memmap, np.recarray)  # no other subclass: compiled code would not see a mask
+# no other subclass: compiled code would not see a mask
+_RECORDS = (np.ndarray, np.memmap, np.recarray)
 _NO_EVENTS = empty_columns(0)
 _new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
 
@@ -69,13 +72,16 @@ class EventDecoder:
     Parameters
     ----------
     sensor : (width, height) in pixels, 2**15 at most.
-    late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or `raise`.
+    late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or
+        `raise`.
     advice : ends the message about an event beyond the sensor.
 
     Attributes
     ----------
-    first_us : time of the first event of the packet that was decoded last; MAX_TIME_US if it had none.
-    newest_us, n_dropped : the newest time, and how many events were dropped, under another policy than `accept`.
+    first_us : time of the first event of the packet that was decoded last; MAX_TIME_US if it had
+        none.
+    newest_us, n_dropped : the newest time, and how many events were dropped, under another policy
+        than `accept`.
     """
 
     def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
@@ -114,8 +120,8 @@ class EventDecoder:
 
         Raises
         ------
-        ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
-            Then none of its events are used.
+        ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and
+            event. Then none of its events are used.
         """
         columns = None
         if type(events) is tuple:
@@ -132,7 +138,13 @@ class EventDecoder:
         width, height = self.sensor
         try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int
-            valid = is_plain and 0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height and -1 <= p <= 1
+            valid = (
+                is_plain
+                and 0 <= t < MAX_TIME_US
+                and 0 <= x < width
+                and 0 <= y < height
+                and -1 <= p <= 1
+            )
         except TypeError:
             valid = False
         if not valid or (apply_policy and self.late != "accept"):
@@ -145,7 +157,8 @@ class EventDecoder:
     def _decode_records(self, events: np.ndarray) -> Columns | None:
         """Packed records of whole numbers, by the fast path; None if they need a closer look."""
         dtype = events.dtype
-        if dtype is not self._dtype or dtype.names is not self._names:  # fields can be renamed in place
+        # fields can be renamed in place
+        if dtype is not self._dtype or dtype.names is not self._names:
             self._dtype, self._names = dtype, dtype.names
             self._layout = _record_layout(dtype)
         if self._layout is None or events.ndim == 0:
@@ -177,7 +190,8 @@ class EventDecoder:
         t, x, y, p = events
         if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
-        # all four: Numba's dispatch should refuse the other byte order, but once took an empty column of it
+        # all four: Numba's dispatch should refuse the other byte order, but once took an empty
+        # column of it
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
             return None
         width, height = self.sensor
@@ -191,7 +205,8 @@ class EventDecoder:
         return _new_tuple(Columns, (t, x, y, p, len(t)))
 
     def apply_policy(self, columns: Columns) -> Columns:
-        """Checked columns without late events, which are counted; with `raise`, a ValueError at the first one."""
+        """Checked columns without late events, which are counted; with `raise`, a ValueError at the
+        first one."""
         if not columns.n or self.late == "accept":
             return columns
         t = columns.t[: columns.n]
@@ -224,8 +239,11 @@ def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Colum
     return _NO_EVENTS if columns is None else checked_columns(*columns, sensor, advice)
 
 
-def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
-    """Four columns of any integer type as `Columns`, or an error that names the first invalid event."""
+def checked_columns(
+    t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = ""
+) -> Columns:
+    """Four columns of any integer type as `Columns`, or an error that names the first invalid
+    event."""
     columns = dict(zip(NAMES, map(np.asarray, (t, x, y, p)), strict=True))
     for field, column in columns.items():
         if column.ndim != 1:
@@ -261,8 +279,11 @@ def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
     return structured(columns[:4], columns.n)
 
 
-def structured(columns: Sequence[np.ndarray], n: int | None = None, dtype: np.dtype = EVENT_DTYPE) -> np.ndarray:
-    """The first `n` events of columns t, x, y, p, by default all, as a new structured array; nothing is checked."""
+def structured(
+    columns: Sequence[np.ndarray], n: int | None = None, dtype: np.dtype = EVENT_DTYPE
+) -> np.ndarray:
+    """The first `n` events of columns t, x, y, p, by default all, as a new structured array;
+    nothing is checked."""
     events = np.empty(len(columns[0]) if n is None else n, dtype)
     for name, column in zip("txyp", columns, strict=True):
         events[name] = column[:n]
@@ -313,7 +334,8 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
             return None
         number, offset = dtype.fields[found[0]][:2]
         kind = KIND.get(number.str[1:])
-        refused = "u8" if field == "p" else "b1"  # the kernel would take a polarity of 2**64 - 1 for -1
+        # the kernel would take a polarity of 2**64 - 1 for -1
+        refused = "u8" if field == "p" else "b1"
         if kind is None or number.str[0] == ">" or number.str[1:] == refused:
             return None
         layout += [offset, kind]

@@ -1,6 +1,7 @@
 """Files: paths as users write them, pointers of Git LFS, reading regular files alone, and writing.
 
-Files are written whole or not at all, replacing nothing but regular files, and by one process at a time.
+Files are written whole or not at all, replacing nothing but regular files, and by one process at a
+time.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ def user_path(path: str | os.PathLike[str]) -> Path:
 def refuse_git_lfs(path: Path) -> None:
     """A ValueError if a pointer of Git LFS is there in place of the file; nothing else is checked.
 
-    Git leaves such a pointer, three lines of text, where a repository was cloned without its large files.
+    Git leaves such a pointer, three lines of text, where a repository was cloned without its large
+    files.
     """
     if not path.is_file():  # it is missing, a folder or a pipe, which others say better
         return
@@ -36,7 +38,8 @@ def refuse_git_lfs(path: Path) -> None:
         is_pointer = file.read(len(LFS_POINTER)) == LFS_POINTER
     if is_pointer:
         raise ValueError(
-            f"{path}: only a Git LFS pointer to the file, not the file itself; fetch it with `git lfs pull` in its "
+            f"{path}: only a Git LFS pointer to the file, not the file itself; fetch it with `git "
+            "lfs pull` in its "
             "repository"
         )
 
@@ -63,7 +66,8 @@ def read_regular(path: str | os.PathLike[str]) -> bytes:
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
-    """The file to write, following a symbolic link; refuses, before any work, what `Replacement` could not replace.
+    """The file to write, following a symbolic link; refuses, before any work, what `Replacement`
+    could not replace.
 
     Parameters
     ----------
@@ -72,7 +76,8 @@ def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
     Raises
     ------
     ValueError : another suffix.
-    OSError : something other than a regular file is there, the folder is missing, or there is no permission.
+    OSError : something other than a regular file is there, the folder is missing, or there is no
+        permission.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise ValueError(f"{path}: its name must end in {', '.join(suffixes)}")
@@ -80,14 +85,17 @@ def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
     if not target.parent.is_dir():
         raise FileNotFoundError(f"no folder {target.parent} to write {target.name} to")
     _check_regular(path)
-    if not os.access(target.parent, os.W_OK) or (target.exists() and not os.access(target, os.W_OK)):
+    if not os.access(target.parent, os.W_OK) or (
+        target.exists() and not os.access(target, os.W_OK)
+    ):
         raise PermissionError(f"{path} cannot be written: no permission")
     _check_regular(_part_of(target), follow_symlinks=False)
     return target
 
 
 def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
-    """Refuse, before any work, to replace files that the user has not named and this program has not written.
+    """Refuse, before any work, to replace files that the user has not named and this program has
+    not written.
 
     Parameters
     ----------
@@ -102,11 +110,14 @@ def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
     content = paths[0].read_bytes() if paths[0] in there else b""
     if there and any(mark.encode() not in content for mark in marks):
         expected = f"expected {paths[0].name} with {', '.join(marks)}"
-        raise FileExistsError(f"{there[0]} is of another program ({expected}): move it away, or give another name")
+        raise FileExistsError(
+            f"{there[0]} is of another program ({expected}): move it away, or give another name"
+        )
 
 
 def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
-    """An OSError, before any work, if a folder, or these files in it, could not be made or written."""
+    """An OSError, before any work, if a folder, or these files in it, could not be made or
+    written."""
     there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not there.is_dir():
         raise NotADirectoryError(f"{there} is not a folder; expected a folder to write to")
@@ -117,7 +128,8 @@ def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
 
 
 class Replacement:
-    """A file that replaces another, whose permissions stay, when it is complete; until then it is NAME.part.
+    """A file that replaces another, whose permissions stay, when it is complete; until then it is
+    NAME.part.
 
     Parameters and errors are those of `check_writable`.
     """
@@ -126,13 +138,15 @@ class Replacement:
         self._target = check_writable(path)
         self.part = _part_of(self._target)
         self.part.unlink(missing_ok=True)  # left by a killed process
-        # O_EXCL does not follow a link placed there meanwhile; what replaces a private file is private from the start
+        # O_EXCL does not follow a link placed there meanwhile; what replaces a private file is
+        # private from the start
         mode = 0o600 if self._target.exists() else 0o666
         os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
 
     def complete(self) -> None:
         """Replace the file."""
-        with contextlib.suppress(OSError):  # nothing to replace, or a file system without permissions
+        # nothing to replace, or a file system without permissions
+        with contextlib.suppress(OSError):
             shutil.copymode(self._target, self.part)
         self.part.replace(self._target)
 
@@ -145,7 +159,8 @@ class Replacement:
 def replacing(path: Path) -> Iterator[Path]:
     """Write the file that this yields, a `Replacement.part`: after the block it replaces `path`.
 
-    If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and maybe a `.part`.
+    If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and
+    maybe a `.part`.
     """
     file = Replacement(path)
     try:
@@ -176,8 +191,8 @@ def write_text(path: Path, text: str) -> None:
 def open_locked(path: Path, busy: str) -> IO[bytes]:
     """Open a file, made if missing, and lock it until it is closed or its process ends in any way.
 
-    BlockingIOError, with the text `busy`, if another process has locked it, or has just replaced or deleted it. Where
-    the system has no such locks, nothing is locked.
+    BlockingIOError, with the text `busy`, if another process has locked it, or has just replaced or
+    deleted it. Where the system has no such locks, nothing is locked.
     """
     _check_regular(path, follow_symlinks=False)
     file = path.open("a+b")
@@ -199,7 +214,8 @@ def open_locked(path: Path, busy: str) -> IO[bytes]:
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, name: str) -> Iterator[None]:
-    """Make a folder, and lock the file `name` in it for the block; BlockingIOError if another process has locked it.
+    """Make a folder, and lock the file `name` in it for the block; BlockingIOError if another
+    process has locked it.
 
     What was made here and is empty in the end is removed again.
     """
@@ -224,4 +240,6 @@ def _check_regular(path: Path, *, follow_symlinks: bool = True) -> None:
     """Refuse anything but a regular file, or nothing at all."""
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path, follow_symlinks=follow_symlinks).st_mode):
-            raise FileExistsError(f"{path} is not a regular file; only those are replaced: give another name")
+            raise FileExistsError(
+                f"{path} is not a regular file; only those are replaced: give another name"
+            )

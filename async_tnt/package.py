@@ -1,5 +1,5 @@
-"""What is known of the package and the machine before anything is imported: version, cores, and names that are imported
-when first used, so that programs start at once."""
+"""What is known of the package and the machine before anything is imported: version, cores, and
+names that are imported when first used, so that programs start at once."""
 
 __version__ = "0.3.0"
 
@@ -14,8 +14,8 @@ def lazy_names(package: "dict[str, Any]", modules: "dict[str, str]") -> "tuple[C
 
         __getattr__, __dir__ = lazy_names(globals(), {"module": "Name other_name", ...})
 
-    Type checkers do not see through it: for them the package imports the same names `if TYPE_CHECKING`, and lists them
-    in `__all__`.
+    Type checkers do not see through it: for them the package imports the same names `if
+    TYPE_CHECKING`, and lists them in `__all__`.
 
     Parameters
     ----------

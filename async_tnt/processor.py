@@ -1,8 +1,11 @@
 """Processor: from packets of events to decisions, window by window.
 
-A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
-A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
-Both:        of our own network, in one compiled call (`_absorb_stretch`) -> WindowClassifier.decide_stretch
+A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb ->
+             kernels.absorb
+A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) ->
+             WindowClassifier.decide
+Both:        of our own network, in one compiled call (`_absorb_stretch`) ->
+             WindowClassifier.decide_stretch
 """
 
 from __future__ import annotations
@@ -29,7 +32,13 @@ from async_tnt.saved_state import dump_state, load_state
 from async_tnt.triggers import TriggerAttributes, Triggers, TriggerSettings, warn_if_never_due
 from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import Regressor
-from async_tnt.window_classifier import STRETCH, TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
+from async_tnt.window_classifier import (
+    STRETCH,
+    TRIGGER_NAMES,
+    Classifier,
+    WindowClassifier,
+    networks_of,
+)
 from async_tnt.windows import WindowScheduler
 
 
@@ -50,35 +59,41 @@ def _recovering(method: Method) -> Method:
 class Processor(TriggerAttributes):
     """Classifies windows of an event stream while the events arrive.
 
-    Windows lie end to end, from `start_us` or else from the first event. A window is classified when it closes, and
-    skipped if it holds no events; one of `window_events` begins with the first event after the previous window, and is
-    classified when its last event arrives. The decisions do not depend on how the stream is cut into packets.
+    Windows lie end to end, from `start_us` or else from the first event. A window is classified
+    when it closes, and skipped if it holds no events; one of `window_events` begins with the first
+    event after the previous window, and is classified when its last event arrives. The decisions do
+    not depend on how the stream is cut into packets.
 
     Parameters
     ----------
     model : a Model, its name or path, or a TNTConfig together with `classifier`.
-    classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
-        to finite logits; by default the model's own network, compiled, which computes only what has changed
-        since the last decision. Others are in `async_tnt.networks`.
+    classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during
+        the call) to finite logits; by default the model's own network, compiled, which computes
+        only what has changed since the last decision. Others are in `async_tnt.networks`.
     classes : class names; by default the model's, or "0", "1", ...
-    start_us : start of the first window, in microseconds. It and `hop_us` cannot be given with `window_events`.
-    hop_us : distance between the starts of windows, by default `window_us`. With a smaller one windows overlap;
-        triggers and `fire` then concern the oldest open window, the most complete one.
-    every_us : decide also whenever this much time has passed since the window's start, if new events have arrived.
-        The decision is made when the first event at or after that moment arrives, and only for the oldest window.
+    start_us : start of the first window, in microseconds. It and `hop_us` cannot be given with
+        `window_events`.
+    hop_us : distance between the starts of windows, by default `window_us`. With a smaller one
+        windows overlap; triggers and `fire` then concern the oldest open window, the most complete
+        one.
+    every_us : decide also whenever this much time has passed since the window's start, if new
+        events have arrived. The decision is made when the first event at or after that moment
+        arrives, and only for the oldest window.
     every_events : decide also after every this many events of the window.
-    confidence : close the window early, with a last decision, as soon as the likeliest class has this probability.
-        It is checked at every decision of the other triggers, or after every event if there are none. Events that
-        still arrive for the window are counted as `dropped_decided`. Not for models that find objects.
+    confidence : close the window early, with a last decision, as soon as the likeliest class has
+        this probability. It is checked at every decision of the other triggers, or after every
+        event if there are none. Events that still arrive for the window are counted as
+        `dropped_decided`. Not for models that find objects.
     regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
-    on_restart : what to do where the clock of the events begins again, as in a recording that is read twice or after a
-        camera was plugged in again, so that whole packets are older than the open window. "warn": warn once; the events
-        are dropped as late. "reset": decide about the open windows, call `reset()`, and use these events. "raise": a
-        ValueError, before any event of the packet is used. See `async_tnt.restarts` for how a restart is told.
+    on_restart : what to do where the clock of the events begins again, as in a recording that is
+        read twice or after a camera was plugged in again, so that whole packets are older than the
+        open window. "warn": warn once; the events are dropped as late. "reset": decide about the
+        open windows, call `reset()`, and use these events. "raise": a ValueError, before any event
+        of the packet is used. See `async_tnt.restarts` for how a restart is told.
 
-    Copies and pickles continue the stream, bit for bit. The three triggers, from `every_us` to `confidence`,
-    and `classifier` are attributes, too, and may change between calls. A call while another one is running, in another
-    thread or further up in the same, is a RuntimeError.
+    Copies and pickles continue the stream, bit for bit. The three triggers, from `every_us` to
+    `confidence`, and `classifier` are attributes, too, and may change between calls. A call while
+    another one is running, in another thread or further up in the same, is a RuntimeError.
 
     Examples
     --------
@@ -109,7 +124,9 @@ class Processor(TriggerAttributes):
         late: Late = "accept",
         on_restart: OnRestart = "warn",
     ) -> None:
-        self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
+        self.config, classifier, regressor, classes = networks_of(
+            model, classifier, regressor, classes
+        )
         self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
@@ -147,11 +164,13 @@ class Processor(TriggerAttributes):
 
         Raises
         ------
-        ValueError, TypeError : the packet is invalid. The message names field, rule, value and event; nothing changes.
+        ValueError, TypeError : the packet is invalid. The message names field, rule, value and
+            event; nothing changes.
 
-        Errors of classifier and regressor pass through. The events before that decision have then been processed, the
-        others have not (but `late` has seen them: pushed again, they are late), and the packet's earlier decisions are
-        lost. The next push repeats one at a window's end or of `every_us`; one that was due by an event is lost.
+        Errors of classifier and regressor pass through. The events before that decision have then
+        been processed, the others have not (but `late` has seen them: pushed again, they are late),
+        and the packet's earlier decisions are lost. The next push repeats one at a window's end or
+        of `every_us`; one that was due by an event is lost.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
@@ -172,7 +191,8 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
+        """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
+        -1/+1."""
         running = self._running  # `begin`, whose call would take another 30 ns
         if running.now:
             raise running.overlap()
@@ -192,7 +212,9 @@ class Processor(TriggerAttributes):
             if answer != ABSORBED:
                 return decisions + self._take_watched(self._decoder.decode_one(t, x, y, p, False))
             if self._by_event:
-                self._accept(self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions)
+                self._accept(
+                    self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions
+                )
             return decisions
         except BaseException:
             self._recover()
@@ -201,8 +223,8 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def _recover(self) -> None:
-        """After any exception, Ctrl-C in the middle of a step too: the state of a stream that ends at some event of the
-        packet. After one of a classifier, nothing is to be done."""
+        """After any exception, Ctrl-C in the middle of a step too: the state of a stream that ends
+        at some event of the packet. After one of a classifier, nothing is to be done."""
         windows = self._windows
         windows.recover()
         self._triggers.set(self._triggers.settings)
@@ -230,7 +252,8 @@ class Processor(TriggerAttributes):
         return decisions
 
     def _look_at_late(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """Look whether the clock has begun again at a single event that has been counted as late."""
+        """Look whether the clock has begun again at a single event that has been counted as
+        late."""
         columns = self._decoder.decode_one(t, x, y, p, False)
         first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
         return [] if first is None else self._begin_again(columns, first)
@@ -241,7 +264,8 @@ class Processor(TriggerAttributes):
         return max(self._seen_us, self._windows.oldest.newest_us)
 
     def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
-        """End the stream, and begin another one with the packets that waited and with the event `first`."""
+        """End the stream, and begin another one with the packets that waited and with the event
+        `first`."""
         waiting = self._restarts.waiting
         decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
         decisions += self._finish()
@@ -255,7 +279,8 @@ class Processor(TriggerAttributes):
         windows = self._windows
         decisions: list[Decision] = []
         first, n = 0, columns.n
-        while first < n or windows.is_full:  # a window that was full before: the classifier raised an error
+        # a window that was full before: the classifier raised an error
+        while first < n or windows.is_full:
             if not len(windows):
                 self._open_windows(int(columns.t[first]))
             if self._by_event:
@@ -272,8 +297,11 @@ class Processor(TriggerAttributes):
                     self._advance(int(columns.t[first]), decisions)
         return decisions
 
-    def _absorb_until_decision(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
-        """Add events until one makes a decision due (compiled code may add more); returns the first one not added."""
+    def _absorb_until_decision(
+        self, columns: Columns, first: int, decisions: list[Decision]
+    ) -> int:
+        """Add events until one makes a decision due (compiled code may add more); returns the first
+        one not added."""
         if self._in_stretches:
             return self._absorb_stretch(columns, first, decisions)
         windows, oldest = self._windows, self._windows.oldest
@@ -286,10 +314,13 @@ class Processor(TriggerAttributes):
         return absorbed
 
     def _absorb_stretch(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
-        """Add events up to the window's end, or to a decision that closes it; returns the first one not added."""
+        """Add events up to the window's end, or to a decision that closes it; returns the first one
+        not added."""
         oldest = self._windows.oldest
         self._windows.begin_sharing(columns, first)
-        absorbed, new, error = self._classifier.decide_stretch(oldest, self._triggers.state, columns, first, columns.n)
+        absorbed, new, error = self._classifier.decide_stretch(
+            oldest, self._triggers.state, columns, first, columns.n
+        )
         self._windows.share()
         if error is not None:
             raise error
@@ -297,12 +328,15 @@ class Processor(TriggerAttributes):
         return absorbed
 
     def _decide_if_due(self, n_before: int) -> list[Decision]:
-        """Decide if the oldest window's newest event made that due; it held `n_before` events before."""
+        """Decide if the oldest window's newest event made that due; it held `n_before` events
+        before."""
         oldest, triggers = self._windows.oldest, self._triggers
         why = why_due(triggers.state, n_before, oldest.n_events)
         if why == NOT_DUE:
             return []
-        decision = self._classifier.decide(oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence)
+        decision = self._classifier.decide(
+            oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence
+        )
         return [decision] if decision.trigger else []
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
@@ -313,7 +347,11 @@ class Processor(TriggerAttributes):
             if triggers.next_due_us <= t_us and triggers.next_due_us < end_us:
                 new = []
                 if oldest.n_events > triggers.n_at_decision:
-                    new.append(self._classifier.decide(oldest, "every_us", confidence=triggers.settings.confidence))
+                    new.append(
+                        self._classifier.decide(
+                            oldest, "every_us", confidence=triggers.settings.confidence
+                        )
+                    )
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new, t_us, decisions)
             elif end_us <= t_us:
@@ -324,7 +362,8 @@ class Processor(TriggerAttributes):
 
     def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
         """The oldest window is complete: decide, unless it is empty, and close it."""
-        if (oldest := self._windows.oldest).n_events:  # first: should the classifier raise, the window stays open
+        # first: should the classifier raise, the window stays open
+        if (oldest := self._windows.oldest).n_events:
             decisions.append(self._classifier.decide(oldest, "window", complete=True))
         self._seen_us = max(self._newest_us, now_us)
         self._windows.close_oldest()
@@ -348,7 +387,8 @@ class Processor(TriggerAttributes):
             self._windows.set_limit(self._triggers.next_due_us)
 
     def _begin_oldest(self, now_us: int) -> None:
-        """Another window has become the oldest, or none is open; `now_us`: no event so far is younger."""
+        """Another window has become the oldest, or none is open; `now_us`: no event so far is
+        younger."""
         windows = self._windows
         self._seen_us = now_us
         self._late_before_us = NEVER_US if self._restarts.looks_at_all else windows.late_before_us
@@ -357,7 +397,8 @@ class Processor(TriggerAttributes):
         self._begun_for = self._oldest_window()
 
     def fire(self) -> Decision:
-        """Classify the open window as it is now; before the first event, an empty volume. Changes nothing."""
+        """Classify the open window as it is now; before the first event, an empty volume. Changes
+        nothing."""
         self._running.begin()
         try:
             return self._classifier.decide(self._windows.oldest, "fire")
@@ -369,8 +410,8 @@ class Processor(TriggerAttributes):
     def finish(self) -> list[Decision]:
         """End the stream: classify the open windows that hold events, and close them.
 
-        Their `complete` is False and their trigger `end`. Events of these windows that follow are late; where a window
-        has a number of events, they begin another one.
+        Their `complete` is False and their trigger `end`. Events of these windows that follow are
+        late; where a window has a number of events, they begin another one.
         """
         return self._finish()
 
@@ -389,7 +430,8 @@ class Processor(TriggerAttributes):
 
     @one_at_a_time
     def volume(self) -> np.ndarray:
-        """The (oldest) open window's volume as it is now: float32, shape (C, H, W), read-only. Copy it to keep it."""
+        """The (oldest) open window's volume as it is now: float32, shape (C, H, W), read-only. Copy
+        it to keep it."""
         return self._windows.oldest.array
 
     @property
@@ -399,13 +441,14 @@ class Processor(TriggerAttributes):
 
     @property
     def counts(self) -> Counts:
-        """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an
-        event once, the others once per window that contains it."""
+        """What became of the events. Where windows overlap, `received`, `dropped_late` and
+        `dropped_decided` count an event once, the others once per window that contains it."""
         return self._windows.counts(self._decoder.n_dropped)
 
     @property
     def classifier(self) -> Classifier:
-        """The callable from a volume to logits, used from the next decision on; one that cannot fit is an error."""
+        """The callable from a volume to logits, used from the next decision on; one that cannot fit
+        is an error."""
         return self._classifier.classifier
 
     @classifier.setter
@@ -426,7 +469,8 @@ class Processor(TriggerAttributes):
 
     @property
     def late(self) -> Late:
-        """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
+        """What is done with an event older than the newest one seen: `accept`, `drop` or
+        `raise`."""
         return self._decoder.late
 
     @property
@@ -449,7 +493,9 @@ class Processor(TriggerAttributes):
     def _prepare(self) -> None:
         """Compile what these settings call, so that no event has to wait for it."""
         settings = self._triggers.settings
-        compile_for(self.config, self.classifier, self._windows.regressor, settings, self.late != "accept")
+        compile_for(
+            self.config, self.classifier, self._windows.regressor, settings, self.late != "accept"
+        )
         self._choose_ways()
 
     def _choose_ways(self) -> None:
@@ -458,17 +504,21 @@ class Processor(TriggerAttributes):
         direct = not overlap and self.late == "accept"
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = settings.by_event
-        alone = settings.every_us is None or not overlap  # else time passes for several windows at once
+        # else time passes for several windows at once
+        alone = settings.every_us is None or not overlap
         self._in_stretches = alone and self._classifier.decides_in_stretches
 
     @one_at_a_time
     def save_state(self) -> bytes:
-        """The stream as it is now, without classifier and regressor: much smaller than a pickle of the Processor.
+        """The stream as it is now, without classifier and regressor: much smaller than a pickle of
+        the Processor.
 
-        `from_state` continues it, bit for bit, in any process of the same release. It is a pickle: load none that you
-        do not trust.
+        `from_state` continues it, bit for bit, in any process of the same release. It is a pickle:
+        load none that you do not trust.
         """
-        return dump_state(super().__getstate__(), _networks(self.classifier, self._windows.regressor))
+        return dump_state(
+            super().__getstate__(), _networks(self.classifier, self._windows.regressor)
+        )
 
     @classmethod
     def from_state(
@@ -490,13 +540,20 @@ class Processor(TriggerAttributes):
         config, classifier, regressor, classes = networks_of(model, classifier, regressor, None)
         values = load_state(state, _networks(classifier, regressor))
         if not (isinstance(values, tuple) and len(values) == 2 and isinstance(values[1], dict)):
-            raise ValueError(f"`state` must be what `save_state` returned, got a pickle of {type(values).__name__}")
+            raise ValueError(
+                f"`state` must be what `save_state` returned, got a pickle of "
+                f"{type(values).__name__}"
+            )
         processor = cls.__new__(cls)
         processor.__setstate__(values)
         if processor.config != config:
-            raise ValueError(f"`state` must be of the configuration {config}, got one of {processor.config}")
+            raise ValueError(
+                f"`state` must be of the configuration {config}, got one of {processor.config}"
+            )
         if classes is not None and processor.classes != tuple(classes):
-            raise ValueError(f"`state` must be of the classes {short(classes)}, got {short(processor.classes)}")
+            raise ValueError(
+                f"`state` must be of the classes {short(classes)}, got {short(processor.classes)}"
+            )
         return processor
 
     def __copy__(self) -> Processor:
@@ -515,7 +572,11 @@ class Processor(TriggerAttributes):
 
 def _networks(classifier: Classifier, regressor: Regressor | None) -> dict[str, Any]:
     """What a saved state has by name."""
-    return {"classifier": classifier, "reader": getattr(classifier, "reader", None), "regressor": regressor}
+    return {
+        "classifier": classifier,
+        "reader": getattr(classifier, "reader", None),
+        "regressor": regressor,
+    }
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:

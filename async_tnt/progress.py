@@ -1,4 +1,5 @@
-"""The progress bar of every command: one line on stderr where that is a terminal, nothing elsewhere."""
+"""The progress bar of every command: one line on stderr where that is a terminal, nothing
+elsewhere."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ FIRST_S, EVERY_S = 1.0, 0.1
 
 
 class Bar(contextlib.AbstractContextManager["Bar"]):
-    """How much of `total` is done. A context manager: it clears its line at the end, even after an error.
+    """How much of `total` is done. A context manager: it clears its line at the end, even after an
+    error.
 
     Parameters
     ----------
@@ -23,7 +25,9 @@ class Bar(contextlib.AbstractContextManager["Bar"]):
     done : units done before, which do not count towards the rate.
     """
 
-    def __init__(self, total: int, title: str, file: TextIO | None = None, *, done: int = 0) -> None:
+    def __init__(
+        self, total: int, title: str, file: TextIO | None = None, *, done: int = 0
+    ) -> None:
         self.total, self.title, self.done = total, title, done
         self._file, self._first = file, done
         self._started = time.monotonic()
@@ -37,13 +41,16 @@ class Bar(contextlib.AbstractContextManager["Bar"]):
         if self._file is None or (now := time.monotonic()) < self._next_draw:
             return
         self._next_draw = now + EVERY_S
-        text = describe(self.title, self.done, self.total, self.done - self._first, now - self._started)
+        text = describe(
+            self.title, self.done, self.total, self.done - self._first, now - self._started
+        )
         text = text[: shutil.get_terminal_size().columns - 1]
         self._write("\r" + text.ljust(self._width))
         self._width = len(text)
 
     def clear(self) -> None:
-        """Clear the line, for example before something else is printed. The next update draws it again."""
+        """Clear the line, for example before something else is printed. The next update draws it
+        again."""
         if self._width:
             self._write("\r" + " " * self._width + "\r")
             self._width = 0
@@ -82,9 +89,17 @@ def describe(title: str, done: int, total: int, n: int, seconds: float) -> str:
         text = f"{title} {100 * share:3.0f} % [{'#' * int(20 * share):.<20}] {done:,}/{total:,}"
     if n > 0 and seconds > 0:
         rate = n / seconds
-        text += f", {rate:,.0f}/s" if rate >= 10 else f", {rate:.1f}/s" if rate >= 1 else f", {seconds / n:.1f} s each"
+        text += (
+            f", {rate:,.0f}/s"
+            if rate >= 10
+            else f", {rate:.1f}/s"
+            if rate >= 1
+            else f", {seconds / n:.1f} s each"
+        )
         if total > 0:
             minutes, left = divmod(round(max(total - done, 0) / rate), 60)
             hours, minutes = divmod(minutes, 60)
-            text += f", {hours}:{minutes:02}:{left:02} left" if hours else f", {minutes}:{left:02} left"
+            text += (
+                f", {hours}:{minutes:02}:{left:02} left" if hours else f", {minutes}:{left:02} left"
+            )
     return text

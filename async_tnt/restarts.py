@@ -1,8 +1,9 @@
-"""A clock that begins again: a recording that is read twice, a camera that was plugged in again, a counter that wraps.
+"""A clock that begins again: a recording that is read twice, a camera that was plugged in again, a
+counter that wraps.
 
-All events that follow are older than the open window, and would be dropped as late without a word. Here such a restart
-is told from a few events that come late: there are ENOUGH events in a row, each older than the newest event before them
-by a window, or by BEHIND_US if windows are longer.
+All events that follow are older than the open window, and would be dropped as late without a word.
+Here such a restart is told from a few events that come late: there are ENOUGH events in a row, each
+older than the newest event before them by a window, or by BEHIND_US if windows are longer.
 """
 
 from __future__ import annotations
@@ -32,13 +33,17 @@ class RestartWatch:
     Attributes
     ----------
     on_restart : as given.
-    looks_at_all : whether every packet is to be looked at, not only one that begins with a late event.
-    waiting : the newest events, as long as all of them are behind: they may be the first ones after a restart. Copies.
+    looks_at_all : whether every packet is to be looked at, not only one that begins with a late
+        event.
+    waiting : the newest events, as long as all of them are behind: they may be the first ones after
+        a restart. Copies.
     """
 
     def __init__(self, on_restart: OnRestart, window_us: int) -> None:
         if on_restart not in ON_RESTART:
-            raise ValueError(f"`on_restart` must be one of {', '.join(ON_RESTART)}, got {short(on_restart)}")
+            raise ValueError(
+                f"`on_restart` must be one of {', '.join(ON_RESTART)}, got {short(on_restart)}"
+            )
         self.on_restart = on_restart
         self.looks_at_all = on_restart != "warn"
         self._behind_us = min(window_us, BEHIND_US)
@@ -61,8 +66,8 @@ class RestartWatch:
 
         Returns
         -------
-        int : the first event after a restart with which a new stream begins; 0 also if that event is in `waiting`.
-            None: go on with the packet as it is.
+        int : the first event after a restart with which a new stream begins; 0 also if that event
+            is in `waiting`. None: go on with the packet as it is.
 
         Raises
         ------
@@ -109,9 +114,12 @@ class RestartWatch:
             return first
         self.waiting = []
         text = (
-            f"times went back by {(newest_us - t_us) / 1e6:,.3f} s, from {newest_us} to {t_us} us: the clock has begun "
-            'again, and events are dropped as late until it has caught up; on_restart="reset" begins a new stream '
-            "there, as `reset()` does between two recordings, and `async_tnt.sources.Clock` lets a camera's times go on"
+            f"times went back by {(newest_us - t_us) / 1e6:,.3f} s, from {newest_us} to {t_us} us: "
+            "the clock has begun "
+            'again, and events are dropped as late until it has caught up; on_restart="reset" '
+            "begins a new stream "
+            "there, as `reset()` does between two recordings, and `async_tnt.sources.Clock` lets a "
+            "camera's times go on"
         )
         if self.on_restart == "raise":
             raise ValueError(text)
@@ -122,7 +130,9 @@ class RestartWatch:
 
 def part_of(columns: Columns, first: int, last: int, *, copy: bool = False) -> Columns:
     """The events `first <= i < last`, in the same memory or copied."""
-    t, x, y, p = (column[first:last].copy() if copy else column[first:last] for column in columns[:4])
+    t, x, y, p = (
+        column[first:last].copy() if copy else column[first:last] for column in columns[:4]
+    )
     return Columns(t, x, y, p, last - first)
 
 

@@ -1,4 +1,5 @@
-"""The state of a stream without the networks that decide about it: small, and continued with the model given again."""
+"""The state of a stream without the networks that decide about it: small, and continued with the
+model given again."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from async_tnt.checks import one_line
 
 
 def dump_state(values: Any, networks: dict[str, Any]) -> bytes:
-    """Pickle values, and of each of these networks (name -> object, None: there is none) the name alone."""
+    """Pickle values, and of each of these networks (name -> object, None: there is none) the name
+    alone."""
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, pickle.HIGHEST_PROTOCOL)
     pickler.names = {id(network): name for name, network in networks.items() if network is not None}
@@ -30,7 +32,9 @@ def load_state(state: bytes, networks: dict[str, Any]) -> Any:
     try:
         return unpickler.load()
     except Exception as error:  # a damaged pickle raises any
-        raise ValueError(f"`state` must be what `save_state` of this release returned: {one_line(error)}") from None
+        raise ValueError(
+            f"`state` must be what `save_state` of this release returned: {one_line(error)}"
+        ) from None
 
 
 class _Pickler(pickle.Pickler):

@@ -1,4 +1,5 @@
-"""stream and astream: a source of events in, decisions out; `volumes`: the windows' volumes alone."""
+"""stream and astream: a source of events in, decisions out; `volumes`: the windows' volumes
+alone."""
 
 from __future__ import annotations
 
@@ -49,17 +50,20 @@ def stream(
 
     Parameters
     ----------
-    source : an iterable of packets, or of single events, in any form that `async_tnt.event_forms` lists.
-    model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` if its landmark needs one),
-        or a Processor, which continues its stream.
-    finish : when the source ends, decide about the windows still open and close them: events of these windows that
-        come later are late. False: leave them open for the next source that goes to the same Processor.
-    settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`, `late`,
-        `on_restart`, ...
+    source : an iterable of packets, or of single events, in any form that `async_tnt.event_forms`
+        lists.
+    model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` if its
+        landmark needs one), or a Processor, which continues its stream.
+    finish : when the source ends, decide about the windows still open and close them: events of
+        these windows that come later are late. False: leave them open for the next source that goes
+        to the same Processor.
+    settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`,
+        `late`, `on_restart`, ...
 
     Yields
     ------
-    Decision : for each window that closes and each trigger; when the source ends, for the windows still open.
+    Decision : for each window that closes and each trigger; when the source ends, for the windows
+        still open.
 
     Examples
     --------
@@ -68,14 +72,19 @@ def stream(
     ['3', '3', '3']
     """
     _check_source(source)
-    return _stream(source, as_processor(model, **settings), finish)  # here: errors come before the first event
+    # here: errors come before the first event
+    return _stream(source, as_processor(model, **settings), finish)
 
 
 def _check_source(source: Any) -> None:
     if isinstance(source, (str, Path)):
-        raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
+        raise TypeError(
+            f"`source` must yield events, got the path {source}; open_recording(path) reads a file"
+        )
     if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
-        raise TypeError(f"`source` must be an iterable of packets or of events, got {type(source).__name__}")
+        raise TypeError(
+            f"`source` must be an iterable of packets or of events, got {type(source).__name__}"
+        )
 
 
 def _stream(source: Iterable[Any], processor: Processor, finish: bool) -> Iterator[Decision]:
@@ -93,7 +102,8 @@ def astream(
     finish: bool = True,
     **settings: Unpack[Settings],
 ) -> AsyncIterator[Decision]:
-    """`stream` for an asynchronous `source`. The classifier runs in the event loop, for microseconds at a time.
+    """`stream` for an asynchronous `source`. The classifier runs in the event loop, for
+    microseconds at a time.
 
     `model`, `finish` and `settings` are those of `stream`.
 
@@ -103,12 +113,16 @@ def astream(
     """
     if not hasattr(source, "__aiter__"):
         raise TypeError(
-            f"`source` must be asynchronous, got {type(source).__name__}; `stream` takes iterables that are not"
+            f"`source` must be asynchronous, got {type(source).__name__}; `stream` takes iterables "
+            "that are not"
         )
-    return _astream(source, as_processor(model, **settings), finish)  # here: errors come before the first event
+    # here: errors come before the first event
+    return _astream(source, as_processor(model, **settings), finish)
 
 
-async def _astream(source: AsyncIterable[Any], processor: Processor, finish: bool) -> AsyncIterator[Decision]:
+async def _astream(
+    source: AsyncIterable[Any], processor: Processor, finish: bool
+) -> AsyncIterator[Decision]:
     time_unit = TimeUnitCheck(processor.config)
     async for events in source:
         for decision in time_unit.watch(processor.push(events)):
@@ -118,22 +132,25 @@ async def _astream(source: AsyncIterable[Any], processor: Processor, finish: boo
 
 
 class WindowVolume(NamedTuple):
-    """What `volumes` yields: a window's volume, float32, shape (C, H, W), its start, and the number of its events."""
+    """What `volumes` yields: a window's volume, float32, shape (C, H, W), its start, and the number
+    of its events."""
 
     volume: np.ndarray
     start_us: int
     events: int
 
 
-def volumes(source: Iterable[Any], config: TNTConfig, **settings: Unpack[Settings]) -> Iterator[WindowVolume]:
+def volumes(
+    source: Iterable[Any], config: TNTConfig, **settings: Unpack[Settings]
+) -> Iterator[WindowVolume]:
     """The volumes of a source's windows, for networks and programs of one's own.
 
     Parameters
     ----------
     source : as of `stream`.
     config : how events become volumes.
-    settings : of `stream`, but for `classifier` and `confidence`. A trigger such as `every_us` yields the window's
-        volume so far at each of its moments, too.
+    settings : of `stream`, but for `classifier` and `confidence`. A trigger such as `every_us`
+        yields the window's volume so far at each of its moments, too.
 
     Examples
     --------
@@ -145,18 +162,28 @@ def volumes(source: Iterable[Any], config: TNTConfig, **settings: Unpack[Setting
     (5, 34, 34) 213075 1344
     """
     if not isinstance(config, TNTConfig):
-        raise TypeError(f"`config` must be a TNTConfig, got {short(config)}; a model has one as `config`")
+        raise TypeError(
+            f"`config` must be a TNTConfig, got {short(config)}; a model has one as `config`"
+        )
     if settings.keys() & {"classifier", "classes", "confidence"}:
-        raise TypeError("`classifier`, `classes` and `confidence` are for decisions; volumes have none")
+        raise TypeError(
+            "`classifier`, `classes` and `confidence` are for decisions; volumes have none"
+        )
     _check_source(source)
     late = settings.pop("late", "accept")
     decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
     waiting: list[np.ndarray] = []
 
     def pieces() -> Iterator[tuple[np.ndarray, ...]]:
-        """Few events at once, which close few windows: all volumes of a long packet might not fit into the memory."""
+        """Few events at once, which close few windows: all volumes of a long packet might not fit
+        into the memory."""
         for packet in source:
-            if late == "accept" and type(packet) is tuple and len(packet) == 4 and type(packet[0]) is int:
+            if (
+                late == "accept"
+                and type(packet) is tuple
+                and len(packet) == 4
+                and type(packet[0]) is int
+            ):
                 yield packet  # quick for Python integers
                 continue
             columns = decoder.decode(packet)
@@ -168,11 +195,17 @@ def volumes(source: Iterable[Any], config: TNTConfig, **settings: Unpack[Setting
         return [0.0]
 
     settings["classifier"] = keep
-    decisions = stream(pieces(), config, **settings)  # here: errors are raised before the first event
-    return (WindowVolume(waiting.pop(0), decision.window_start_us, decision.events) for decision in decisions)
+    # here: errors are raised before the first event
+    decisions = stream(pieces(), config, **settings)
+    return (
+        WindowVolume(waiting.pop(0), decision.window_start_us, decision.events)
+        for decision in decisions
+    )
 
 
-def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]) -> Processor:
+def as_processor(
+    model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
+) -> Processor:
     """A Processor from the arguments of `stream`."""
     if isinstance(model, Processor):
         if settings:

@@ -1,4 +1,5 @@
-"""When a processor decides, apart from the end of each window: settings, checked, and as the kernels read them."""
+"""When a processor decides, apart from the end of each window: settings, checked, and as the
+kernels read them."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from async_tnt.kernels.state import NEVER_US
 
 @dataclass(frozen=True)
 class TriggerSettings:
-    """When a processor decides apart from the end of each window, see `Processor`; None switches a trigger off.
+    """When a processor decides apart from the end of each window, see `Processor`; None switches a
+    trigger off.
 
     Raises
     ------
@@ -48,17 +50,24 @@ class TriggerSettings:
 def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: int = 3) -> None:
     """Warn of triggers that no window is long enough for.
 
-    As often as a window's duration, or its number of events, is no mistake: windows themselves are decided so often.
+    As often as a window's duration, or its number of events, is no mistake: windows themselves are
+    decided so often.
     """
     never = []
     if config.window_events is None:
         if settings.every_us is not None and settings.every_us > config.window_us:
-            never.append(f"`every_us` = {settings.every_us} is longer than a window, {config.window_us} us")
+            never.append(
+                f"`every_us` = {settings.every_us} is longer than a window, {config.window_us} us"
+            )
     elif settings.every_events is not None and settings.every_events > config.window_events:
-        never.append(f"`every_events` = {settings.every_events} is more than a window has, {config.window_events}")
+        never.append(
+            f"`every_events` = {settings.every_events} is more than a window has, "
+            f"{config.window_events}"
+        )
     for which in never:
         warnings.warn(
-            f"{which}: it never makes a decision due, windows are decided at their ends", stacklevel=stacklevel
+            f"{which}: it never makes a decision due, windows are decided at their ends",
+            stacklevel=stacklevel,
         )
 
 
@@ -90,7 +99,8 @@ class Triggers:
         self._ints[T.EVERY_US] = settings.every_us or 0
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
-        """The window that starts at `start_us` has become the oldest one; None: no window is open."""
+        """The window that starts at `start_us` has become the oldest one; None: no window is
+        open."""
         self.n_at_decision = 0
         self._ints[T.DUE_US] = NEVER_US
         if start_us is not None:
@@ -127,7 +137,8 @@ class TriggerAttributes:
         raise NotImplementedError
 
     def _change(self, **changes: Any) -> None:
-        """Use the settings with some of them changed; called by a setter, which is called by the user."""
+        """Use the settings with some of them changed; called by a setter, which is called by the
+        user."""
         before = self._triggers.settings
         self._set_triggers(replace(before, **changes))
         if self._triggers.settings != before:
@@ -135,7 +146,8 @@ class TriggerAttributes:
 
     @property
     def every_us(self) -> int | None:
-        """Decide also whenever this many microseconds have passed; None: never. May change between calls."""
+        """Decide also whenever this many microseconds have passed; None: never. May change between
+        calls."""
         return self._triggers.settings.every_us
 
     @every_us.setter
@@ -144,7 +156,8 @@ class TriggerAttributes:
 
     @property
     def every_events(self) -> int | None:
-        """Decide also after every this many events of the window; None: never. May change between calls."""
+        """Decide also after every this many events of the window; None: never. May change between
+        calls."""
         return self._triggers.settings.every_events
 
     @every_events.setter
@@ -153,7 +166,8 @@ class TriggerAttributes:
 
     @property
     def confidence(self) -> float | None:
-        """Close a window at a decision whose class has this probability; None: never. May change between calls."""
+        """Close a window at a decision whose class has this probability; None: never. May change
+        between calls."""
         return self._triggers.settings.confidence
 
     @confidence.setter

@@ -22,24 +22,26 @@ UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or a
 class TNTVolume:
     """The event volume of one open window, up to date after every event.
 
-    Windows lie end to end, from the start given to `open` or else from the first event. An event at or after the
-    window's end closes it; the volume then holds the window of that event. (To see every closed window, use
-    `Processor`.) A window of `window_events` is closed by the event after its last, with which the next one begins.
+    Windows lie end to end, from the start given to `open` or else from the first event. An event at
+    or after the window's end closes it; the volume then holds the window of that event. (To see
+    every closed window, use `Processor`.) A window of `window_events` is closed by the event after
+    its last, with which the next one begins.
 
     Parameters
     ----------
     config : TNTConfig.
-    late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before the
-        open window are always dropped and counted.
-    regressor : for landmark `regressor` only: any callable from the window's raw volume (without the transform:
-        float32, shape (C, H, W), read-only, valid during the call) to a finite landmark (x, y) in grid pixels. A
-        model's own is `CompiledRegressor(model)`. It is called when `array`, `landmark` or `counts` is read after
-        new events, and when a window closes. Its errors pass through, and leave the window as it was.
+    late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen.
+        Events before the open window are always dropped and counted.
+    regressor : for landmark `regressor` only: any callable from the window's raw volume (without
+        the transform: float32, shape (C, H, W), read-only, valid during the call) to a finite
+        landmark (x, y) in grid pixels. A model's own is `CompiledRegressor(model)`. It is called
+        when `array`, `landmark` or `counts` is read after new events, and when a window closes. Its
+        errors pass through, and leave the window as it was.
 
     Raises
     ------
-    ValueError, TypeError : an invalid setting; a regressor for another landmark than `regressor`, or none for it. When
-        the volume is read: the regressor's answer is not a finite (x, y).
+    ValueError, TypeError : an invalid setting; a regressor for another landmark than `regressor`,
+        or none for it. When the volume is read: the regressor's answer is not a finite (x, y).
 
     Examples
     --------
@@ -51,7 +53,9 @@ class TNTVolume:
     (1.0, (16.5, 16.5))
     """
 
-    def __init__(self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None) -> None:
+    def __init__(
+        self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None
+    ) -> None:
         check_regressor(config, regressor)
         self.config = config
         self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
@@ -61,7 +65,8 @@ class TNTVolume:
         self._view = _read_only(self._array)
         self._running = Running("TNTVolume")
         self._replay = ReplayBuffer(config, regressor) if config.needs_replay else None
-        self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
+        # one event may go straight to the kernel
+        self._is_plain = late == "accept" and self._replay is None
         self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -71,8 +76,10 @@ class TNTVolume:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._ints = self._buffer.view(np.int64)  # views of the copied buffer, not copies of the views
-        self._ints[S.EPOCH] = next_epoch()  # from now on it differs from the volume that it was copied from
+        # views of the copied buffer, not copies of the views
+        self._ints = self._buffer.view(np.int64)
+        # from now on it differs from the volume that it was copied from
+        self._ints[S.EPOCH] = next_epoch()
         self._view = _read_only(self._array)
 
     def __copy__(self) -> TNTVolume:
@@ -81,11 +88,12 @@ class TNTVolume:
     def __repr__(self) -> str:
         return f"TNTVolume({self.config}, {self.n_events} events from {self.start_us} us on)"
 
-    # -- events in ---------------------------------------------------------------------------------------
+    # -- events in ---------------------------------------------------------------------------------
 
     @one_at_a_time
     def open(self, start_us: int) -> None:
-        """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to end.
+        """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to
+        end.
 
         `start_us` is in microseconds.
         """
@@ -94,15 +102,18 @@ class TNTVolume:
 
     @one_at_a_time
     def close(self) -> None:
-        """Close the open window: the volume is empty until an event, or `open`, opens the next one."""
+        """Close the open window: the volume is empty until an event, or `open`, opens the next
+        one."""
         self._empty(0, UNOPENED)
 
     def set_limit(self, limit_us: int) -> None:
-        """Make `absorb` stop before events at or after `limit_us`, or at the window's end if that comes first."""
+        """Make `absorb` stop before events at or after `limit_us`, or at the window's end if that
+        comes first."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
     def set_decided_from(self, start_us: int) -> None:
-        """Count late events at or after `start_us` as `dropped_decided`, for as long as the open window is open."""
+        """Count late events at or after `start_us` as `dropped_decided`, for as long as the open
+        window is open."""
         self._ints[S.DECIDED_FROM_US] = start_us
 
     def _empty(self, start_us: int, limit_us: int) -> None:
@@ -135,10 +146,15 @@ class TNTVolume:
         return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
+        """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
+        -1/+1."""
         try:  # as `absorb_one`, whose call would cost another 40 ns
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
-            if is_plain and not self._running.now and absorb_one(self._buffer, t, x, y, p * 1) <= LATE:
+            if (
+                is_plain
+                and not self._running.now
+                and absorb_one(self._buffer, t, x, y, p * 1) <= LATE
+            ):
                 return 0
         except (TypeError, OverflowError):
             pass
@@ -149,13 +165,14 @@ class TNTVolume:
             self._running.now = False
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update_one` for callers that manage windows themselves; `t`, `x`, `y`, `p` are four Python integers.
+        """`update_one` for callers that manage windows themselves; `t`, `x`, `y`, `p` are four
+        Python integers.
 
         Returns
         -------
-        ABSORBED; LATE if it is before the window, and only counted; AT_LIMIT if it is valid but at or past the limit;
-        REFUSED if the decoder has to look at it: it is invalid, or not four Python integers, or this volume drops late
-        events or stores events for a replay.
+        ABSORBED; LATE if it is before the window, and only counted; AT_LIMIT if it is valid but at
+        or past the limit; REFUSED if the decoder has to look at it: it is invalid, or not four
+        Python integers, or this volume drops late events or stores events for a replay.
         """
         try:
             # Numba would compile for a bool, a float or a NumPy scalar
@@ -167,15 +184,18 @@ class TNTVolume:
         return REFUSED
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
-        """Add the events from `first` to before `last` of checked `columns`, up to the limit; returns the first one not
-        added."""
+        """Add the events from `first` to before `last` of checked `columns`, up to the limit;
+        returns the first one not added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
-        absorbed: int = absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
+        absorbed: int = absorb(
+            self._buffer, columns.t, columns.x, columns.y, columns.p, first, last
+        )
         return absorbed
 
     def _open_next(self, t_us: int) -> int:
-        """Open the window that holds `t_us`, at or after the open window's end; returns how many that closes."""
+        """Open the window that holds `t_us`, at or after the open window's end; returns how many
+        that closes."""
         closed = int(self.n_events > 0)
         if self._ints[S.LIMIT_US] != UNOPENED and self.config.window_events is None:
             t_us -= (t_us - self.start_us) % self.config.window_us
@@ -198,8 +218,8 @@ class TNTVolume:
     def array(self) -> np.ndarray:
         """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
 
-        A read-only view of the same memory each time, brought up to date by each access to this property; a new window
-        may empty it. Copy it to keep it.
+        A read-only view of the same memory each time, brought up to date by each access to this
+        property; a new window may empty it. Copy it to keep it.
         """
         self._running.begin()
         try:
@@ -211,20 +231,22 @@ class TNTVolume:
             self._running.now = False
 
     def state(self) -> np.ndarray:
-        """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; do not write to it."""
+        """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; do
+        not write to it."""
         if self._replay is not None:
             self._replay.run(self._buffer, self._array)
         return self._buffer
 
     @property
     def buffer(self) -> np.ndarray:
-        """The array of `state()`, without a replay of stored events: for compiled code that adds events to it."""
+        """The array of `state()`, without a replay of stored events: for compiled code that adds
+        events to it."""
         return self._buffer
 
     @property
     def landmark(self) -> tuple[float, float]:
-        """The landmark (x, y) in grid pixels after the newest event; the grid's centre before the first one, and
-        without the transform."""
+        """The landmark (x, y) in grid pixels after the newest event; the grid's centre before the
+        first one, and without the transform."""
         n = int(self._ints[S.N])
         center = (self.config.grid[0] - 1) / 2, (self.config.grid[1] - 1) / 2
         if n == 0 or self.config.landmark == "center" or self.config.transform == "none":
@@ -242,7 +264,8 @@ class TNTVolume:
 
     @property
     def flow(self) -> tuple[float, float]:
-        """Landmark `line` only: the fitted flow (x, y) in grid pixels per window (of `window_events`: so far)."""
+        """Landmark `line` only: the fitted flow (x, y) in grid pixels per window (of
+        `window_events`: so far)."""
         if self.config.landmark != "line" or self.config.transform != "tnt":
             got = f"landmark={self.config.landmark!r}, transform={self.config.transform!r}"
             raise ValueError(f'`flow` needs landmark="line" and transform="tnt", got {got}')

@@ -1,4 +1,5 @@
-"""What a volume keeps: its flat buffer, which the kernels work on, and events that are replayed when it is read.
+"""What a volume keeps: its flat buffer, which the kernels work on, and events that are replayed
+when it is read.
 
 Events are stored and replayed if one of these is known only when the volume is read:
 
@@ -26,7 +27,8 @@ from async_tnt.kernels.readout import cells_to_float32, empty_volume
 MAX_EVENTS = 1 << 53  # 28 years at 10 million events a second; sums stay far from the end of int64
 Regressor = Callable[[np.ndarray], Any]
 FIRST_CAPACITY = 4096
-MAX_STORED = 1 << 26  # events of a window without `window_events`: 870 MB; a clock that stands still would store on
+# events of a window without `window_events`: 870 MB; a clock that stands still would store on
+MAX_STORED = 1 << 26
 UNCHANGED_BY_REPLAY = S.LIMIT_US, S.RECEIVED, S.DECIDED_FROM_US
 _epochs = itertools.count(1)
 
@@ -55,9 +57,15 @@ def new_state(config: TNTConfig) -> np.ndarray:
     buffer[S.FIXED_X] = (sensor_w - 1) / 2  # the grid's centre
     buffer[S.FIXED_Y] = (sensor_h - 1) / 2
     modes = {"running": S.MODE_RUNNING, "line": S.MODE_LINE}
-    mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes.get(config.landmark, S.MODE_FIXED)
+    mode = (
+        S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes.get(config.landmark, S.MODE_FIXED)
+    )
     ints[S.MODE] = S.MODE_RAW if raw else mode
-    combine = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN, "time_surface": S.COMBINE_SURFACE}
+    combine = {
+        "count_time": S.COMBINE_NEWEST,
+        "mean_time": S.COMBINE_MEAN,
+        "time_surface": S.COMBINE_SURFACE,
+    }
     ints[S.COMBINE] = combine.get(config.representation, S.COMBINE_SUM)
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
     ints[S.ROW] = width + 1
@@ -76,18 +84,20 @@ def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
     per_tau_us = 1.0 if config.transform == "none" else window_us / config.t_max
     buffer[S.WINDOW_US] = window_us
     scale = (config.bins - 1) / window_us if config.representation == "volume" else 0.0
-    if window_us * scale > config.bins - 1:  # rounded up: an event at the end would be beyond the last bin
+    # rounded up: an event at the end would be beyond the last bin
+    if window_us * scale > config.bins - 1:
         scale = math.nextafter(scale, 0.0)
     buffer[S.BIN_SCALE] = scale
     buffer[S.SCALE_X] = gain_x * per_tau_us
     buffer[S.SCALE_Y] = gain_y * per_tau_us
 
 
-# -- events that are stored until the read ------------------------------------------------------------------
+# -- events that are stored until the read ---------------------------------------------------------
 
 
 class ReplayBuffer:
-    """The events of one window, and their replay, about the landmark and with the duration that are known by then.
+    """The events of one window, and their replay, about the landmark and with the duration that are
+    known by then.
 
     Memory grows with the window.
 
@@ -110,7 +120,8 @@ class ReplayBuffer:
     @one_at_a_time
     def reset(self) -> None:
         """No events stored."""
-        self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
+        # as of the newest event, once it is known
+        self._landmark: tuple[float, float] | None = None
         self._is_replayed = True
 
     @one_at_a_time
@@ -120,7 +131,8 @@ class ReplayBuffer:
         if n_before + last - first > self._columns.t.size:
             before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
             self._grow(n_before, n_before + int(np.count_nonzero(before_limit)))
-        # first, also if no event will be stored: an exception, such as Ctrl-C, may come right after the kernel
+        # first, also if no event will be stored: an exception, such as Ctrl-C, may come right after
+        # the kernel
         self._landmark = None
         self._is_replayed = False
         room = min(
@@ -129,8 +141,8 @@ class ReplayBuffer:
         return int(store_events(buffer, *columns[:4], first, last, *self._columns[:4], room))
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
-        """The landmark (x, y) in grid pixels of a window with events, where it is deferred; computed once, until new
-        events arrive."""
+        """The landmark (x, y) in grid pixels of a window with events, where it is deferred;
+        computed once, until new events arrive."""
         return self._landmark or self._find_landmark(buffer)
 
     @one_at_a_time
@@ -199,7 +211,8 @@ class ReplayBuffer:
         n = min(n, self._n_most)
         if n > MAX_STORED and self._config.window_events is None:
             raise ValueError(
-                f"a window must have at most {MAX_STORED} events where they are stored (landmark `window` or "
+                f"a window must have at most {MAX_STORED} events where they are stored (landmark "
+                "`window` or "
                 f"`regressor`), got {n}: shorten `window_us`"
             )
         if n > self._columns.t.size:
@@ -214,7 +227,9 @@ def checked_landmark(answer: Any) -> tuple[float, float]:
     try:
         x, y = (float(value) for value in answer)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"`regressor` must return two numbers (x, y) in grid pixels, got {short(answer)}") from None
+        raise ValueError(
+            f"`regressor` must return two numbers (x, y) in grid pixels, got {short(answer)}"
+        ) from None
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"`regressor` must return a finite landmark, got {(x, y)}")
     return x, y

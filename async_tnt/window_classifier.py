@@ -29,13 +29,18 @@ TRIGGER_NAMES: dict[int, Any] = {
     T.BY_TIME: "every_us",
 }
 ROWS = 256  # decisions made in one compiled call, at most
-STRETCH = 500  # events for which such a call is worth its time where decisions are due by time alone
+# events for which such a call is worth its time where decisions are due by time alone
+STRETCH = 500
 
 
 def networks_of(
-    model: Model | TNTConfig | str | Path, classifier: Classifier | None, regressor: Any, classes: Sequence[str] | None
+    model: Model | TNTConfig | str | Path,
+    classifier: Classifier | None,
+    regressor: Any,
+    classes: Sequence[str] | None,
 ) -> tuple[TNTConfig, Classifier, Any, Sequence[str] | None]:
-    """Configuration, classifier, regressor and class names: those passed, otherwise those of the model."""
+    """Configuration, classifier, regressor and class names: those passed, otherwise those of the
+    model."""
     if isinstance(model, (str, Path)):
         model = load_model(model)
     if isinstance(model, Model):
@@ -45,9 +50,14 @@ def networks_of(
             regressor = CompiledRegressor(model)
         return model.config, classifier, regressor, classes
     if not isinstance(model, TNTConfig):
-        raise TypeError(f"`model` must be a Model, the name or path of one, or a TNTConfig, got {type(model).__name__}")
+        raise TypeError(
+            f"`model` must be a Model, the name or path of one, or a TNTConfig, got "
+            f"{type(model).__name__}"
+        )
     if classifier is None:
-        raise TypeError("`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable")
+        raise TypeError(
+            "`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable"
+        )
     return model, classifier, regressor, classes
 
 
@@ -67,10 +77,16 @@ class WindowClassifier:
     """
 
     def __init__(
-        self, config: TNTConfig, classifier: Classifier, classes: Sequence[str] | None, confidence: float | None = None
+        self,
+        config: TNTConfig,
+        classifier: Classifier,
+        classes: Sequence[str] | None,
+        confidence: float | None = None,
     ) -> None:
         if isinstance(classes, str):
-            raise TypeError(f"`classes` must be a sequence of names, got the single string {short(classes)}")
+            raise TypeError(
+                f"`classes` must be a sequence of names, got the single string {short(classes)}"
+            )
         self._config = config
         self.classes = None if classes is None else tuple(classes)
         self._reader: ObjectReader | None = None
@@ -78,22 +94,37 @@ class WindowClassifier:
         self.exchange(classifier, confidence)
 
     def exchange(self, classifier: Classifier, confidence: float | None = None) -> None:
-        """Use another callable: one that takes volumes of the configuration's shape, and fits `confidence`, if set."""
+        """Use another callable: one that takes volumes of the configuration's shape, and fits
+        `confidence`, if set."""
         if not callable(classifier):
             raise TypeError(f"`classifier` must be callable, got {type(classifier).__name__}")
-        compiled = classifier if type(classifier) is CompiledClassifier else None  # subclasses may behave differently
+        # subclasses may behave differently
+        compiled = classifier if type(classifier) is CompiledClassifier else None
         if compiled is not None and compiled.shape != self._config.shape:
             shape = compiled.shape
-            raise ValueError(f"`classifier` must take volumes of shape {self._config.shape}, got one for {shape}")
+            raise ValueError(
+                f"`classifier` must take volumes of shape {self._config.shape}, got one for {shape}"
+            )
         if compiled is not None and self.classes is not None:
             self._classes_for(compiled.n_classes)
-        if compiled is not None and compiled.places is not None and compiled.sensor != self._config.sensor:
+        if (
+            compiled is not None
+            and compiled.places is not None
+            and compiled.sensor != self._config.sensor
+        ):
             raise ValueError(
-                f"`classifier` must be for the sensor {self._config.sensor}, in whose pixels objects stand, got one "
+                f"`classifier` must be for the sensor {self._config.sensor}, in whose pixels "
+                "objects stand, got one "
                 f"for {compiled.sensor}"
             )
         of_map: Any = () if compiled is not None else getattr(classifier, "logits_shape", ())
-        reader = compiled.reader if compiled is not None else ObjectReader(of_map) if len(of_map) == 3 else None
+        reader = (
+            compiled.reader
+            if compiled is not None
+            else ObjectReader(of_map)
+            if len(of_map) == 3
+            else None
+        )
         _check_confidence(reader, confidence)
         tracks = self._new_tracks(reader, classifier)
         # plain assignments in a row: no exception, such as Ctrl-C, can come between them
@@ -101,10 +132,13 @@ class WindowClassifier:
         self._compiled = compiled
         self._reader = reader
         self._tracks = tracks
-        self.decides_in_stretches = compiled is not None and reader is None and not self._config.needs_replay
+        self.decides_in_stretches = (
+            compiled is not None and reader is None and not self._config.needs_replay
+        )
 
     def check_confidence(self, confidence: float | None) -> None:
-        """Refuse a level of confidence where objects are found, as far as that is known before the first answer."""
+        """Refuse a level of confidence where objects are found, as far as that is known before the
+        first answer."""
         _check_confidence(self._reader, confidence)
 
     def forget(self) -> None:
@@ -123,17 +157,23 @@ class WindowClassifier:
         return tracks
 
     def decide(
-        self, volume: TNTVolume, trigger: Trigger, complete: bool = False, confidence: float | None = None
+        self,
+        volume: TNTVolume,
+        trigger: Trigger,
+        complete: bool = False,
+        confidence: float | None = None,
     ) -> Decision:
         """The decision about a volume's open window.
 
         Parameters
         ----------
-        confidence : if the likeliest class has this probability, the decision is complete, its trigger `confidence`.
+        confidence : if the likeliest class has this probability, the decision is complete, its
+            trigger `confidence`.
 
         Raises
         ------
-        ValueError : there is not one finite logit for each class. What the classifier raises passes through.
+        ValueError : there is not one finite logit for each class. What the classifier raises passes
+            through.
         """
         n_events, start_us = volume.n_events, volume.start_us
         time_us = volume.newest_us if n_events else start_us
@@ -147,7 +187,9 @@ class WindowClassifier:
             logits = self._call(volume)
             shape = logits_shape(logits.shape)
             if shape is None and logits.size:
-                raise ValueError(f"`classifier` must return logits {LOGITS}, got shape {logits.shape}")
+                raise ValueError(
+                    f"`classifier` must return logits {LOGITS}, got shape {logits.shape}"
+                )
             if shape is not None and len(shape) == 3:
                 logits = logits.reshape(shape)
                 reader = self._reader_for(logits.shape)
@@ -162,7 +204,17 @@ class WindowClassifier:
         classes = self._classes_for(logits.size)
         if confidence is not None and probabilities[index] >= confidence:
             trigger, complete = "confidence", True
-        return Decision(classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger)
+        return Decision(
+            classes[index],
+            index,
+            probabilities,
+            logits,
+            start_us,
+            time_us,
+            n_events,
+            complete,
+            trigger,
+        )
 
     def _call(self, volume: TNTVolume) -> np.ndarray:
         """What another classifier answers, a copy."""
@@ -172,8 +224,10 @@ class WindowClassifier:
             if not hasattr(self.classifier, "state_dict"):
                 raise
             raise TypeError(
-                "`classifier` must take an array (C, H, W); a torch module is wrapped, TorchClassifier(module), or "
-                f"compiled, Model.from_torch(module, config, classes): it failed with {one_line(error)!r}"
+                "`classifier` must take an array (C, H, W); a torch module is wrapped, "
+                "TorchClassifier(module), or "
+                f"compiled, Model.from_torch(module, config, classes): it failed with "
+                f"{one_line(error)!r}"
             ) from error
 
     def _reader_for(self, shape: tuple[int, ...]) -> ObjectReader:
@@ -185,11 +239,19 @@ class WindowClassifier:
         return self._reader
 
     def _decision_of_map(
-        self, n: int, logits: np.ndarray, window: tuple[int, int, int], trigger: Trigger, complete: bool
+        self,
+        n: int,
+        logits: np.ndarray,
+        window: tuple[int, int, int],
+        trigger: Trigger,
+        complete: bool,
     ) -> Decision:
-        """The decision of a map on which the reader has found n objects; window: start, newest time, events."""
+        """The decision of a map on which the reader has found n objects; window: start, newest
+        time, events."""
         if n < 0:
-            raise ValueError("`classifier` must return finite logits, got some on its map that are not")
+            raise ValueError(
+                "`classifier` must return finite logits, got some on its map that are not"
+            )
         reader, classes = self._reader, self._classes_for(logits.shape[0] - 1, is_map=True)
         assert reader is not None
         objects = tuple(
@@ -197,12 +259,22 @@ class WindowClassifier:
             for x, y, probability, k, number in reader.found[:n].tolist()
         )
         label, index = (objects[0].label, objects[0].index) if n else (None, -1)
-        return Decision(label, index, reader.probabilities[:n].copy(), logits, *window, complete, trigger, objects)
+        return Decision(
+            label,
+            index,
+            reader.probabilities[:n].copy(),
+            logits,
+            *window,
+            complete,
+            trigger,
+            objects,
+        )
 
     def decide_stretch(
         self, volume: TNTVolume, triggers: np.ndarray, columns: Columns, first: int, last: int
     ) -> tuple[int, list[Decision], ValueError | None]:
-        """Add events to a volume and decide whenever one of them makes that due, in compiled code, without the GIL.
+        """Add events to a volume and decide whenever one of them makes that due, in compiled code,
+        without the GIL.
 
         Parameters
         ----------
@@ -211,8 +283,8 @@ class WindowClassifier:
 
         Returns
         -------
-        absorbed : int. The first event not added: `last`, the first past the volume's limit, or the one after a
-            decision that reached the level of confidence.
+        absorbed : int. The first event not added: `last`, the first past the volume's limit, or the
+            one after a decision that reached the level of confidence.
         decisions : list. In order.
         error : where the next decision would have had logits that are not finite.
         """
@@ -257,7 +329,9 @@ class WindowClassifier:
             self.classes = tuple(str(k) for k in range(n))
         if n != len(self.classes):
             what = "channels, one more than classes" if is_map else "logits, one for each class"
-            raise ValueError(f"`classifier` must return {len(self.classes) + is_map} {what}, got {n + is_map}")
+            raise ValueError(
+                f"`classifier` must return {len(self.classes) + is_map} {what}, got {n + is_map}"
+            )
         return self.classes
 
 

@@ -1,7 +1,8 @@
-"""Which windows of a stream are open, each with its own volume; and whether its times are likely in microseconds.
+"""Which windows of a stream are open, each with its own volume; and whether its times are likely in
+microseconds.
 
-Windows of a duration lie end to end, or overlap with `hop_us`. One of `window_events` begins with the first event after
-the window before it.
+Windows of a duration lie end to end, or overlap with `hop_us`. One of `window_events` begins with
+the first event after the window before it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import MAX_EVENTS, Regressor
 
 MAX_OPEN_WINDOWS = 256
-N_JUDGED, FEW_EVENTS = 32, 2  # the windows by which a stream is judged, and the events that are too few for one
+# the windows by which a stream is judged, and the events that are too few for one
+N_JUDGED, FEW_EVENTS = 32, 2
 
 
 class _Sharing(NamedTuple):
@@ -50,12 +52,17 @@ class WindowScheduler:
     Parameters
     ----------
     config, regressor : see `TNTVolume`.
-    hop_us : distance between the starts of windows; at most window_us, its default. Not with `window_events`.
+    hop_us : distance between the starts of windows; at most window_us, its default. Not with
+        `window_events`.
     start_us : start of the first window; None: at the first event. Not with `window_events`.
     """
 
     def __init__(
-        self, config: TNTConfig, hop_us: int | None, start_us: int | None, regressor: Regressor | None
+        self,
+        config: TNTConfig,
+        hop_us: int | None,
+        start_us: int | None,
+        regressor: Regressor | None,
     ) -> None:
         self._window_us = window_us = config.window_us
         self._window_events = config.window_events
@@ -63,11 +70,14 @@ class WindowScheduler:
             for name, value in (("hop_us", hop_us), ("start_us", start_us)):
                 if value is not None:
                     raise ValueError(
-                        f"`{name}` must not be given with window_events={config.window_events}, got {short(value)}"
+                        f"`{name}` must not be given with window_events={config.window_events}, "
+                        f"got {short(value)}"
                     )
         self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
         if self.hop_us > window_us:
-            raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {short(hop_us)}")
+            raise ValueError(
+                f"`hop_us` must be at most window_us = {window_us}, got {short(hop_us)}"
+            )
         n_volumes = math.ceil(window_us / self.hop_us)
         if n_volumes > MAX_OPEN_WINDOWS:
             smallest = f"window_us / {MAX_OPEN_WINDOWS} = {math.ceil(window_us / MAX_OPEN_WINDOWS)}"
@@ -84,8 +94,10 @@ class WindowScheduler:
             volume.reset()
         self._open: deque[TNTVolume] = deque()
         self._free = list(self.volumes)
-        self._next_start_us: int | None = self.start_us  # of the next window to be opened; None: at the first event
-        # The start of the windows closed early that lead up to the oldest open one, or to the next where none is.
+        # of the next window to be opened; None: at the first event
+        self._next_start_us: int | None = self.start_us
+        # The start of the windows closed early that lead up to the oldest open one, or to the next
+        # where none is.
         self._decided_from_us: int | None = None
         self._n_received = 0
         self._n_late = 0
@@ -108,8 +120,8 @@ class WindowScheduler:
 
     @property
     def late_before_us(self) -> int:
-        """Events before this time are late: the start of the oldest open window, or else of the next one; -1 if that
-        begins with any event."""
+        """Events before this time are late: the start of the oldest open window, or else of the
+        next one; -1 if that begins with any event."""
         if self._open:
             return self.oldest.start_us
         return -1 if self._next_start_us is None else self._next_start_us
@@ -122,7 +134,11 @@ class WindowScheduler:
     @property
     def room(self) -> int:
         """How many more events the oldest window takes."""
-        return MAX_EVENTS if self._window_events is None else self._window_events - self.oldest.n_events
+        return (
+            MAX_EVENTS
+            if self._window_events is None
+            else self._window_events - self.oldest.n_events
+        )
 
     @property
     def is_full(self) -> bool:
@@ -139,16 +155,20 @@ class WindowScheduler:
         return absorbed
 
     def begin_sharing(self, columns: Columns, first: int) -> None:
-        """Where windows overlap, note what the oldest one had before it gets the events from `first` on."""
+        """Where windows overlap, note what the oldest one had before it gets the events from
+        `first` on."""
         if self.overlap:
             oldest = self._open[0]
             counts = self._n_received, self._n_late, self._n_dropped_decided
             received = [volume.n_received for volume in self._open]
-            self._sharing = _Sharing(columns, first, counts, (oldest.n_late, oldest.n_dropped_decided), received)
+            self._sharing = _Sharing(
+                columns, first, counts, (oldest.n_late, oldest.n_dropped_decided), received
+            )
 
     def share(self) -> None:
-        """Add the events that the oldest window has absorbed since `begin_sharing` to the others that overlap it, and
-        count them once. May be called again after an exception: nothing is done twice."""
+        """Add the events that the oldest window has absorbed since `begin_sharing` to the others
+        that overlap it, and count them once. May be called again after an exception: nothing is
+        done twice."""
         sharing = self._sharing
         if sharing is None:
             return
@@ -160,16 +180,21 @@ class WindowScheduler:
         n_received, n_late, n_dropped_decided = sharing.counts
         self._n_received = n_received + n
         self._n_late = n_late + oldest.n_late - sharing.of_oldest[0]
-        self._n_dropped_decided = n_dropped_decided + oldest.n_dropped_decided - sharing.of_oldest[1]
+        self._n_dropped_decided = (
+            n_dropped_decided + oldest.n_dropped_decided - sharing.of_oldest[1]
+        )
         self._sharing = None
 
     def recover(self) -> None:
-        """Finish what an exception, such as Ctrl-C, has interrupted, or take it back; otherwise nothing changes."""
+        """Finish what an exception, such as Ctrl-C, has interrupted, or take it back; otherwise
+        nothing changes."""
         self.share()
         if self._closing is not None and self._closing.volume not in self._open:
             self._finish_closing()
         self._closing = None
-        self._open = deque(volume for volume in self._open if volume.is_open and not self._is_anchored(volume))
+        self._open = deque(
+            volume for volume in self._open if volume.is_open and not self._is_anchored(volume)
+        )
         if not self._open and self._next_start_us is not None and self._is_anchored(None):
             self._next_start_us = None
         self._free = [volume for volume in self.volumes if volume not in self._open]
@@ -180,8 +205,9 @@ class WindowScheduler:
             self._next_start_us = self._open[-1].start_us + self.hop_us
 
     def _is_anchored(self, volume: TNTVolume | None) -> bool:
-        """Whether an empty window, or the next one (None), begins where it does because of an event that was not
-        absorbed: each of `window_events` begins with one, and otherwise the first of a stream without `start_us`."""
+        """Whether an empty window, or the next one (None), begins where it does because of an event
+        that was not absorbed: each of `window_events` begins with one, and otherwise the first of a
+        stream without `start_us`."""
         if volume is not None and volume.n_events:
             return False
         if self._window_events is not None:
@@ -189,8 +215,8 @@ class WindowScheduler:
         return self.start_us is None and not any(one.n_received for one in self.volumes)
 
     def open_due(self, t_us: int) -> bool:
-        """Open the windows that hold `t_us`, or else the next one, so that at least one is open; empty ones before them
-        are skipped. Returns whether the oldest window has changed."""
+        """Open the windows that hold `t_us`, or else the next one, so that at least one is open;
+        empty ones before them are skipped. Returns whether the oldest window has changed."""
         was_empty = not self._open
         if self._next_start_us is None:
             self._next_start_us = t_us
@@ -218,13 +244,16 @@ class WindowScheduler:
     def close_oldest(self, early: bool = False) -> None:
         """Close the oldest window; its volume is empty and free for the next one to be opened.
 
-        early : before its end. Events that still arrive for it are counted as `dropped_decided`; where windows have a
-            number of events, none do: the next window begins with the next event.
+        early : before its end. Events that still arrive for it are counted as `dropped_decided`;
+            where windows have a number of events, none do: the next window begins with the next
+            event.
         """
         volume = self._open[0]
         decided_from_us = None
         if early and self._window_events is None:
-            decided_from_us = volume.start_us if self._decided_from_us is None else self._decided_from_us
+            decided_from_us = (
+                volume.start_us if self._decided_from_us is None else self._decided_from_us
+            )
         self._closing = _Closing(volume, decided_from_us)
         self._open.popleft()  # from here on, an exception does not keep it open: see `recover`
         self._finish_closing()
@@ -243,7 +272,8 @@ class WindowScheduler:
         self._closing = None
 
     def _inform_oldest(self) -> None:
-        """Tell the oldest volume, which counts late events, from when on the windows before it were closed early."""
+        """Tell the oldest volume, which counts late events, from when on the windows before it were
+        closed early."""
         if self._decided_from_us is not None:
             self.oldest.set_decided_from(self._decided_from_us)
 
@@ -252,12 +282,15 @@ class WindowScheduler:
         total = sum((volume.counts for volume in self.volumes), Counts())
         if self.overlap:
             decided = self._n_dropped_decided
-            total = replace(total, received=self._n_received, dropped_late=self._n_late, dropped_decided=decided)
+            total = replace(
+                total, received=self._n_received, dropped_late=self._n_late, dropped_decided=decided
+            )
         return total + Counts(received=n_dropped, dropped_late=n_dropped)
 
 
 class TimeUnitCheck:
-    """Warns once if most of a stream's first windows hold next to nothing: its times may be in another unit."""
+    """Warns once if most of a stream's first windows hold next to nothing: its times may be in
+    another unit."""
 
     def __init__(self, config: TNTConfig) -> None:
         self._window_us = config.window_us
@@ -265,7 +298,8 @@ class TimeUnitCheck:
         self._n_small = 0
 
     def watch(self, decisions: list[Decision]) -> list[Decision]:
-        """Returns these next decisions of the stream, and looks at the windows that they closed at their ends."""
+        """Returns these next decisions of the stream, and looks at the windows that they closed at
+        their ends."""
         for decision in decisions if self._left > 0 else ():
             if decision.trigger == "window":
                 self.add(decision.events)
@@ -277,7 +311,9 @@ class TimeUnitCheck:
         self._n_small += n_events <= FEW_EVENTS
         if self._left == 0 and 2 * self._n_small > N_JUDGED:
             warnings.warn(
-                f"{self._n_small} of the first {N_JUDGED} windows hold {FEW_EVENTS} events or fewer: times are read as "
-                f"microseconds, divide nanoseconds by 1000; or windows of {self._window_us} us are too short",
+                f"{self._n_small} of the first {N_JUDGED} windows hold {FEW_EVENTS} events or "
+                "fewer: times are read as "
+                f"microseconds, divide nanoseconds by 1000; or windows of {self._window_us} us are "
+                "too short",
                 stacklevel=4,
             )

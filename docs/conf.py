@@ -25,13 +25,16 @@ myst_fence_as_directive = ["math"]
 # Docstrings, see `to_restructured_text`.
 default_role = "code"
 STYLE = napoleon.Config(
-    napoleon_use_param=False, napoleon_attr_annotations=False, napoleon_custom_sections=["Returns", "Yields"]
+    napoleon_use_param=False,
+    napoleon_attr_annotations=False,
+    napoleon_custom_sections=["Returns", "Yields"],
 )
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 maximum_signature_line_length = 100
-# Types of other packages and internal ones are not documented here: only public names have to exist.
+# Types of other packages and internal ones are not documented here: only public names have to
+# exist.
 PACKAGES = "sources|networks|training|simulation|resynthesis|evaluation|views"
 nitpick_ignore_regex = [("py:.*", rf"(?!(async_tnt(\.({PACKAGES}))?|tnt_reference)\.\w+$).*")]
 
@@ -48,7 +51,8 @@ OUTSIDE = {  # pages of the site that show files from outside `docs`
 
 
 def read_outside(app: Sphinx, name: str, source: list[str]) -> None:
-    """Put the file of `OUTSIDE` where its page is, and let links lead to the page of the file that they name."""
+    """Put the file of `OUTSIDE` where its page is, and let links lead to the page of the file that
+    they name."""
     page = DOCS / f"{name}.md"
     shown = next((file for file, place in OUTSIDE.items() if place == name), page)
     if shown != page:
@@ -64,13 +68,17 @@ def read_outside(app: Sphinx, name: str, source: list[str]) -> None:
     source[0] = re.sub(r"\]\((?!https?:)([^)#]+)(#[^)]*)?\)", lambda link: in_site(link), source[0])
 
 
-def to_restructured_text(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+def to_restructured_text(
+    app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
+) -> None:
     """Translate a docstring of this project, by way of napoleon.
 
-    Of a module only the first paragraph is kept. An indented block is a formula or code. `name : text` in a section
-    is no type followed by its text, as napoleon would have it, since signatures have the types.
+    Of a module only the first paragraph is kept. An indented block is a formula or code. `name :
+    text` in a section is no type followed by its text, as napoleon would have it, since signatures
+    have the types.
     """
-    if what == "data" and lines[:1] == (value.__doc__ or "").splitlines()[:1]:  # not its own, but that of its type
+    # not its own, but that of its type
+    if what == "data" and lines[:1] == (value.__doc__ or "").splitlines()[:1]:
         lines.clear()
     if what == "module":
         del lines[lines.index("") :]
@@ -94,8 +102,11 @@ def indented(text: list[str]) -> bool:
     return next((line for line in reversed(text) if line), "").startswith("    ")
 
 
-def without_factory(app: Sphinx, what: str, name: str, value: object, options: object, arguments: str, returns: str):
-    """A signature that Sphinx can parse: dataclasses write a default that is made as `<factory>`."""
+def without_factory(
+    app: Sphinx, what: str, name: str, value: object, options: object, arguments: str, returns: str
+):
+    """A signature that Sphinx can parse: dataclasses write a default that is made as
+    `<factory>`."""
     return arguments and arguments.replace("<factory>", "..."), returns
 
 

@@ -1,15 +1,16 @@
-"""ASL-DVS, 100,800 recordings of the letters of American Sign Language in MATLAB files, as NumPy files.
+"""ASL-DVS, 100,800 recordings of the letters of American Sign Language in MATLAB files, as NumPy
+files.
 
     python examples/asl_dvs.py ASLDVS asl
     async-tnt train asl --out asl.safetensors
 
-Each file `<letter>/<name>.mat` has vectors x, y, ts and pol. Pixels are kept as they are: they count from 0, and the
-pictures are turned by 180 degrees. `pip install scipy` reads the files.
+Each file `<letter>/<name>.mat` has vectors x, y, ts and pol. Pixels are kept as they are: they
+count from 0, and the pictures are turned by 180 degrees. `pip install scipy` reads the files.
 
 References
 ----------
-Bi, Chadha, Abbas, Bourtsoulatze, Andreopoulos 2019, Graph-Based Object Classification for Neuromorphic Vision Sensing,
-ICCV.
+Bi, Chadha, Abbas, Bourtsoulatze, Andreopoulos 2019, Graph-Based Object Classification for
+Neuromorphic Vision Sensing, ICCV.
 """
 
 import sys

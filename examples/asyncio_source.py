@@ -1,7 +1,7 @@
 """Decide every 30 ms on events from an asynchronous source, in real time.
 
-`camera` stands for a socket or a driver: any async generator of packets works. While it waits, the event loop is
-free, as the second task shows.
+`camera` stands for a socket or a driver: any async generator of packets works. While it waits, the
+event loop is free, as the second task shows.
 """
 
 import asyncio
@@ -36,7 +36,10 @@ async def main() -> None:
     task = asyncio.create_task(other_work(heartbeats))
     async for decision in async_tnt.astream(camera(), model, every_us=30_000):
         time_ms = decision.time_us / 1000
-        print(f"{time_ms:6.1f} ms  {decision.trigger:<8}  {decision.label} ({decision.probability:.0%})")
+        print(
+            f"{time_ms:6.1f} ms  {decision.trigger:<8}  {decision.label} "
+            f"({decision.probability:.0%})"
+        )
     task.cancel()
     print(f"meanwhile the loop ran other work {len(heartbeats)} times")
 

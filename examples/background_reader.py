@@ -1,8 +1,10 @@
-"""A program that is slower than its camera: first it queues every packet, then it skips to the newest.
+"""A program that is slower than its camera: first it queues every packet, then it skips to the
+newest.
 
-`camera` stands for a driver: it yields 2 ms of events every 2 ms, in memory that it reuses for the next packet.
-Handling a packet takes 5 ms here, so the program falls behind. In an unlimited queue the delay grows for as long as
-the camera runs; with `latest=True` it stays within the four packets that may wait.
+`camera` stands for a driver: it yields 2 ms of events every 2 ms, in memory that it reuses for the
+next packet. Handling a packet takes 5 ms here, so the program falls behind. In an unlimited queue
+the delay grows for as long as the camera runs; with `latest=True` it stays within the four packets
+that may wait.
 """
 
 import time
@@ -19,7 +21,9 @@ events = open_recording(sample_recordings()[8]).read()
 
 def camera() -> Iterator[np.ndarray]:
     memory = np.empty_like(events)
-    ends = np.searchsorted(events["t"], np.arange(PACKET_US, events["t"][-1] + PACKET_US, PACKET_US))
+    ends = np.searchsorted(
+        events["t"], np.arange(PACKET_US, events["t"][-1] + PACKET_US, PACKET_US)
+    )
     started = time.monotonic()
     for number, (start, end) in enumerate(zip([0, *ends], ends, strict=False), start=1):
         time.sleep(max(0.0, started + number * PACKET_US / 1e6 - time.monotonic()))
@@ -35,8 +39,10 @@ def run(name: str, processor: async_tnt.Processor, **settings: object) -> None:
         decision = processor.fire()
         counters = reader.counters
     print(
-        f"{name:<12} {counters.received} events = {counters.handed_out} handed out + {counters.skipped} skipped; "
-        f"waited up to {counters.longest_wait_us / 1000:.0f} ms; last decision of {decision.events} events: "
+        f"{name:<12} {counters.received} events = {counters.handed_out} handed out + "
+        f"{counters.skipped} skipped; "
+        f"waited up to {counters.longest_wait_us / 1000:.0f} ms; last decision of "
+        f"{decision.events} events: "
         f"{decision.label}"
     )
 

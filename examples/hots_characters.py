@@ -1,18 +1,19 @@
-"""The characters of HFirst and HOTS, 76 recordings in one MATLAB file, as a data set of class folders.
+"""The characters of HFirst and HOTS, 76 recordings in one MATLAB file, as a data set of class
+folders.
 
     python examples/hots_characters.py ExtractedStabilized.mat characters
     async-tnt train characters --test --out characters.safetensors
 
-The file has a cell array `ROI` of structures x, y, p, ts; pixels count from 1, and OFF is -1. Its recordings have no
-labels: 36 characters pass by in a fixed order, then all of them again, and the first four once more. The first 36
-recordings are to train on, and the others to test on.
+The file has a cell array `ROI` of structures x, y, p, ts; pixels count from 1, and OFF is -1. Its
+recordings have no labels: 36 characters pass by in a fixed order, then all of them again, and the
+first four once more. The first 36 recordings are to train on, and the others to test on.
 
 References
 ----------
-Orchard, Meyer, Etienne-Cummings, Posch, Thakor, Benosman 2015, HFirst: A Temporal Approach to Object Recognition,
-TPAMI.
-Lagorce, Orchard, Galluppi, Shi, Benosman 2017, HOTS: A Hierarchy of Event-Based Time-Surfaces for Pattern Recognition,
-TPAMI.
+Orchard, Meyer, Etienne-Cummings, Posch, Thakor, Benosman 2015, HFirst: A Temporal Approach to
+Object Recognition, TPAMI.
+Lagorce, Orchard, Galluppi, Shi, Benosman 2017, HOTS: A Hierarchy of Event-Based Time-Surfaces for
+Pattern Recognition, TPAMI.
 """
 
 import sys
@@ -23,7 +24,8 @@ from scipy.io import loadmat
 
 import async_tnt
 
-ORDER = "XFYGZH0I1J2K3L4M5N6O7P8Q9RSATBUCVDWE"  # as the list of labels beside the file, in VictorBoutin/HOTS on GitHub
+# as the list of labels beside the file, in VictorBoutin/HOTS on GitHub
+ORDER = "XFYGZH0I1J2K3L4M5N6O7P8Q9RSATBUCVDWE"
 SENSOR = (32, 32)
 
 

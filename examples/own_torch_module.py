@@ -1,9 +1,10 @@
-"""Your own torch module on `TNTVolume.array`: here templates of ten digits, compared by cosine similarity.
+"""Your own torch module on `TNTVolume.array`: here templates of ten digits, compared by cosine
+similarity.
 
-The templates are the first saccades of the ten bundled samples. The module then has to recognise the same digits in
-their second and third saccades, which move in other directions. It mostly does if the flow is removed from the
-volume, and does not on the plain event volume (`transform="none"`). Ten recordings show how it is done; they say
-nothing about accuracy.
+The templates are the first saccades of the ten bundled samples. The module then has to recognise
+the same digits in their second and third saccades, which move in other directions. It mostly does
+if the flow is removed from the volume, and does not on the plain event volume (`transform="none"`).
+Ten recordings show how it is done; they say nothing about accuracy.
 """
 
 import torch
@@ -20,7 +21,8 @@ class NearestTemplate(torch.nn.Module):
         self.register_buffer("templates", self.features(volumes))
 
     def features(self, volumes: torch.Tensor) -> torch.Tensor:
-        return torch.nn.functional.normalize(volumes.sum(1).flatten(1), dim=1)  # over time; (N, H W)
+        # over time; (N, H W)
+        return torch.nn.functional.normalize(volumes.sum(1).flatten(1), dim=1)
 
     def forward(self, volumes: torch.Tensor) -> torch.Tensor:  # (N, C, H, W) -> (N, n_classes)
         return self.features(volumes) @ self.templates.T
@@ -32,18 +34,25 @@ def volume_of(config: async_tnt.TNTConfig, digit: int, start_us: int) -> torch.T
     for packet in open_recording(sample_recordings()[digit]):
         inside = (packet["t"] >= start_us) & (packet["t"] < start_us + config.window_us)
         volume.update(packet[inside])
-    # `array` is a read-only view that the next event changes, and torch has no read-only tensors: copy it.
+    # `array` is a read-only view that the next event changes, and torch has no read-only tensors:
+    # copy it.
     return torch.tensor(volume.array)
 
 
 for name, config in {
-    "flow removed": async_tnt.TNTConfig(landmark="line", remove_flow=True, t_max=2.0, polarity="unsigned"),
+    "flow removed": async_tnt.TNTConfig(
+        landmark="line", remove_flow=True, t_max=2.0, polarity="unsigned"
+    ),
     "no transform": async_tnt.TNTConfig(transform="none", polarity="unsigned"),
 }.items():
-    module = NearestTemplate(torch.stack([volume_of(config, digit, SACCADES_US[0]) for digit in range(10)]))
+    module = NearestTemplate(
+        torch.stack([volume_of(config, digit, SACCADES_US[0]) for digit in range(10)])
+    )
     right = 0
     with torch.no_grad():  # no training here: keep no graph
         for start_us in SACCADES_US[1:]:
-            similarities = module(torch.stack([volume_of(config, digit, start_us) for digit in range(10)]))
+            similarities = module(
+                torch.stack([volume_of(config, digit, start_us) for digit in range(10)])
+            )
             right += int((similarities.argmax(dim=1) == torch.arange(10)).sum())
     print(f"{name}: {right} of 20 saccades recognised")

@@ -1,7 +1,7 @@
 """A loop over packets, as a camera's driver delivers them.
 
-`push` returns the decisions that a packet causes: one for each window that it closes. `fire` decides in between,
-whenever the program asks, and changes nothing.
+`push` returns the decisions that a packet causes: one for each window that it closes. `fire`
+decides in between, whenever the program asks, and changes nothing.
 """
 
 import async_tnt

@@ -1,9 +1,12 @@
-"""Send recordings over the network at their own speed, as UDP datagrams: something to receive without a camera.
+"""Send recordings over the network at their own speed, as UDP datagrams: something to receive
+without a camera.
 
-    python send_recordings.py udp://127.0.0.1:3333                    the bundled samples, one after the other
+    python send_recordings.py udp://127.0.0.1:3333                    the bundled samples, one after
+                                                                      the other
     python send_recordings.py udp://10.0.0.7:3333?format=spif a.bin   a recording, in another format
 
-`async-tnt run udp://127.0.0.1:3333` receives them. Each recording starts with a new window of the receiver.
+`async-tnt run udp://127.0.0.1:3333` receives them. Each recording starts with a new window of the
+receiver.
 """
 
 import socket
@@ -35,6 +38,8 @@ n_events = 0
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
     for packet in replay(one_after_the_other()):
         for first in range(0, len(packet), DATAGRAM_EVENTS):
-            sender.sendto(encode(packet[first : first + DATAGRAM_EVENTS], format), (url.hostname, url.port))
+            sender.sendto(
+                encode(packet[first : first + DATAGRAM_EVENTS], format), (url.hostname, url.port)
+            )
         n_events += len(packet)
 print(f"sent {n_events:,} events to {url.hostname}:{url.port}")

@@ -2,8 +2,9 @@
 
     python examples/several_digits.py
 
-Six bundled recordings are put anywhere on it and begin one after the other. A decision is made every 10 ms; an object
-is printed when it is first named with a probability above `SURE`, and when it is named otherwise.
+Six bundled recordings are put anywhere on it and begin one after the other. A decision is made
+every 10 ms; an object is printed when it is first named with a probability above `SURE`, and when
+it is named otherwise.
 """
 
 import numpy as np

@@ -1,8 +1,9 @@
-"""Compare the stream with the batch reference on one recording: the volumes agree to about the last float32 digit.
+"""Compare the stream with the batch reference on one recording: the volumes agree to about the last
+float32 digit.
 
-The stream processes one event after another. The reference (package `tnt_reference`, torch) computes the equations as
-they are written, from all events of a window at once. `async-tnt check` does this for every landmark, at prefixes of
-each window, and for the network.
+The stream processes one event after another. The reference (package `tnt_reference`, torch)
+computes the equations as they are written, from all events of a window at once. `async-tnt check`
+does this for every landmark, at prefixes of each window, and for the network.
 """
 
 import numpy as np
@@ -39,6 +40,9 @@ batch = tnt_reference.tnt_volume(
 largest = np.abs(batch).max()
 difference = np.abs(stream - batch).max()
 print(f"{len(window)} events, one by one and at once: volumes of shape {stream.shape}")
-print(f"largest cell {largest:.4f}, largest difference {difference:.1e}, {np.count_nonzero(batch)} cells in use")
+print(
+    f"largest cell {largest:.4f}, largest difference {difference:.1e}, {np.count_nonzero(batch)} "
+    "cells in use"
+)
 assert largest > 0
 assert difference <= 1e-6 * largest

@@ -1,4 +1,5 @@
-"""The tables of accuracy: of the bundled model, of its early decisions, and of what makes motions hard to know."""
+"""The tables of accuracy: of the bundled model, of its early decisions, and of what makes motions
+hard to know."""
 
 from __future__ import annotations
 
@@ -18,7 +19,9 @@ def accuracy() -> str:
     found, rows = results("early"), []
     for row in found["accuracy_against_time"]:
         if row["time_us"] in (31_500, 52_500, 105_000):
-            rows.append([f"a window, after {row['time_us'] / 1000:g} ms", "", percent(row["accuracy"])])
+            rows.append(
+                [f"a window, after {row['time_us'] / 1000:g} ms", "", percent(row["accuracy"])]
+            )
     for row in found["confidence"]:
         if row["level"] >= 0.9:
             words = f"a window, once a class has {row['level']:g}"
@@ -63,7 +66,16 @@ def digits_tried() -> str:
                 *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "50")),
             ]
         )
-    head = ["landmark", "t_max", "polarity", "simulated", "augmentation", "seed", "window", "recording"]
+    head = [
+        "landmark",
+        "t_max",
+        "polarity",
+        "simulated",
+        "augmentation",
+        "seed",
+        "window",
+        "recording",
+    ]
     return table([*head, "20 ms", "30 ms", "50 ms"], rows)
 
 
@@ -87,7 +99,17 @@ def digits_tried_motions() -> str:
                 f"{100 * run['validation_motions']:.1f}",
             ]
         )
-    head = ["", "continues", "t_max", "simulated", "other motions", "cut early", "noise", "epochs", "window"]
+    head = [
+        "",
+        "continues",
+        "t_max",
+        "simulated",
+        "other motions",
+        "cut early",
+        "noise",
+        "epochs",
+        "window",
+    ]
     return table([*head, "recording", "20 ms", "30 ms", "40 ms", "in other motions"], rows)
 
 
@@ -104,7 +126,9 @@ def edges(found: dict[str, Any]) -> str:
         ]
         for k, (low, high) in enumerate(pairwise(angles))
     ]
-    return table(["between gradient and motion", "events", "cosine", "of the expected polarity"], rows)
+    return table(
+        ["between gradient and motion", "events", "cosine", "of the expected polarity"], rows
+    )
 
 
 @of_report("edges")
@@ -122,9 +146,16 @@ def _unseen(found: dict[str, Any]) -> str:
     """Means over seeds by what was trained on and tested in, with the range of several."""
     accuracy = found["accuracy"]
     tests = list(next(iter(accuracy.values())))
-    rows = [[mode, *(with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()]
+    rows = [
+        [mode, *(with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()
+    ]
     if closed := share_closed(accuracy):
-        rows.append(["*of the gap closed*", *(percent(closed[test]) if test in closed else "" for test in tests)])
+        rows.append(
+            [
+                "*of the gap closed*",
+                *(percent(closed[test]) if test in closed else "" for test in tests),
+            ]
+        )
     return table(["trained on", *(f"tested in {test}" for test in tests)], rows)
 
 
@@ -139,7 +170,10 @@ def found_paths(found: dict[str, Any]) -> str:
     """In how many windows a path is found, and how often it is right."""
     rows = []
     for name, row in found["rows"].items():
-        shares = (percent(row[key]) if row.get(key) is not None else "" for key in ("found", "right", "opposite"))
+        shares = (
+            percent(row[key]) if row.get(key) is not None else ""
+            for key in ("found", "right", "opposite")
+        )
         rows.append([name, str(row["windows"]), *shares])
     return table(["", "windows", "path found", "right of these", "opposite"], rows)
 
@@ -156,16 +190,39 @@ def nothing(found: dict[str, Any]) -> str:
         moments = row.get("at_some_moment", {})  # not of all sets, measured before these were asked
         shares = (percent(moments[level]) if level in moments else "-" for level in ("0.9", "0.99"))
         rows.append([name, f"{row['windows']:,}", percent(row["decided"]), *shares])
-    head = ["in the window", "windows", f"decided by {found['model']}", "at some moment", ".99 at some moment"]
+    head = [
+        "in the window",
+        "windows",
+        f"decided by {found['model']}",
+        "at some moment",
+        ".99 at some moment",
+    ]
     return table(head, rows)
 
 
 def early() -> str:
     """By time, and by confidence."""
     found = results("early")
-    rows = [[f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])] for row in found["accuracy_against_time"]]
+    rows = [
+        [f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])]
+        for row in found["accuracy_against_time"]
+    ]
     for row in found["confidence"]:
         shares = (percent(row[name]) for name in ("window_accuracy", "decided", "accuracy"))
-        rows.append([f"once a class has {row['level']:g}", *shares, f"{row['median_ms']:.0f}", f"{row['p90_ms']:.0f}"])
-    head = ["decided", "windows right", "that reach it", "of these right", "median ms", "90 % by, ms"]
+        rows.append(
+            [
+                f"once a class has {row['level']:g}",
+                *shares,
+                f"{row['median_ms']:.0f}",
+                f"{row['p90_ms']:.0f}",
+            ]
+        )
+    head = [
+        "decided",
+        "windows right",
+        "that reach it",
+        "of these right",
+        "median ms",
+        "90 % by, ms",
+    ]
     return table(head, [row + [""] * (len(head) - len(row)) for row in rows])

@@ -1,11 +1,14 @@
-"""What `async-tnt train` gives without any option but the sensor's size: the test parts of three small data sets.
+"""What `async-tnt train` gives without any option but the sensor's size: the test parts of three
+small data sets.
 
-    python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--seeds N] [--out FOLDER]
+    python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--seeds
+    N] [--out FOLDER]
                                [--json FILE]
 
 N-MNIST has Train and Test, POKER-DVS pips_train and pips_test; HOTS' characters are those of
-`examples/hots_characters.py`. N-CARS is the recipe `bare` of `experiments.cars`. Finished trainings in --out are kept,
-interrupted ones resume, and what FILE has of other sets stays there. A test part is read once by each network.
+`examples/hots_characters.py`. N-CARS is the recipe `bare` of `experiments.cars`. Finished trainings
+in --out are kept, interrupted ones resume, and what FILE has of other sets stays there. A test part
+is read once by each network.
 """
 
 from __future__ import annotations
@@ -37,7 +40,9 @@ SETS = {
 """Title, the folder that the command is given, the test part, and options."""
 
 
-def measure(folder: Path, name: str, seeds: int, out: Path, parts: tuple[str, str, str, str]) -> dict[str, Any]:
+def measure(
+    folder: Path, name: str, seeds: int, out: Path, parts: tuple[str, str, str, str]
+) -> dict[str, Any]:
     """Train on a set with each seed, and test."""
     title, train, test, options = parts
     out.mkdir(parents=True, exist_ok=True)
@@ -45,13 +50,25 @@ def measure(folder: Path, name: str, seeds: int, out: Path, parts: tuple[str, st
     with progress(seeds, f"training on {title}") as bar:
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
-            record = command("train", folder / train, *options.split(), "--seed", seed, "--out", model, "--json")
+            record = command(
+                "train", folder / train, *options.split(), "--seed", seed, "--out", model, "--json"
+            )
             report = command("evaluate", model, folder / test, "--json")
             names = "accuracy", "recordings", "window_accuracy", "windows"
-            rows.append({**{key: report[key] for key in names}, "multiplications": record["multiplications"]})
+            rows.append(
+                {
+                    **{key: report[key] for key in names},
+                    "multiplications": record["multiplications"],
+                }
+            )
             bar.update()
     given = f"async-tnt train {folder.name}/{train}".rstrip("/")
-    return {"title": title, "command": f"{given} {options}".strip(), "networks": rows, "machine": machine("torch")}
+    return {
+        "title": title,
+        "command": f"{given} {options}".strip(),
+        "networks": rows,
+        "machine": machine("torch"),
+    }
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -60,7 +77,9 @@ def main(argv: list[str] | None = None) -> int:
     for name, (title, *_) in SETS.items():
         add_folder(parser, f"--{name}", title)
     add_count(parser, "--seeds", 5, "networks")
-    parser.add_argument("--out", type=Path, default=Path("bare"), metavar="FOLDER", help="models (default: bare)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("bare"), metavar="FOLDER", help="models (default: bare)"
+    )
     args = parser.parse_args(argv)
     folders = {name: getattr(args, name) for name in SETS if getattr(args, name) is not None}
     if args.quick == bool(folders):

@@ -1,4 +1,5 @@
-"""The engines that run a model's classifier, to be compared: each on one thread, as users call it."""
+"""The engines that run a model's classifier, to be compared: each on one thread, as users call
+it."""
 
 from __future__ import annotations
 
@@ -37,7 +38,10 @@ def _onnxruntime_run(model: Model) -> Network:
 
 def _onnxruntime_binding(model: Model) -> Network:
     session = _session(model)
-    inputs, outputs = np.zeros((1, *model.config.shape), np.float32), np.zeros((1, len(model.classes)), np.float32)
+    inputs, outputs = (
+        np.zeros((1, *model.config.shape), np.float32),
+        np.zeros((1, len(model.classes)), np.float32),
+    )
     binding = session.io_binding()
     binding.bind_input("volume", "cpu", 0, np.float32, inputs.shape, inputs.ctypes.data)
     binding.bind_output("logits", "cpu", 0, np.float32, outputs.shape, outputs.ctypes.data)
@@ -64,7 +68,11 @@ def _openvino(model: Model) -> Network:
     from async_tnt.networks.onnx_export import to_onnx
 
     core = openvino.Core()
-    settings = {"INFERENCE_NUM_THREADS": 1, "INFERENCE_PRECISION_HINT": "f32", "PERFORMANCE_HINT": "LATENCY"}
+    settings = {
+        "INFERENCE_NUM_THREADS": 1,
+        "INFERENCE_PRECISION_HINT": "f32",
+        "PERFORMANCE_HINT": "LATENCY",
+    }
     network = core.read_model(io.BytesIO(to_onnx(model).SerializeToString()))
     request = core.compile_model(network, "CPU", settings).create_infer_request()
     inputs: np.ndarray = np.zeros((1, *model.config.shape), np.float32)
@@ -100,7 +108,8 @@ def _torch(model: Model) -> Network:
 
 ENGINES = {
     "incremental": Engine(
-        "ours, CompiledClassifier.refresh: what has changed since its last call; gives probabilities, too",
+        "ours, CompiledClassifier.refresh: what has changed since its last call; gives "
+        "probabilities, too",
         CompiledClassifier,
     ),
     "dense": Engine(
@@ -129,14 +138,15 @@ ENGINES = {
     ),
 }
 NEEDS = {name: engine.packages for name, engine in ENGINES.items()}
-ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")  # which is faster differs from machine to machine
+# which is faster differs from machine to machine
+ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")
 
 
 def dense_networks(model: Model) -> dict[str, Network]:
     """The installed engines of `ENGINES`, each computing the whole network: ours first.
 
-    Each has its own copy of the weights, so that none finds them in a cache filled by another. The number of torch
-    threads is unchanged: see `bench_timing.one_thread`.
+    Each has its own copy of the weights, so that none finds them in a cache filled by another. The
+    number of torch threads is unchanged: see `bench_timing.one_thread`.
     """
     installed = {name: engine for name, engine in ENGINES.items() if is_installed(*engine.packages)}
     return {name: engine.make(model) for name, engine in installed.items() if name != "incremental"}
@@ -150,4 +160,6 @@ def left_out(needs: Mapping[str, tuple[str, ...]] = NEEDS) -> dict[str, str]:
 def _missing(*packages: str) -> str:
     """A message that names the packages that are not installed; empty if all are."""
     names = [package for package in packages if not is_installed(package)]
-    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""
+    return (
+        f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""
+    )

@@ -27,8 +27,8 @@ def bench_every_event(
     rounds: int,
     n_events: int | None = None,
 ) -> dict[str, Any]:
-    """Time `Processor(model, every_events=1)` on recordings in packets, with its own network and with others as its
-    classifier.
+    """Time `Processor(model, every_events=1)` on recordings in packets, with its own network and
+    with others as its classifier.
 
     Parameters
     ----------
@@ -38,20 +38,25 @@ def bench_every_event(
 
     Returns
     -------
-    dict : backend -> `us`, processor time of a decision, the event's own and the windows' ends included; `a_second`,
-        decisions; `ratio` over `ours`.
+    dict : backend -> `us`, processor time of a decision, the event's own and the windows' ends
+        included; `a_second`, decisions; `ratio` over `ours`.
 
     Raises
     ------
     WorkDiffers : they do not make the same decisions in the first recording.
     """
     cut = [events[:n_events] for events in recordings]
-    packets = [[events[first : first + PACKET].copy() for first in range(0, len(events), PACKET)] for events in cut]
+    packets = [
+        [events[first : first + PACKET].copy() for first in range(0, len(events), PACKET)]
+        for events in cut
+    ]
     processors = {"ours": Processor(model, every_events=1, start_us=0)}
     for name, network in networks.items():
         processors[name] = Processor(model, classifier=in_full(network), every_events=1, start_us=0)
     _check_same({name: _decisions(processor, packets[0]) for name, processor in processors.items()})
-    us = interleave({name: _through(processor, packets) for name, processor in processors.items()}, rounds)
+    us = interleave(
+        {name: _through(processor, packets) for name, processor in processors.items()}, rounds
+    )
     return {
         name: {
             "us": spread(values),
@@ -63,11 +68,14 @@ def bench_every_event(
 
 
 def _decisions(processor: Processor, packets: list[np.ndarray]) -> list[Decision]:
-    return [decision for packet in packets for decision in processor.push(packet)] + processor.finish()
+    return [
+        decision for packet in packets for decision in processor.push(packet)
+    ] + processor.finish()
 
 
 def in_full(network: Network) -> Network:
-    """The network as a plain callable: of a CompiledClassifier, a Processor would compute only what changed."""
+    """The network as a plain callable: of a CompiledClassifier, a Processor would compute only what
+    changed."""
     return (lambda volume: network(volume)) if isinstance(network, CompiledClassifier) else network
 
 

@@ -1,8 +1,9 @@
 """Interleaved timing of backends: call by call, and in blocks of moments.
 
-Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each finds its weights
-further away than in a loop of its own; in blocks, each has the caches to itself, while a real program does other work
-in between. So both are measured; compare figures within one of them only.
+Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each
+finds its weights further away than in a loop of its own; in blocks, each has the caches to itself,
+while a real program does other work in between. So both are measured; compare figures within one of
+them only.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from experiments.bench_moments import Moment
 from experiments.bench_timing import latency, no_collector, spread
 
 LOGIT_TOLERANCE = 1e-4
-"""Largest difference between logits of the same moment; as a share of the largest logit where that is above 1."""
+"""Largest difference between logits of the same moment; as a share of the largest logit where that
+is above 1."""
 
 
 N_WARM = 20  # decisions that are only compared
@@ -32,7 +34,8 @@ class Backend(Protocol):
     """Makes decisions at moments in order of time."""
 
     def prepare(self, moment: Moment) -> None:
-        """Not timed. The previous call was for this moment's `before`, or the moment is that itself."""
+        """Not timed. The previous call was for this moment's `before`, or the moment is that
+        itself."""
 
     def decide(self) -> np.ndarray | None:
         """Timed. Returns the logits; None if they cannot be compared."""
@@ -48,13 +51,18 @@ class Timed:
     largest_difference: float = 0.0
 
     def report(self) -> dict[str, Any]:
-        """`us`, backend -> `latency`; `ratio`, backend -> `spread` of its time over that of the first one: of
-        each decision, or of each block's median if backends ran in blocks."""
+        """`us`, backend -> `latency`; `ratio`, backend -> `spread` of its time over that of the
+        first one: of each decision, or of each block's median if backends ran in blocks."""
         first = next(iter(self.us))
-        parts = {name: us.ravel() if self.call_by_call else np.median(us, axis=1) for name, us in self.us.items()}
+        parts = {
+            name: us.ravel() if self.call_by_call else np.median(us, axis=1)
+            for name, us in self.us.items()
+        }
         return {
             "us": {name: latency(us.ravel()) for name, us in self.us.items()},
-            "ratio": {name: spread(part / parts[first]) for name, part in parts.items() if name != first},
+            "ratio": {
+                name: spread(part / parts[first]) for name, part in parts.items() if name != first
+            },
             "largest_difference": self.largest_difference,
         }
 
@@ -88,9 +96,12 @@ def compare(
     }
 
 
-def timed(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]], call_by_call: bool) -> Timed:
-    """Every backend decides at all moments of a block before the next backend does, in an order that alternates; or,
-    call by call, every one decides at a moment, then at the next one, in a new random order each time (fixed seed)."""
+def timed(
+    backends: Mapping[str, Backend], blocks: Iterable[list[Moment]], call_by_call: bool
+) -> Timed:
+    """Every backend decides at all moments of a block before the next backend does, in an order
+    that alternates; or, call by call, every one decides at a moment, then at the next one, in a new
+    random order each time (fixed seed)."""
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, rng, names = 0.0, np.random.default_rng(0), list(backends)
     with no_collector():
@@ -134,7 +145,8 @@ def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
 
 
 def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
-    """The largest difference between logits of one moment, as a share of the largest logit where that is above 1.
+    """The largest difference between logits of one moment, as a share of the largest logit where
+    that is above 1.
 
     where : the moment, for the error.
 

@@ -35,13 +35,16 @@ class Moment:
 
 
 class Moments:
-    """All moments of some windows, repeated without end: windows follow each other and time continues.
+    """All moments of some windows, repeated without end: windows follow each other and time
+    continues.
 
-    A window's first event precedes its first moment, so that opening a window is never part of a decision.
+    A window's first event precedes its first moment, so that opening a window is never part of a
+    decision.
 
     Parameters
     ----------
-    windows : structured arrays of `EVENT_DTYPE`, in order of time, times counted from the window's start.
+    windows : structured arrays of `EVENT_DTYPE`, in order of time, times counted from the window's
+        start.
     window_us : from one start to the next.
     n_new : events between two moments.
 
@@ -55,7 +58,9 @@ class Moments:
         self._ends = np.cumsum([max(0, len(window) - 1) // n_new for window in windows])
         if not windows or self._ends[-1] == 0:
             longest = max(map(len, windows), default=0)
-            raise ValueError(f"a window of at least {n_new + 1} events is needed, the longest has {longest}")
+            raise ValueError(
+                f"a window of at least {n_new + 1} events is needed, the longest has {longest}"
+            )
         self._shifted: tuple[int, np.ndarray] = -1, np.empty(0, EVENT_DTYPE)
 
     @property
@@ -76,7 +81,8 @@ class Moments:
         return Moment(start_us, self._shifted[1][: 1 + (k + 1) * self._n_new], self._n_new, k > 0)
 
     def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
-        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap, or over as many as they need."""
+        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap, or over as
+        many as they need."""
         step = max(size, self.a_lap // n_blocks)
         for first in range(0, n_blocks * step, step):
             block = [self[i] for i in range(first, first + size)]
@@ -84,7 +90,8 @@ class Moments:
 
 
 def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
-    """The windows of a recording from time 0 on, without empty ones; times counted from each window's start."""
+    """The windows of a recording from time 0 on, without empty ones; times counted from each
+    window's start."""
     number = events["t"] // window_us
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1:] + 1))
     windows = [events[a:b].astype(EVENT_DTYPE) for a, b in pairwise(edges)]
@@ -102,7 +109,8 @@ def bench_recordings(config: TNTConfig) -> list[np.ndarray]:
 def made_columns(
     rng: np.random.Generator, sensor: tuple[int, int], n: int, duration_us: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """t, x, y, p of n events, uniform over sensor, polarity and [0, duration_us), in order of time."""
+    """t, x, y, p of n events, uniform over sensor, polarity and [0, duration_us), in order of
+    time."""
     return (
         np.sort(rng.integers(0, duration_us, n)),
         rng.integers(0, sensor[0], n).astype(np.uint16),
@@ -111,7 +119,9 @@ def made_columns(
     )
 
 
-def on_sensor(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
+def on_sensor(
+    t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, sensor: tuple[int, int]
+) -> np.ndarray:
     """Events of those that lie on the sensor; places are rounded down to its pixels."""
     x, y = np.floor(x).astype(int), np.floor(y).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < sensor[0]) & (y < sensor[1])

@@ -1,5 +1,5 @@
-"""The network alone, at batch 1: some events after the previous decision, where ours computes changes and others
-everything."""
+"""The network alone, at batch 1: some events after the previous decision, where ours computes
+changes and others everything."""
 
 from __future__ import annotations
 
@@ -59,9 +59,16 @@ class Dense:
 
 
 def bench_network(
-    model: Model, networks: Mapping[str, Network], windows: list[np.ndarray], n_new: int, *, blocks: int, size: int
+    model: Model,
+    networks: Mapping[str, Network],
+    windows: list[np.ndarray],
+    n_new: int,
+    *,
+    blocks: int,
+    size: int,
 ) -> dict[str, Any]:
-    """Time networks from a finished volume to its logits, `n_new` events after the previous decision.
+    """Time networks from a finished volume to its logits, `n_new` events after the previous
+    decision.
 
     Parameters
     ----------
@@ -85,7 +92,8 @@ def bench_network(
 
 
 def fastest(names: tuple[str, ...], results: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """The network that took the least time in blocks, over all rows together; None if none was timed."""
+    """The network that took the least time in blocks, over all rows together; None if none was
+    timed."""
     total = {
         name: sum(row["in_blocks"]["us"][name]["median"] for row in results.values())
         for name in names

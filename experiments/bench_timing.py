@@ -15,9 +15,9 @@ import numpy as np
 
 from async_tnt.cli.bench import machine as this_machine
 
-# Work of milliseconds is timed by the processor time it takes, which other processes cannot lengthen;
-# on a quiet machine it equals the wall clock. Windows counts it in steps of 16 ms only. Latencies, whose tail we
-# report, use the wall clock.
+# Work of milliseconds is timed by the processor time it takes, which other processes cannot
+# lengthen; on a quiet machine it equals the wall clock. Windows counts it in steps of 16 ms only.
+# Latencies, whose tail we report, use the wall clock.
 work_clock = time.perf_counter if sys.platform == "win32" else time.process_time
 
 
@@ -27,8 +27,8 @@ def interleave(cases: Mapping[str, Callable[[], float]], rounds: int) -> dict[st
     Parameters
     ----------
     cases : name -> a function that does the work once and returns what it measured.
-    rounds : how many times each is measured, after one round of warming up. Every other round runs in reverse, so that
-        none always follows the same neighbour.
+    rounds : how many times each is measured, after one round of warming up. Every other round runs
+        in reverse, so that none always follows the same neighbour.
 
     Returns
     -------
@@ -65,7 +65,8 @@ def latency(values: np.ndarray) -> dict[str, float]:
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Without Python's garbage collector, which runs at random; its state is restored afterwards."""
+    """Without Python's garbage collector, which runs at random; its state is restored
+    afterwards."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

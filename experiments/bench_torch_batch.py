@@ -1,7 +1,8 @@
 """Batch processing in torch, as fast as we can make it: a window's volume from all its events.
 
-The reference in `tnt_reference` is written for reading, this one for timing: float32, no masks, one `scatter_add_` for
-all eight neighbours. It must give the same volume (a test compares it with the reference).
+The reference in `tnt_reference` is written for reading, this one for timing: float32, no masks, one
+`scatter_add_` for all eight neighbours. It must give the same volume (a test compares it with the
+reference).
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ Columns = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 def as_tensors(events: np.ndarray, start_us: int) -> Columns:
-    """Time since `start_us`, x, y (float32) and sign (float32, -1 or +1) of structured events, shape (N,)."""
+    """Time since `start_us`, x, y (float32) and sign (float32, -1 or +1) of structured events,
+    shape (N,)."""
     dt = torch.from_numpy((events["t"] - start_us).astype(np.float32))
     x, y, p = (torch.from_numpy(events[name].astype(np.float32)) for name in "xyp")
     return dt, x, y, 2 * p - 1
@@ -34,17 +36,30 @@ class TorchBatch:
     def __init__(self, config: TNTConfig) -> None:
         kind = config.transform, config.landmark, config.polarity
         if kind != ("tnt", "running", "signed"):
-            raise ValueError(f"transform, landmark and polarity must be tnt, running and signed, got {', '.join(kind)}")
+            raise ValueError(
+                f"transform, landmark and polarity must be tnt, running and signed, got "
+                f"{', '.join(kind)}"
+            )
         self.config = config
         width, height = config.grid
         plane = width * height
         self._corners = torch.tensor(
-            [b * plane + y * width + x for b in (0, min(1, config.bins - 1)) for y in (0, 1) for x in (0, 1)]
+            [
+                b * plane + y * width + x
+                for b in (0, min(1, config.bins - 1))
+                for y in (0, 1)
+                for x in (0, 1)
+            ]
         )[:, None]  # (8, 1); a single bin has no later neighbour, and gets nothing as one
-        self._on_grid = [(width - 1) / (config.sensor[0] - 1), (height - 1) / (config.sensor[1] - 1)]
+        self._on_grid = [
+            (width - 1) / (config.sensor[0] - 1),
+            (height - 1) / (config.sensor[1] - 1),
+        ]
         self._centre = [(width - 1) / 2, (height - 1) / 2]
 
-    def volume(self, dt: torch.Tensor, x: torch.Tensor, y: torch.Tensor, sign: torch.Tensor) -> torch.Tensor:
+    def volume(
+        self, dt: torch.Tensor, x: torch.Tensor, y: torch.Tensor, sign: torch.Tensor
+    ) -> torch.Tensor:
         """float32 (B, H, W) of one window's events, as `as_tensors` makes them."""
         config = self.config
         tau = dt * (config.t_max / config.window_us)
@@ -61,11 +76,14 @@ class TorchBatch:
         b = dt[some] * ((config.bins - 1) / config.window_us)
         return self._splat(b, moved[1][some], moved[0][some], sign[some])
 
-    def _splat(self, b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor) -> torch.Tensor:
-        """V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i), all eight cells of all events in one operation."""
+    def _splat(
+        self, b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor
+    ) -> torch.Tensor:
+        """V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i), all eight cells of all events in one
+        operation."""
         bins, (width, height) = self.config.bins, self.config.grid
-        # The lower corner stays one short of the last cell, so that the upper one is in the volume: an event
-        # at u = W - 1 gives all of its weight to the upper. Saves the masks and a padded copy.
+        # The lower corner stays one short of the last cell, so that the upper one is in the volume:
+        # an event at u = W - 1 gives all of its weight to the upper. Saves the masks and a padded copy.
         b0 = b.floor().clamp_(max=max(bins - 2, 0))
         v0 = v.floor().clamp_(max=height - 2)
         u0 = u.floor().clamp_(max=width - 2)

@@ -1,11 +1,13 @@
 """N-CARS: accuracy against time on its test part, by the bare command and by other recipes.
 
-    python -m experiments.cars N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE] [--picture FILE]
+    python -m experiments.cars N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE]
+    [--picture FILE]
 
-N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train`; `bare` has no option
-but the sensor's size. Finished trainings in --out are kept, interrupted ones resume, and recipes that are not named
-keep their entry in FILE. The test part is read when all networks of a recipe are trained: each network reads it once,
-and once the size of the crops alone is asked.
+N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train`;
+`bare` has no option but the sensor's size. Finished trainings in --out are kept, interrupted ones
+resume, and recipes that are not named keep their entry in FILE. The test part is read when all
+networks of a recipe are trained: each network reads it once, and once the size of the crops alone
+is asked.
 """
 
 from __future__ import annotations
@@ -29,33 +31,48 @@ from async_tnt.volume import TNTVolume
 from experiments.bench_every_event import bench_every_event
 from experiments.bench_timing import interleave, machine, spread, work_clock
 from experiments.made_objects import SENSOR, write
-from experiments.script_options import add_count, earlier_report, exit_with, run_script, script_parser, write_outputs
+from experiments.script_options import (
+    add_count,
+    earlier_report,
+    exit_with,
+    run_script,
+    script_parser,
+    write_outputs,
+)
 from experiments.unseen_motions import command
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
 EQUAL = "--mirror --epochs 6 --validation 0.05"
-VOLUMES = {"volume": "transform=none"} | {name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
+VOLUMES = {"volume": "transform=none"} | {
+    name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS
+}
 HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 5.0  # of the picture
 IMAGES = "count", "count_time", "mean_time", "time_surface"
 TRAIN, TEST, SENSOR_SIZE = "n-cars_train", "n-cars_test", "--sensor 120x100"
 RECIPES = {
     "tuned": TUNED,
     "bare": "",
-    **{f"equal_{name}": f"--volume representation=volume,bins=9,{volume} {EQUAL}" for name, volume in VOLUMES.items()},
+    **{
+        f"equal_{name}": f"--volume representation=volume,bins=9,{volume} {EQUAL}"
+        for name, volume in VOLUMES.items()
+    },
     **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
 }
 """Name -> options besides the sensor's size; the first one is drawn."""
 N_CARS = {
     "title": "N-CARS",
     "shown_ms": ("10", "20", "30", "50", "100"),
-    "others": {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # complete recordings, see docs/results.md
+    # complete recordings, see docs/results.md
+    "others": {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},
 }
 MADE = {"title": "made objects", "shown_ms": ("5", "50"), "others": {}}
 TIMED = 12  # recordings of the test part
 SMOOTHED = 2.0  # pixels
 
 
-def measure(folder: Path, out: Path, recipe: str, seeds: int, common: str = SENSOR_SIZE) -> dict[str, Any]:
+def measure(
+    folder: Path, out: Path, recipe: str, seeds: int, common: str = SENSOR_SIZE
+) -> dict[str, Any]:
     """Train and test a recipe with each seed.
 
     common : options of every recipe.
@@ -75,27 +92,42 @@ def measure(folder: Path, out: Path, recipe: str, seeds: int, common: str = SENS
         **_costs(models[0], folder / TEST),
         "machine": machine("torch"),
     }
-    return {**N_CARS, "by_crop_size": by_crop_size(folder / TRAIN, folder / TEST), "recipes": {recipe: found}}
+    return {
+        **N_CARS,
+        "by_crop_size": by_crop_size(folder / TRAIN, folder / TEST),
+        "recipes": {recipe: found},
+    }
 
 
-def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
-    """A report, and the recipes of an earlier one that it does not have, in the order given, then those without one."""
+def with_earlier(
+    report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]
+) -> dict[str, Any]:
+    """A report, and the recipes of an earlier one that it does not have, in the order given, then
+    those without one."""
     recipes = before["recipes"] | report["recipes"]
-    return {**report, "recipes": {name: recipes[name] for name in dict.fromkeys([*order, *recipes]) if name in recipes}}
+    return {
+        **report,
+        "recipes": {
+            name: recipes[name] for name in dict.fromkeys([*order, *recipes]) if name in recipes
+        },
+    }
 
 
 def _tested(path: Path, test: Path) -> dict[str, Any]:
     report = command("evaluate", path, test, "--json")
     counts = ("accuracy", "recordings", "window_accuracy", "windows")
     names = (*counts, "calibration_error", "confidence")
-    against_time = {f"{row['time_us'] / 1e3:g}": row["accuracy"] for row in report["accuracy_against_time"]}
+    against_time = {
+        f"{row['time_us'] / 1e3:g}": row["accuracy"] for row in report["accuracy_against_time"]
+    }
     return {"against_time_ms": against_time, **{name: report[name] for name in names}}
 
 
 @cache  # one answer for all recipes
 def by_crop_size(train: Path, test: Path) -> float:
-    """Accuracy on the test part of the width and the height of a recording alone: each training recording votes for
-    its class among the sizes around its own. It is what a network could have from the crops, without any object."""
+    """Accuracy on the test part of the width and the height of a recording alone: each training
+    recording votes for its class among the sizes around its own. It is what a network could have
+    from the crops, without any object."""
     ours, others = (_sizes(train), _sizes(test))
     side = 1 + max(int(sizes.max()) for sizes in (*ours.values(), *others.values()))
     away = np.arange(side)[:, None] - np.arange(side)
@@ -119,19 +151,27 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
     for folder in sorted(path for path in part.iterdir() if path.is_dir()):
         files = sorted(folder.iterdir())
         events = (open_recording(file).read() for file in files)
-        found[folder.name] = np.array([(one["x"].max() + 1, one["y"].max() + 1) for one in events if len(one)])
+        found[folder.name] = np.array(
+            [(one["x"].max() + 1, one["y"].max() + 1) for one in events if len(one)]
+        )
     return found
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Of some recordings' first windows: nanoseconds an event in the volume, and a decision after every event."""
+    """Of some recordings' first windows: nanoseconds an event in the volume, and a decision after
+    every event."""
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
-    some = [open_recording(file, sensor=model.config.sensor).read() for file in files[:: -(-len(files) // TIMED)]]
+    some = [
+        open_recording(file, sensor=model.config.sensor).read()
+        for file in files[:: -(-len(files) // TIMED)]
+    ]
     for k, events in enumerate(some):
         events["t"] -= events["t"][0]
         some[k] = events[events["t"] < model.config.window_us]
-    volume = TNTVolume(model.config, regressor=CompiledRegressor(model) if model.config.needs_regressor else None)
+    volume = TNTVolume(
+        model.config, regressor=CompiledRegressor(model) if model.config.needs_regressor else None
+    )
 
     def absorbed() -> float:
         nanoseconds = 0.0
@@ -157,16 +197,36 @@ def draw(report: dict[str, Any]) -> Any:
     headline(figure, f"{report['title']}, test part, {len(tests)} networks")
     time, levels = (axes_at(figure, LEFT + STEP * k, TOP, 4.2, SIDE) for k in range(2))
     for k, test in enumerate(tests):
-        look = {"color": OFF, "linewidth": 1, "alpha": 0.6, "label": "each network" if not k else None}
-        time.plot([float(ms) for ms in test["against_time_ms"]], list(test["against_time_ms"].values()), **look)
+        look = {
+            "color": OFF,
+            "linewidth": 1,
+            "alpha": 0.6,
+            "label": "each network" if not k else None,
+        }
+        time.plot(
+            [float(ms) for ms in test["against_time_ms"]],
+            list(test["against_time_ms"].values()),
+            **look,
+        )
     for name, share in report["others"].items():
         time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
         note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 9), ha="right", color=ON)
     found = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
-    found = [rows for rows in found if all(row["median_ms"] is not None for row in rows)]  # that windows reach
+    # that windows reach
+    found = [rows for rows in found if all(row["median_ms"] is not None for row in rows)]
     ms = [np.mean([row["median_ms"] for row in rows]) for rows in found]
-    for name, colour, words in (("accuracy", OFF, "right of these"), ("decided", GREY, "windows that reach it")):
-        levels.plot(ms, [np.mean([row[name] for row in rows]) for rows in found], "o-", color=colour, ms=3, label=words)
+    for name, colour, words in (
+        ("accuracy", OFF, "right of these"),
+        ("decided", GREY, "windows that reach it"),
+    ):
+        levels.plot(
+            ms,
+            [np.mean([row[name] for row in rows]) for rows in found],
+            "o-",
+            color=colour,
+            ms=3,
+            label=words,
+        )
     for rows, x in zip(found, ms, strict=True):
         if rows[0]["level"] >= 0.9:
             right = np.mean([row["accuracy"] for row in rows])
@@ -186,12 +246,25 @@ def draw(report: dict[str, Any]) -> Any:
 def main(argv: list[str] | None = None) -> int:
     """Train, test, print and write."""
     parser = script_parser("cars", __doc__, "a made set and one epoch", draws=True)
-    parser.add_argument("folder", nargs="?", type=Path, metavar="N-CARS", help="its folder; not with --quick or --from")
+    parser.add_argument(
+        "folder",
+        nargs="?",
+        type=Path,
+        metavar="N-CARS",
+        help="its folder; not with --quick or --from",
+    )
     add_count(parser, "--seeds", 5, "networks")
     parser.add_argument(
-        "--recipes", nargs="+", choices=RECIPES, default=list(RECIPES), metavar="NAME", help="default: all"
+        "--recipes",
+        nargs="+",
+        choices=RECIPES,
+        default=list(RECIPES),
+        metavar="NAME",
+        help="default: all",
     )
-    parser.add_argument("--out", type=Path, default=Path("cars"), metavar="FOLDER", help="models (default: cars)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("cars"), metavar="FOLDER", help="models (default: cars)"
+    )
     args = parser.parse_args(argv)
     if [args.folder is not None, args.quick, args.source is not None].count(True) != 1:
         parser.error("give N-CARS, --quick, or --from")
@@ -215,7 +288,12 @@ def _quick() -> dict[str, Any]:
         folder = Path(name)
         for part, n, seed in ((TRAIN, 6, 0), (TEST, 3, 1)):
             write(folder / part, n, (0.0,), seed)
-        return measure(folder, folder / "models", "bare", 1, f"--sensor {format_size(SENSOR)} --epochs 1") | MADE
+        return (
+            measure(
+                folder, folder / "models", "bare", 1, f"--sensor {format_size(SENSOR)} --epochs 1"
+            )
+            | MADE
+        )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""A simulated set compared with N-MNIST: the same statistics of real recordings, of their simulations, and of the set.
+"""A simulated set compared with N-MNIST: the same statistics of real recordings, of their
+simulations, and of the set.
 
-The second column simulates the images that the real recordings show, under N-MNIST's own saccades: it shows how good
-the simulator is. The third shows how the set's motions differ from N-MNIST's, with the same images, if the set has
-them, each under three of its motions.
+The second column simulates the images that the real recordings show, under N-MNIST's own saccades:
+it shows how good the simulator is. The third shows how the set's motions differ from N-MNIST's,
+with the same images, if the set has them, each under three of its motions.
 """
 
 from __future__ import annotations
@@ -28,26 +29,30 @@ from experiments.simulated_digits import simulate_digit
 from experiments.trajectories import nmnist_saccades
 
 N_RECORDINGS = 200
-"""To compare, spread evenly over those that show images of the set's split (over all if none do)."""
+"""To compare, spread evenly over those that show images of the set's split (over all if none
+do)."""
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
 """Where N-MNIST's saccades begin, and where the third ends (Orchard et al. 2015)."""
 OFFICIAL_TRAIN = 60_000
 """Recordings in N-MNIST's training set; larger numbers are test recordings."""
 
 
-def compare(made: MovingMnist, mnist_folder: Path, nmnist_folder: Path | None) -> dict[str, dict[str, float]]:
+def compare(
+    made: MovingMnist, mnist_folder: Path, nmnist_folder: Path | None
+) -> dict[str, dict[str, float]]:
     """Descriptions by `describe_motions`: column title -> name -> value. Shows a progress bar.
 
     Parameters
     ----------
     made : a set with all its shards.
     mnist_folder : MNIST, to simulate the images of the second column.
-    nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin; None omits the real column, and the
-        second shows the set's first images.
+    nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin; None omits the real
+        column, and the second shows the set's first images.
 
     Raises
     ------
-    ValueError : damaged files, or recordings whose digit is not that of the image with their number.
+    ValueError : damaged files, or recordings whose digit is not that of the image with their
+        number.
     OSError : missing folders.
     """
     split, of_set = made.parameters["split"], made.parameters["images"]
@@ -64,24 +69,33 @@ def compare(made: MovingMnist, mnist_folder: Path, nmnist_folder: Path | None) -
             for image in shown:
                 if image >= len(labels) or labels[image] != int(found[image].parent.name):
                     raise ValueError(
-                        f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should show, "
+                        f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should "
+                        "show, "
                         "is another digit"
                     )
             real = _counted((read_nmnist(found[image]) for image in shown), bar)
             columns["N-MNIST"] = describe_motions(real, SACCADE_CUTS_US, directions)
         simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown)
-        columns["simulated"] = describe_motions(_counted(simulated, bar), SACCADE_CUTS_US, directions)
+        columns["simulated"] = describe_motions(
+            _counted(simulated, bar), SACCADE_CUTS_US, directions
+        )
         same = [i for i in shown if i in set(of_set)] if shown_split == split else []
         described = same if len(same) >= len(shown) / 2 else _spread(of_set)
         columns["this set"] = _describe_set(made, described, bar, directions)
     return columns
 
 
-def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]) -> dict[str, float]:
+def _describe_set(
+    made: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]
+) -> dict[str, float]:
     """Each image under three motions (or the only one), all motions equally often."""
     n_motions = len(made.motions)
     pairs = sorted(
-        {((k + turn * n_motions // 3) % n_motions, image) for k, image in enumerate(images) for turn in range(3)}
+        {
+            ((k + turn * n_motions // 3) % n_motions, image)
+            for k, image in enumerate(images)
+            for turn in range(3)
+        }
     )
     recordings = _counted(_recordings(made, pairs), bar)
     if made.motions[0].direction_deg is None:
@@ -94,17 +108,21 @@ def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directi
 def describe_motions(
     recordings: Iterable[np.ndarray], cuts_us: Sequence[int], directions_deg: Sequence[float]
 ) -> dict[str, float]:
-    """`describe` over all saccades, and where their ON events are, on average, relative to their OFF events.
+    """`describe` over all saccades, and where their ON events are, on average, relative to their
+    OFF events.
 
     Parameters
     ----------
     recordings : structured arrays in order of time.
     cuts_us : where saccades begin, and where the last one ends.
-    directions_deg : of the motion in each saccade of a recording, or in each recording of one saccade; 0 to the right,
-        90 downwards. ON events trail the motion where their centroid is behind that of the OFF events.
+    directions_deg : of the motion in each saccade of a recording, or in each recording of one
+        saccade; 0 to the right, 90 downwards. ON events trail the motion where their centroid is
+        behind that of the OFF events.
     """
     saccades = [
-        events[a:b] for events in recordings for a, b in pairwise(np.searchsorted(events["t"], cuts_us).tolist())
+        events[a:b]
+        for events in recordings
+        for a, b in pairwise(np.searchsorted(events["t"], cuts_us).tolist())
     ]
     offsets = []
     for saccade, direction in zip(saccades, itertools.cycle(directions_deg), strict=False):
@@ -130,10 +148,11 @@ def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.
 
 
 def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]:
-    """The split of MNIST that is shown, `split` if any recording shows it, and image index -> recording.
+    """The split of MNIST that is shown, `split` if any recording shows it, and image index ->
+    recording.
 
-    Recording n shows image n, counted from 1, of the same official set. Recordings above 60,000 show image n - 60,000
-    of the test set.
+    Recording n shows image n, counted from 1, of the same official set. Recordings above 60,000
+    show image n - 60,000 of the test set.
 
     Raises
     ------
@@ -151,7 +170,9 @@ def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]
                 found[part.lower()][number - 1] = path
     shown = split if found[split] else next((name for name in found if found[name]), None)
     if shown is None:
-        raise FileNotFoundError(f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin")
+        raise FileNotFoundError(
+            f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin"
+        )
     return shown, found[shown]
 
 

@@ -36,16 +36,21 @@ def cars(report: dict[str, Any]) -> str:
         cells = [cell(summary(values)) for values in shares]
         options = found["command"].partition("--sensor 120x100")[2].strip()
         rate = found["every_event"]["a_second"]
-        rows.append([f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"])
+        rows.append(
+            [f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"]
+        )
     by_size = ["-"] * (len(shown) - 1) + [three_digits(report["by_crop_size"])]
     rows.append(["none: width and height of the crop alone", "-", *by_size, "-"])
     times = [f"{ms} ms" for ms in shown]
-    return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
+    return table(
+        ["other options", "networks", *times, "decisions a second, one after every event"], rows
+    )
 
 
 @of_report("cars")
 def cars_confidence(report: dict[str, Any]) -> str:
-    """What a level of confidence costs and buys on N-CARS: means over the networks of the first recipe."""
+    """What a level of confidence costs and buys on N-CARS: means over the networks of the first
+    recipe."""
     tests = next(iter(report["recipes"].values()))["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
@@ -53,7 +58,9 @@ def cars_confidence(report: dict[str, Any]) -> str:
             continue
         names = "decided", "accuracy", "window_accuracy", "median_ms", "p90_ms"
         *shares, median, p90 = (float(np.mean([level[name] for level in levels])) for name in names)
-        rows.append([f"{levels[0]['level']:g}", *map(percent, shares), f"{median:.0f}", f"{p90:.0f}"])
+        rows.append(
+            [f"{levels[0]['level']:g}", *map(percent, shares), f"{median:.0f}", f"{p90:.0f}"]
+        )
     head = [
         "confidence",
         "windows that reach it",
@@ -63,9 +70,7 @@ def cars_confidence(report: dict[str, Any]) -> str:
         "90th percentile, ms",
     ]
     error = _mean([test["calibration_error"] for test in tests])
-    return (
-        f"{table(head, rows)}\n\nExpected calibration error at the tenths of a window, mean of the networks: {error}."
-    )
+    return f"{table(head, rows)}\n\nExpected calibration error at the tenths of a window, mean of the networks: {error}."
 
 
 def cars_in_short() -> str:
@@ -74,8 +79,10 @@ def cars_in_short() -> str:
     at = {ms: _mean([test["against_time_ms"][ms] for test in tests]) for ms in CARS_MS}
     rate = found["every_event"]["a_second"]
     return (
-        f"On N-CARS' official test part, cars or background, networks on images of counts without the transform are "
-        f"right in {at['10']} of the recordings after 10 ms, {at['30']} after 30 ms and {at['100']} after 100 ms (mean "
+        f"On N-CARS' official test part, cars or background, networks on images of counts without "
+        "the transform are "
+        f"right in {at['10']} of the recordings after 10 ms, {at['30']} after 30 ms and "
+        f"{at['100']} after 100 ms (mean "
         f"of {len(tests)}), at {rate:,.0f} decisions a second, one after every event."
     )
 
@@ -85,7 +92,8 @@ def _mean(accuracies: Sequence[float]) -> str:
 
 
 def representations() -> str:
-    """Accuracy on N-MNIST and N-CARS, mean over the networks, their standard deviation, and what each costs."""
+    """Accuracy on N-MNIST and N-CARS, mean over the networks, their standard deviation, and what
+    each costs."""
     nmnist = results("table")["table"]
     recipes = results("cars")["recipes"]
     rows = []
@@ -118,18 +126,27 @@ def from_pictures(report: dict[str, Any]) -> str:
     rows = []
     for found in report["sets"].values():
         options = found["command"].partition("PICTURES ")[2]
-        rows.append([found["title"], f"`{options}`", f"{found['pictures']['pictures']:,}", *_tested(found)])
-    return table(["recordings of", "options", "pictures", "networks", "windows", "recordings"], rows)
+        rows.append(
+            [found["title"], f"`{options}`", f"{found['pictures']['pictures']:,}", *_tested(found)]
+        )
+    return table(
+        ["recordings of", "options", "pictures", "networks", "windows", "recordings"], rows
+    )
 
 
 @of_report("few_recordings")
 def few_recordings(report: dict[str, Any]) -> str:
-    """With and without pictures, by how many real recordings a class has: windows and recordings right."""
+    """With and without pictures, by how many real recordings a class has: windows and recordings
+    right."""
     found: dict[int, dict[str, str]] = {}
     for way, rows in report["ways"].items():
         for row in rows:
-            shares = ([one[key] for one in row["networks"]] for key in ("window_accuracy", "accuracy"))
-            found.setdefault(row["per_class"], {})[way] = " / ".join(cell(summary(values)) for values in shares)
+            shares = (
+                [one[key] for one in row["networks"]] for key in ("window_accuracy", "accuracy")
+            )
+            found.setdefault(row["per_class"], {})[way] = " / ".join(
+                cell(summary(values)) for values in shares
+            )
     rows = [[f"{n:,}", *(of.get(way, "-") for way in report["ways"])] for n, of in found.items()]
     return table(["recordings of each class", *report["ways"]], rows)
 
@@ -137,9 +154,14 @@ def few_recordings(report: dict[str, Any]) -> str:
 def _tested(found: dict[str, Any]) -> list[str]:
     """Networks, windows right, recordings right."""
     networks = found["networks"]
-    shares = (cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy"))
+    shares = (
+        cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy")
+    )
     sizes = (f"{networks[0][key]:,}" for key in ("windows", "recordings"))
-    return [str(len(networks)), *(f"{share} of {n}" for share, n in zip(shares, sizes, strict=True))]
+    return [
+        str(len(networks)),
+        *(f"{share} of {n}" for share, n in zip(shares, sizes, strict=True)),
+    ]
 
 
 @of_report("from_pictures")
@@ -149,20 +171,31 @@ def moved_digits(report: dict[str, Any]) -> str:
     for test, cases in report["sets"].get("nmnist", {}).get("simulated", {}).items():
         means = {case: float(np.mean(shares)) for case, shares in cases.items()}
         worst = min(means, key=lambda case: means[case])
-        rows.append([test, str(len(means)), _mean(list(means.values())), f"{three_digits(means[worst])} ({worst})"])
+        rows.append(
+            [
+                test,
+                str(len(means)),
+                _mean(list(means.values())),
+                f"{three_digits(means[worst])} ({worst})",
+            ]
+        )
     return table(["1,000 test images", "motions or speeds", "mean", "worst"], rows)
 
 
 @of_report("recipes")
 def recipes(report: dict[str, Any]) -> str:
-    """Candidates of a default: held-out windows right at their ends, and in the mean over ten moments."""
+    """Candidates of a default: held-out windows right at their ends, and in the mean over ten
+    moments."""
     sets = report["sets"]
     candidates = list(dict.fromkeys(name for found in sets.values() for name in found))
     rows = []
     for name in candidates:
         cells = []
         for found in sets.values():
-            means = ([row[key] for row in found.get(name, [])] for key in ("per_window", "mean_over_time"))
+            means = (
+                [row[key] for row in found.get(name, [])]
+                for key in ("per_window", "mean_over_time")
+            )
             cells.append(" / ".join(_mean(values) if values else "-" for values in means))
         rows.append([name, *cells])
     return table(["", *sets], rows)
@@ -191,5 +224,9 @@ def everywhere() -> str:
 def car_scenes() -> str:
     """F1 of a map model of N-CARS on scenes of its test part."""
     (found,) = results("car_scenes")["models"]
-    row = [f"{found['cars'][moment]:.3f}" for moment in ("end", "early")] + [f"{found['noise']:.2f}"]
-    return table(["F1 of cars at the end", "30 ms after the last start", "objects in noise, a window"], [row])
+    row = [f"{found['cars'][moment]:.3f}" for moment in ("end", "early")] + [
+        f"{found['noise']:.2f}"
+    ]
+    return table(
+        ["F1 of cars at the end", "30 ms after the last start", "objects in noise, a window"], [row]
+    )

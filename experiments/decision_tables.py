@@ -29,7 +29,12 @@ incremental_machine = of_report("incremental")(about_machine)
 def speed() -> str:
     """The short version, for README."""
     found = results("decisions")
-    names = {"incremental": "async_tnt", "onnxruntime_binding": "onnxruntime", "openvino": "OpenVINO", "torch": "torch"}
+    names = {
+        "incremental": "async_tnt",
+        "onnxruntime_binding": "onnxruntime",
+        "openvino": "OpenVINO",
+        "torch": "torch",
+    }
     same = {"incremental": "ours", "onnxruntime_binding": "ours_onnxruntime", "torch": "torch"}
     rows = []
     for n in ("1", "100", "1300"):
@@ -41,7 +46,9 @@ def speed() -> str:
     rows.append(["packet of 1 event to decision: us", *cells])
     packets = found["every_event"]
     every = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
-    rows.append(["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)])
+    rows.append(
+        ["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)]
+    )
     return table(["", *names.values()], rows)
 
 
@@ -61,12 +68,20 @@ def _cell(found: dict[str, Any], name: str) -> str:
     if (us := found["us"].get(name)) is None:
         return ""
     ratio = found["ratio"].get(name)
-    return f"{short(us['median'])} ({short(us['p99'])})" + (f" {ratio['median']:.1f}x" if ratio else "")
+    return f"{short(us['median'])} ({short(us['p99'])})" + (
+        f" {ratio['median']:.1f}x" if ratio else ""
+    )
 
 
-network_in_blocks = of_report("decisions")(lambda found: _turns(found["network"], "in_blocks", NETWORKS))
-network_call_by_call = of_report("decisions")(lambda found: _turns(found["network"], "call_by_call", NETWORKS))
-end_to_end_call_by_call = of_report("decisions")(lambda found: _turns(found["end_to_end"], "call_by_call", WAYS))
+network_in_blocks = of_report("decisions")(
+    lambda found: _turns(found["network"], "in_blocks", NETWORKS)
+)
+network_call_by_call = of_report("decisions")(
+    lambda found: _turns(found["network"], "call_by_call", NETWORKS)
+)
+end_to_end_call_by_call = of_report("decisions")(
+    lambda found: _turns(found["end_to_end"], "call_by_call", WAYS)
+)
 
 
 @of_report("decisions")
@@ -122,7 +137,9 @@ def incremental_times(report: dict[str, Any]) -> str:
         for n_new, found in row["network"].items():
             us = found["in_blocks"]["us"]
             cells = [_cell(found["in_blocks"], name) for name in NETWORKS if name in us]
-            body.append([f"`{network}`, {volume}" if n_new == "1" else "", f"{int(n_new):,}", *cells])
+            body.append(
+                [f"`{network}`, {volume}" if n_new == "1" else "", f"{int(n_new):,}", *cells]
+            )
     names = [words for name, words in NETWORKS.items() if name in us]
     return table(["network", "new events", *names], body)
 
@@ -132,11 +149,24 @@ def incremental_work(report: dict[str, Any]) -> str:
     """Multiplications of a decision, memory, and decisions a second."""
     body = []
     for network, row in report["networks"].items():
-        counts = [row["touched"][n]["multiplications"] / 1e6 for n in ("1", "10", "100", "1300", "whole")]
-        memory = [f"{sum(row['bytes'][part] for part in parts) / 1e3:,.0f}" for parts in (("weights",), MAPS)]
+        counts = [
+            row["touched"][n]["multiplications"] / 1e6 for n in ("1", "10", "100", "1300", "whole")
+        ]
+        memory = [
+            f"{sum(row['bytes'][part] for part in parts) / 1e3:,.0f}"
+            for parts in (("weights",), MAPS)
+        ]
         rates = row["every_event"]
         onnx = max((rates[name]["a_second"] for name in rates if name != "ours"), default=None)
         second = [f"{rates['ours']['a_second']:,.0f}", "" if onnx is None else f"{onnx:,.0f}"]
         body.append([f"`{network}`", *(f"{n:.2f}" for n in counts), *memory, *second])
     head = ["1 new event", "10", "100", "1,300", "the whole network", "weights, kB", "maps, kB"]
-    return table(["million multiplications", *head, "decisions a second, one after every event", "onnxruntime"], body)
+    return table(
+        [
+            "million multiplications",
+            *head,
+            "decisions a second, one after every event",
+            "onnxruntime",
+        ],
+        body,
+    )

@@ -1,12 +1,13 @@
-"""How long a decision takes: ours, from what has changed, and the same by onnxruntime, OpenVINO, torch and eventcv.
+"""How long a decision takes: ours, from what has changed, and the same by onnxruntime, OpenVINO,
+torch and eventcv.
 
     python -m experiments.decisions [--quick] [--json FILE] [--picture FILE]
 
-One process, one thread each, warm, interleaved, on the windows of the bundled recordings; before anything is timed, all
-must give the same logits within 1e-4. Decisions are timed twice: backends alternate from call to call (each finds
-the caches full of the others), and they decide in blocks (each has them to itself). Compare within one of these only.
-Rows whose package is not installed are left out, with the reason:
-`pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
+One process, one thread each, warm, interleaved, on the windows of the bundled recordings; before
+anything is timed, all must give the same logits within 1e-4. Decisions are timed twice: backends
+alternate from call to call (each finds the caches full of the others), and they decide in blocks
+(each has them to itself). Compare within one of these only. Rows whose package is not installed are
+left out, with the reason: `pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     """
     model = load_model(MODEL)
     recordings = bench_recordings(model.config)
-    windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
+    windows = [
+        window for events in recordings for window in windows_of(events, model.config.window_us)
+    ]
     counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
     with progress(2 + 2 * len(NEW_EVENTS), "compiling") as bar, one_thread(is_installed("torch")):
         warmup(model)
@@ -58,9 +61,15 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
             bar.update(title=f"from packet to decision, new events: {n_new}")
             whole[str(n_new)] = end_to_end.bench_end_to_end(model, way, windows, n_new, **counts)
         bar.update(title="a decision after every event")
-        others = {name: f for name, f in networks.items() if name not in backends.ONNXRUNTIME or name == way}
+        others = {
+            name: f
+            for name, f in networks.items()
+            if name not in backends.ONNXRUNTIME or name == way
+        }
         n_events = 500 if quick else None
-        rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=n_events)
+        rates = bench_every_event(
+            model, others, recordings, rounds=settings["rounds"], n_events=n_events
+        )
     return {
         "machine": machine(*PACKAGES),
         "settings": {"quick": quick, "threads": 1, **settings, "onnxruntime_way": way},
@@ -87,7 +96,13 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser("decisions", __doc__, "few rounds", draws=True)
-    return run_script(parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), "decisions", draw_decisions)
+    return run_script(
+        parser,
+        argv,
+        lambda quick: measure(QUICK if quick else FULL, quick),
+        "decisions",
+        draw_decisions,
+    )
 
 
 if __name__ == "__main__":

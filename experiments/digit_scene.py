@@ -22,15 +22,17 @@ from async_tnt.kernels.jit import compiled
 
 @dataclass(frozen=True)
 class Scene:
-    """What the sensor looks at. The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares them.
+    """What the sensor looks at. The defaults are fitted to N-MNIST: `experiments/RESULTS.md`
+    compares them.
 
     Attributes
     ----------
     contrast : ratio of the brighter to the darker luminance, above 1.
-    gamma : exponent from the image's values to the screen's luminance; above 1 makes strokes thinner.
+    gamma : exponent from the image's values to the screen's luminance; above 1 makes strokes
+        thinner.
     blur_px : standard deviation of the lens' Gaussian point spread, in sensor pixels.
-    dark_on_bright : True shows dark strokes on a bright background, so ON events trail the motion and OFF events
-        lead it, as in N-MNIST; False the reverse, with the opposite polarity.
+    dark_on_bright : True shows dark strokes on a bright background, so ON events trail the motion
+        and OFF events lead it, as in N-MNIST; False the reverse, with the opposite polarity.
     """
 
     contrast: float = 5.0
@@ -44,16 +46,23 @@ class Scene:
         if not (math.isfinite(self.gamma) and self.gamma > 0):
             raise ValueError(f"`gamma` must be a finite exponent above 0, got {self.gamma}")
         if not (math.isfinite(self.blur_px) and self.blur_px >= 0):
-            raise ValueError(f"`blur_px` must be a finite number of pixels, at least 0, got {self.blur_px}")
+            raise ValueError(
+                f"`blur_px` must be a finite number of pixels, at least 0, got {self.blur_px}"
+            )
 
 
 def render(
-    image: np.ndarray, dx: np.ndarray, dy: np.ndarray, *, scene: Scene | None = None, sensor: tuple[int, int] = (34, 34)
+    image: np.ndarray,
+    dx: np.ndarray,
+    dy: np.ndarray,
+    *,
+    scene: Scene | None = None,
+    sensor: tuple[int, int] = (34, 34),
 ) -> np.ndarray:
     """Frames of log luminance of an image displaced by (dx, dy) pixels.
 
-    Frame k at sensor pixel (x, y) shows the blurred image at (x - dx[k], y - dy[k]), interpolated bilinearly;
-    beyond the image is background.
+    Frame k at sensor pixel (x, y) shows the blurred image at (x - dx[k], y - dy[k]), interpolated
+    bilinearly; beyond the image is background.
 
     Parameters
     ----------
@@ -72,21 +81,29 @@ def render(
     """
     scene = Scene() if scene is None else scene
     strokes = _checked_image(image) ** scene.gamma
-    dx, dy = (np.ascontiguousarray(plain_array(name, d), np.float64) for name, d in (("dx", dx), ("dy", dy)))
+    dx, dy = (
+        np.ascontiguousarray(plain_array(name, d), np.float64)
+        for name, d in (("dx", dx), ("dy", dy))
+    )
     if dx.ndim != 1 or dx.shape != dy.shape:
-        raise ValueError(f"`dx` and `dy` must be 1-D and equally long, got shapes {dx.shape} and {dy.shape}")
+        raise ValueError(
+            f"`dx` and `dy` must be 1-D and equally long, got shapes {dx.shape} and {dy.shape}"
+        )
     if not (np.isfinite(dx).all() and np.isfinite(dy).all()):
         raise ValueError("`dx` and `dy` must be finite")
     width, height = sensor
     if width < 1 or height < 1:
         raise ValueError(f"`sensor` must be a positive (width, height), got {sensor}")
 
-    margin = math.ceil(3.0 * scene.blur_px) + 1  # 3 standard deviations of blur, and one pixel of background around
+    # 3 standard deviations of blur, and one pixel of background around
+    margin = math.ceil(3.0 * scene.blur_px) + 1
     blurred = _blur(np.pad(strokes, margin), scene.blur_px)
     frames = np.empty((len(dx), height, width))
     translate(frames, blurred, dx - margin, dy - margin)
     depth = 1.0 - 1.0 / scene.contrast
-    return np.log(1.0 - depth * frames if scene.dark_on_bright else 1.0 / scene.contrast + depth * frames)
+    return np.log(
+        1.0 - depth * frames if scene.dark_on_bright else 1.0 / scene.contrast + depth * frames
+    )
 
 
 def _checked_image(image: np.ndarray) -> np.ndarray:
@@ -98,7 +115,9 @@ def _checked_image(image: np.ndarray) -> np.ndarray:
     if image.dtype.kind != "f":
         raise ValueError(f"`image` must be uint8 (0-255) or floating (0-1), got {image.dtype}")
     if not ((image >= 0) & (image <= 1)).all():  # also refuses nan
-        raise ValueError(f"a floating `image` must lie in [0, 1], got {image.min()} to {image.max()}")
+        raise ValueError(
+            f"a floating `image` must lie in [0, 1], got {image.min()} to {image.max()}"
+        )
     return image.astype(np.float64)
 
 
@@ -119,7 +138,8 @@ def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
 def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> None:
     """Shift an image by a fraction of pixels, bilinearly.
 
-    frames[k, y, x] = sum_ij image[i, j] k(y - dy[k] - i) k(x - dx[k] - j),    k(a) = max(0, 1 - |a|)
+    frames[k, y, x] = sum_ij image[i, j] k(y - dy[k] - i) k(x - dx[k] - j),    k(a) = max(0, 1 -
+                                                                               |a|)
 
     Parameters
     ----------

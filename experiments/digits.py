@@ -2,9 +2,10 @@
 
     python -m experiments.digits [--nmnist FOLDER] [--mnist FOLDER] [--out FOLDER]
 
-Five trainings, each continuing the one before, on N-MNIST's recordings, simulated ones, and both under other motions;
-the last two also show windows without a digit. Finished steps in --out are kept, interrupted ones resume. It takes an
-hour for the motions and another for the trainings, and writes OUT/digits.safetensors.
+Five trainings, each continuing the one before, on N-MNIST's recordings, simulated ones, and both
+under other motions; the last two also show windows without a digit. Finished steps in --out are
+kept, interrupted ones resume. It takes an hour for the motions and another for the trainings, and
+writes OUT/digits.safetensors.
 """
 
 from __future__ import annotations
@@ -64,7 +65,16 @@ STEPS = {
     "second": Step(8, 0.001, 0.5),
     "third": Step(12, 0.001, 0.6),
     "fourth": Step(8, 0.0005, 0.6, 2, Augmentation(partial=0.5, nothing=0.2)),
-    "digits": Step(20, 0.001, 0.6, 2, Augmentation(partial=0.5, nothing=0.15), 0.9995, is_taught=True, kept=0.27),
+    "digits": Step(
+        20,
+        0.001,
+        0.6,
+        2,
+        Augmentation(partial=0.5, nothing=0.15),
+        0.9995,
+        is_taught=True,
+        kept=0.27,
+    ),
 }
 
 
@@ -82,13 +92,23 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
             data.training,
             data.validation,
             data.config,
-            MotionSettings(variations=step.variations, recorded=step.recorded).for_epochs(step.epochs),
+            MotionSettings(variations=step.variations, recorded=step.recorded).for_epochs(
+                step.epochs
+            ),
             out / f"motions-{step.variations}",
             workers=available_cores(),
             progress=progress,
         )
         teachers: list[Model] = [model] if model is not None and step.is_taught else []
-        fitted = fit(data, settings, out / name, start=model, motions=motions, teachers=teachers, progress=progress)
+        fitted = fit(
+            data,
+            settings,
+            out / name,
+            start=model,
+            motions=motions,
+            teachers=teachers,
+            progress=progress,
+        )
         if model is not None and step.kept:
             fitted = mixed(model, fitted, step.kept, data)
         if step is list(steps.values())[-1]:
@@ -100,8 +120,12 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
 
 
 def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fitted:
-    """The model with `kept` of the weights before and the rest of `fitted`, calibrated again on what is held out."""
-    weights = {name: kept * before.weights[name] + (1 - kept) * after for name, after in fitted.model.weights.items()}
+    """The model with `kept` of the weights before and the rest of `fitted`, calibrated again on
+    what is held out."""
+    weights = {
+        name: kept * before.weights[name] + (1 - kept) * after
+        for name, after in fitted.model.weights.items()
+    }
     model = replace(fitted.model, weights=weights, record={**fitted.model.record, "kept": kept})
     if not len(data.validation):
         return replace(fitted, model=model)
@@ -114,15 +138,33 @@ def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fit
 def main(argv: list[str] | None = None) -> int:
     """Train `digits`."""
     parser = plain_parser("digits", __doc__)
-    add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
+    add_folder(
+        parser,
+        "--nmnist",
+        "with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)",
+    )
     add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
-    parser.add_argument("--out", type=Path, default=Path("digits"), metavar="FOLDER", help="models (default: digits)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("digits"),
+        metavar="FOLDER",
+        help="models (default: digits)",
+    )
     args = parser.parse_args(argv)
-    folders = data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist")
+    folders = (
+        data_folder(args.nmnist, "nmnist", "--nmnist"),
+        data_folder(args.mnist, "mnist", "--mnist"),
+    )
     args.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)  # another number gives slightly different weights
-    model = train_digits(digits_data(*folders, CONFIG, simulated=SIMULATED, progress=progress), STEPS, args.out)
-    print(f"wrote {args.out / 'digits.safetensors'}: {model.record['test']['per_window']:.4f} of Test's windows right")
+    model = train_digits(
+        digits_data(*folders, CONFIG, simulated=SIMULATED, progress=progress), STEPS, args.out
+    )
+    print(
+        f"wrote {args.out / 'digits.safetensors'}: {model.record['test']['per_window']:.4f} of "
+        "Test's windows right"
+    )
     return 0
 
 

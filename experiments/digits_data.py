@@ -1,4 +1,5 @@
-"""Recordings of digits to train on, N-MNIST's and simulated ones, and the windows that `digits` learned from."""
+"""Recordings of digits to train on, N-MNIST's and simulated ones, and the windows that `digits`
+learned from."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ SACCADE_US = 105_000
 DURATION_US = 3 * SACCADE_US
 """Of an N-MNIST recording; its few later events are left out."""
 FIRST_INDEX = 5_000
-"""Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
-held out for validation; the bundled samples show images 2,000 to 2,100."""
+"""Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000,
+some of which are held out for validation; the bundled samples show images 2,000 to 2,100."""
 
 
 def read_nmnist_folder(
@@ -47,13 +48,17 @@ def read_nmnist_folder(
     FileNotFoundError : no such folder.
     """
     digits = find_recordings(folder)
-    found = [(one, int(digit)) for digit, of_digit in digits.items() for one in of_digit[:per_digit]]
+    found = [
+        (one, int(digit)) for digit, of_digit in digits.items() for one in of_digit[:per_digit]
+    ]
     events = []
     with progress(len(found), "reading") as bar:
         for one, _ in found:
             bar.update()
             events.append(read_nmnist(one.path))
-    return Recordings.from_events(events, [digit for _, digit in found], [one.name for one, _ in found])
+    return Recordings.from_events(
+        events, [digit for _, digit in found], [one.name for one, _ in found]
+    )
 
 
 def simulate_recordings(
@@ -64,7 +69,8 @@ def simulate_recordings(
     leave_out: Collection[int] = (),
     progress: Callable[..., Bar] = Bar,
 ) -> Recordings:
-    """Simulate `n` recordings of different MNIST training images, drawn from index `FIRST_INDEX` on.
+    """Simulate `n` recordings of different MNIST training images, drawn from index `FIRST_INDEX`
+    on.
 
     Each has its own random generator, seeded by (seed, index of the image).
 
@@ -81,7 +87,9 @@ def simulate_recordings(
     drawn = FIRST_INDEX + np.random.default_rng(seed).permutation(max(0, len(images) - FIRST_INDEX))
     drawn = drawn[~np.isin(drawn, list(leave_out))]
     if not 0 <= n <= len(drawn):
-        raise ValueError(f"the number of simulated recordings must be in [0, {len(drawn)}], got {n}")
+        raise ValueError(
+            f"the number of simulated recordings must be in [0, {len(drawn)}], got {n}"
+        )
     indices = drawn[:n]
     events = []
     with progress(n, "simulating") as bar:
@@ -126,9 +134,16 @@ def split_recordings(
 
 
 def digits_data(
-    folder: Path, mnist: Path, config: TNTConfig, *, simulated: int, seed: int = 0, progress: Callable[..., Bar]
+    folder: Path,
+    mnist: Path,
+    config: TNTConfig,
+    *,
+    simulated: int,
+    seed: int = 0,
+    progress: Callable[..., Bar],
 ) -> TrainingData:
-    """N-MNIST's Train, a tenth of its recordings held out, with simulated recordings of MNIST; and its Test.
+    """N-MNIST's Train, a tenth of its recordings held out, with simulated recordings of MNIST; and
+    its Test.
 
     Parameters
     ----------
@@ -150,7 +165,12 @@ def digits_data(
     }
     testing = read_nmnist_folder(folder / "Test", progress=progress)
     tests: dict[str, tuple[Windows, dict[str, Any]]] = {
-        name: (make_windows(testing, config.window_us, first_event=first_event, duration_us=DURATION_US), {})
+        name: (
+            make_windows(
+                testing, config.window_us, first_event=first_event, duration_us=DURATION_US
+            ),
+            {},
+        )
         for name, first_event in (("test", False), ("test_windows_from_first_event", True))
     }
     training, validation = (

@@ -1,4 +1,5 @@
-"""The picture of `experiments/decisions.py`: microseconds per decision against events since the previous one."""
+"""The picture of `experiments/decisions.py`: microseconds per decision against events since the
+previous one."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ from async_tnt.views.figure_style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-GREEN, PINK, ORANGE = "#009E73", "#B5548F", "#B87A00"  # of Okabe and Ito's, the light ones darker: they are words too
+# of Okabe and Ito's, the light ones darker: they are words too
+GREEN, PINK, ORANGE = "#009E73", "#B5548F", "#B87A00"
 ONNXRUNTIME = "onnxruntime_run", "onnxruntime_binding"
 NETWORKS = {
     "incremental": ("async_tnt,\nincremental", ON),
@@ -40,14 +42,18 @@ WAYS = {
 
 
 def draw_decisions(report: dict[str, Any]) -> Figure:
-    """Two panels on one logarithmic axis: the network alone, and from a packet to the decision. Medians and quartiles
-    in blocks, lines named at their ends; medians from call to call are hollow."""
+    """Two panels on one logarithmic axis: the network alone, and from a packet to the decision.
+    Medians and quartiles in blocks, lines named at their ends; medians from call to call are
+    hollow."""
     figure = new_figure(4.8)
     left = axes_at(figure, 0.73, 0.82, 3.02, 3.07)
     right = axes_at(figure, 5.67, 0.82, 2.7, 3.07, sharey=left)
     slower = {name for name in ONNXRUNTIME if name != report["settings"]["onnxruntime_way"]}
     networks = {name: look for name, look in NETWORKS.items() if name not in slower}
-    ends = [draw_lines(left, report["network"], networks), draw_lines(right, report["end_to_end"], WAYS)]
+    ends = [
+        draw_lines(left, report["network"], networks),
+        draw_lines(right, report["end_to_end"], WAYS),
+    ]
     lay_axis(left)
     for axes, named in zip((left, right), ends, strict=True):
         _name_lines(axes, named)
@@ -58,7 +64,8 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     size = f"{config['bins']} x {config['grid'][1]} x {config['grid'][0]}"
     headline(figure, f"Time per decision, model {name} ({size})")
     words = (
-        f"filled: medians and quartiles in blocks of {report['settings']['decisions_a_block']} calls; "
+        f"filled: medians and quartiles in blocks of {report['settings']['decisions_a_block']} "
+        "calls; "
         "hollow: medians when backends alternate from call to call.\n"
         f"{report['machine']['cpu']}, one thread."
     )
@@ -66,7 +73,9 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     return figure
 
 
-def draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]]) -> list[tuple[float, str, str]]:
+def draw_lines(
+    axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]]
+) -> list[tuple[float, str, str]]:
     """Returns where each line ends, its words and its colour."""
     counts = list(rows)
     shown = [name for name in looks if name in rows[counts[0]]["in_blocks"]["us"]]
@@ -75,11 +84,17 @@ def draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]
         label, colour = looks[name]
         blocks = [rows[n]["in_blocks"]["us"][name] for n in counts]
         medians = [us["median"] for us in blocks]
-        whiskers = [[us["median"] - us["q1"] for us in blocks], [us["q3"] - us["median"] for us in blocks]]
-        at = [place + 0.03 * (k - len(shown) / 2) for place in range(len(counts))]  # bars beside one another
+        whiskers = [
+            [us["median"] - us["q1"] for us in blocks],
+            [us["q3"] - us["median"] for us in blocks],
+        ]
+        # bars beside one another
+        at = [place + 0.03 * (k - len(shown) / 2) for place in range(len(counts))]
         strong = name in ("incremental", "ours")
         look = {"ms": 6, "lw": 2.4, "zorder": 3} if strong else {"ms": 4.5, "lw": 1.4, "zorder": 2}
-        axes.errorbar(at, medians, yerr=whiskers, color=colour, marker="o", elinewidth=1, capsize=2, **look)
+        axes.errorbar(
+            at, medians, yerr=whiskers, color=colour, marker="o", elinewidth=1, capsize=2, **look
+        )
         turns = [rows[n]["call_by_call"]["us"][name]["median"] for n in counts]
         axes.plot(at, turns, ls="", marker="o", ms=4.5, mfc="white", mec=colour, mew=1.1, zorder=1)
         ends.append((medians[-1], label, colour))
@@ -94,7 +109,9 @@ def draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]
 def lay_axis(axes: Any) -> None:
     axes.set_yscale("log")
     low, high = axes.get_ylim()
-    ticks = [step * 10**k for k in range(-1, 6) for step in (1, 2, 5) if low <= step * 10**k <= high]
+    ticks = [
+        step * 10**k for k in range(-1, 6) for step in (1, 2, 5) if low <= step * 10**k <= high
+    ]
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.set_ylim(low, high)

@@ -1,13 +1,16 @@
-"""What a motion does not show, on real recordings: edges along it give no events, and a reversed one swaps polarity.
+"""What a motion does not show, on real recordings: edges along it give no events, and a reversed
+one swaps polarity.
 
     python -m experiments.edges --nmnist N-MNIST --mnist MNIST --json experiments/results/edges.json
 
-A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt = -v . grad L. Each saccade's events
-are moved back along N-MNIST's path, onto the image that was shown, whose gradient is known.
+A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt = -v . grad L. Each
+saccade's events are moved back along N-MNIST's path, onto the image that was shown, whose gradient
+is known.
 
-- By the angle between gradient and motion: events for each unit of gradient, which should fall like the cosine, and
-  how many of them have the polarity of -v . grad L.
-- Between two saccades: correlation over pixels of signed images, as measured, and of -v . grad L; and of unsigned ones.
+- By the angle between gradient and motion: events for each unit of gradient, which should fall like
+  the cosine, and how many of them have the polarity of -v . grad L.
+- Between two saccades: correlation over pixels of signed images, as measured, and of -v . grad L;
+  and of unsigned ones.
 """
 
 from __future__ import annotations
@@ -43,12 +46,15 @@ def directions() -> np.ndarray:
 
 
 def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed and unsigned counts (34, 34) of events, moved along N-MNIST's path to where the image is centred."""
+    """Signed and unsigned counts (34, 34) of events, moved along N-MNIST's path to where the image
+    is centred."""
     dx, dy = PATH.position(events["t"])
     x, y = np.rint(events["x"] - dx + 3.0).astype(int), np.rint(events["y"] - dy + 3.0).astype(int)
     inside = (x >= 0) & (x < 34) & (y >= 0) & (y < 34)
     place, sign = (34 * y + x)[inside], 2.0 * events["p"][inside] - 1.0
-    signed, unsigned = (np.bincount(place, w, minlength=34 * 34).reshape(34, 34) for w in (sign, np.abs(sign)))
+    signed, unsigned = (
+        np.bincount(place, w, minlength=34 * 34).reshape(34, 34) for w in (sign, np.abs(sign))
+    )
     return signed, unsigned
 
 
@@ -65,7 +71,9 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
     shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]
     towards, bins = directions(), len(ANGLES_DEG) - 1
     events_of, right_of, gradient_of, cosine_of = np.zeros((4, bins))
-    correlations: dict[tuple[int, int], list[list[float]]] = {pair: [] for pair in combinations(range(3), 2)}
+    correlations: dict[tuple[int, int], list[list[float]]] = {
+        pair: [] for pair in combinations(range(3), 2)
+    }
     with progress(len(shown), "comparing events with images") as bar:
         for i in shown:
             slope = gradient(images[i])
@@ -73,7 +81,8 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
             edges = steepness > LEAST_GRADIENT
             expected, signed, unsigned = [], [], []
             recorded = read_nmnist(found[i])
-            saccades = np.split(recorded, np.searchsorted(recorded["t"], ENDS_US[1:]))  # and what follows the last one
+            # and what follows the last one
+            saccades = np.split(recorded, np.searchsorted(recorded["t"], ENDS_US[1:]))
             for v, saccade in zip(towards, saccades, strict=False):
                 sign, count = moved_back(saccade)
                 change = -slope @ v
@@ -87,7 +96,9 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
                 signed.append(sign.ravel())
                 unsigned.append(count.ravel())
             for (a, b), values in correlations.items():
-                values.append([float(np.corrcoef(of[a], of[b])[0, 1]) for of in (signed, expected, unsigned)])
+                values.append(
+                    [float(np.corrcoef(of[a], of[b])[0, 1]) for of in (signed, expected, unsigned)]
+                )
             bar.update()
     return {
         "recordings": len(shown),
@@ -98,7 +109,13 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
         "between_saccades": {
             f"{a + 1}-{b + 1}": {
                 "angle_deg": float(np.degrees(np.arccos(towards[a] @ towards[b]))),
-                **dict(zip(("signed", "expected", "unsigned"), np.mean(values, axis=0).tolist(), strict=True)),
+                **dict(
+                    zip(
+                        ("signed", "expected", "unsigned"),
+                        np.mean(values, axis=0).tolist(),
+                        strict=True,
+                    )
+                ),
             }
             for (a, b), values in correlations.items()
         },
@@ -112,8 +129,13 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "MNIST's IDX files (default: $TNT_DATA/mnist)")
     args = parser.parse_args(argv)
-    folders = (data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist"))
-    return run_script(parser, argv, lambda quick: measure(*folders, 50 if quick else N_RECORDINGS), "edges")
+    folders = (
+        data_folder(args.nmnist, "nmnist", "--nmnist"),
+        data_folder(args.mnist, "mnist", "--mnist"),
+    )
+    return run_script(
+        parser, argv, lambda quick: measure(*folders, 50 if quick else N_RECORDINGS), "edges"
+    )
 
 
 if __name__ == "__main__":

@@ -1,23 +1,26 @@
-"""Objects on a large sensor: how well a map model finds digits in scenes of several real recordings.
+"""Objects on a large sensor: how well a map model finds digits in scenes of several real
+recordings.
 
-    python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N] [--json FILE]
-    python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
+    python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N]
+    [--json FILE] python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
     python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
 
-The third makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER --everywhere`: N-MNIST's
-Train, and 10,000 of MNIST's training images.
+The third makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER
+--everywhere`: N-MNIST's Train, and 10,000 of MNIST's training images.
 
-Three recordings of one saccade each (eight on 640x480) stand anywhere on a sensor of 128x96, in whole pixels, begin
-within 50 ms of each other, and are streamed with uniform noise of .3 Hz a pixel. An object is found where one of its
-class is named within 5 pixels of its middle, halfway between the 2nd and 98th percentile of its events (some noise is
-farther out), the likeliest one first. Objects are apart by at least 30 pixels; in `close` by at least 16, where they
-may cover each other by up to a third; in `overlapping` each is 16 to 24 from another one. Shares no code with
+Three recordings of one saccade each (eight on 640x480) stand anywhere on a sensor of 128x96, in
+whole pixels, begin within 50 ms of each other, and are streamed with uniform noise of .3 Hz a
+pixel. An object is found where one of its class is named within 5 pixels of its middle, halfway
+between the 2nd and 98th percentile of its events (some noise is farther out), the likeliest one
+first. Objects are apart by at least 30 pixels; in `close` by at least 16, where they may cover each
+other by up to a third; in `overlapping` each is 16 to 24 from another one. Shares no code with
 `train --everywhere`.
 
-F1 at 105 ms after the first object's start, and after 30 ms of the *last* one; objects in noise alone, a window.
+F1 at 105 ms after the first object's start, and after 30 ms of the *last* one; objects in noise
+alone, a window.
 
-With --cars: two recordings of N-CARS' test part on 304x240 pixels, where cars are to be found, within 15 pixels of
-their middles, and background is not.
+With --cars: two recordings of N-CARS' test part on 304x240 pixels, where cars are to be found,
+within 15 pixels of their middles, and background is not.
 """
 
 from __future__ import annotations
@@ -35,7 +38,14 @@ from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_moments import made_columns, on_sensor
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
-from experiments.script_options import add_count, add_folder, data_folder, exit_with, script_parser, write_outputs
+from experiments.script_options import (
+    add_count,
+    add_folder,
+    data_folder,
+    exit_with,
+    script_parser,
+    write_outputs,
+)
 
 EARLY_US, STARTS_US, NOISE_HZ = 30_000, 50_000, 0.3
 N_PICTURES = 10_000
@@ -122,12 +132,16 @@ def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
     return np.array([len(truth) - len(left), len(objects), len(truth)])
 
 
-def measure(model: Model, files: list[Path], n_objects: int, kind: Kind, seed: int = 0) -> dict[str, float]:
-    """F1 at the end and early, of scenes of n objects together that hold each recording at most once, where there are
-    enough."""
+def measure(
+    model: Model, files: list[Path], n_objects: int, kind: Kind, seed: int = 0
+) -> dict[str, float]:
+    """F1 at the end and early, of scenes of n objects together that hold each recording at most
+    once, where there are enough."""
     rng = np.random.default_rng(seed)
     n_scenes = n_objects // kind.n_objects
-    order = np.concatenate([rng.permutation(len(files)) for _ in range(-(-n_objects // len(files)))])
+    order = np.concatenate(
+        [rng.permutation(len(files)) for _ in range(-(-n_objects // len(files)))]
+    )
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     total, early = np.zeros(3), np.zeros(3)
     for some in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
@@ -138,7 +152,10 @@ def measure(model: Model, files: list[Path], n_objects: int, kind: Kind, seed: i
         early += counts(processor.fire().objects, truth, kind.within)
         processor.push(events[n_early:])
         total += counts(processor.fire().objects, truth, kind.within)
-    return {"end": float(2 * total[0] / total[1:].sum()), "early": float(2 * early[0] / early[1:].sum())}
+    return {
+        "end": float(2 * total[0] / total[1:].sum()),
+        "early": float(2 * early[0] / early[1:].sum()),
+    }
 
 
 def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
@@ -165,11 +182,17 @@ def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("everywhere", __doc__, "ten scenes")
-    parser.add_argument("models", nargs="*", metavar="MODEL", help="map models of ten digits, or of cars")
-    parser.add_argument("--write", type=Path, metavar="FOLDER", help="make the data of the bundled model there")
+    parser.add_argument(
+        "models", nargs="*", metavar="MODEL", help="map models of ten digits, or of cars"
+    )
+    parser.add_argument(
+        "--write", type=Path, metavar="FOLDER", help="make the data of the bundled model there"
+    )
     add_folder(parser, "--nmnist", "with Train and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
-    parser.add_argument("--cars", type=Path, metavar="FOLDER", help="N-CARS: test on scenes of its test part")
+    parser.add_argument(
+        "--cars", type=Path, metavar="FOLDER", help="N-CARS: test on scenes of its test part"
+    )
     parser.add_argument("--part", choices=("Test", "Train"), help="of N-MNIST (default: Test)")
     add_count(parser, "--scenes", 330, "of three objects each; of other kinds as many objects")
     args = parser.parse_args(argv)

@@ -1,11 +1,13 @@
-"""How many real recordings does a classifier need beside pictures, and without? N-MNIST's Test against those of Train.
+"""How many real recordings does a classifier need beside pictures, and without? N-MNIST's Test
+against those of Train.
 
-    python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N] [--out FOLDER] [--json FILE]
+    python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N] [--out
+    FOLDER] [--json FILE]
                                          [--picture FILE]
 
-Each data set has MNIST's training images, or none, and the first 0, 1, 10, 100 or all recordings of each class;
-`async-tnt train` is given the sensor's size alone. Where it finds pictures, it also turns, shears and thins windows.
-Finished trainings in --out are kept, interrupted ones resume.
+Each data set has MNIST's training images, or none, and the first 0, 1, 10, 100 or all recordings of
+each class; `async-tnt train` is given the sensor's size alone. Where it finds pictures, it also
+turns, shears and thins windows. Finished trainings in --out are kept, interrupted ones resume.
 """
 
 from __future__ import annotations
@@ -20,7 +22,14 @@ from async_tnt.progress import progress
 from async_tnt.views.figure_style import OFF, ON, axes_at, headline, new_figure
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist
-from experiments.script_options import add_count, add_folder, data_folder, exit_with, run_script, script_parser
+from experiments.script_options import (
+    add_count,
+    add_folder,
+    data_folder,
+    exit_with,
+    run_script,
+    script_parser,
+)
 from experiments.unseen_motions import command
 
 if TYPE_CHECKING:
@@ -34,7 +43,8 @@ WAYS = {"pictures and recordings": ON, "recordings alone": OFF}
 
 
 def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
-    """Links to pictures and to the first `n` recordings of each class. Returns how many recordings a class has."""
+    """Links to pictures and to the first `n` recordings of each class. Returns how many recordings
+    a class has."""
     counts = []
     for source in sorted(path for path in (nmnist / "Train").iterdir() if path.is_dir()):
         recordings = sorted(source.glob("*.bin"))[:n]
@@ -50,7 +60,9 @@ def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
 
 def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> dict[str, Any]:
     """Train and test all of them."""
-    n_pictures, options, per_class = (20, ("--epochs", "1"), (0, 10)) if quick else (60_000, (), PER_CLASS)
+    n_pictures, options, per_class = (
+        (20, ("--epochs", "1"), (0, 10)) if quick else (60_000, (), PER_CLASS)
+    )
     write_mnist(pictures := out / "mnist", mnist, n_pictures)
     found: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
     with progress(len(WAYS) * len(per_class), "training") as bar:
@@ -65,22 +77,40 @@ def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> di
                 networks = []
                 for seed in range(seeds):
                     model = out / f"{folder.name}-{seed}.safetensors"
-                    words = ["train", folder, "--sensor", "34x34", *options, "--seed", seed, "--out", model, "--json"]
+                    words = [
+                        "train",
+                        folder,
+                        "--sensor",
+                        "34x34",
+                        *options,
+                        "--seed",
+                        seed,
+                        "--out",
+                        model,
+                        "--json",
+                    ]
                     command(*words)
                     report = command("evaluate", model, nmnist / "Test", "--json")
-                    networks.append({name: report[name] for name in ("accuracy", "window_accuracy")})
+                    networks.append(
+                        {name: report[name] for name in ("accuracy", "window_accuracy")}
+                    )
                 rows.append({"per_class": there, "networks": networks})
     return {"ways": found, "pictures": n_pictures, "machine": machine("torch")}
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """Share of windows right against recordings of each class, on axes that spread out what is near 100 %."""
+    """Share of windows right against recordings of each class, on axes that spread out what is near
+    100 %."""
     figure = new_figure(3.6)
     axes = axes_at(figure, 0.8, 0.6, 9.2, 2.4)
     for way, colour in WAYS.items():
         rows = report["ways"][way]
-        wrong = [100 * (1 - np.mean([one["window_accuracy"] for one in row["networks"]])) for row in rows]
-        axes.plot([max(0.3, row["per_class"]) for row in rows], wrong, color=colour, marker="o", label=way)
+        wrong = [
+            100 * (1 - np.mean([one["window_accuracy"] for one in row["networks"]])) for row in rows
+        ]
+        axes.plot(
+            [max(0.3, row["per_class"]) for row in rows], wrong, color=colour, marker="o", label=way
+        )
     counts = [row["per_class"] for row in report["ways"]["pictures and recordings"]]
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -96,7 +126,9 @@ def draw(report: dict[str, Any]) -> Figure:
 
 def main(argv: list[str] | None = None) -> int:
     """Measure or read, print, write and draw."""
-    parser = script_parser("few_recordings", __doc__, "one epoch, 20 pictures, 10 recordings", draws=True)
+    parser = script_parser(
+        "few_recordings", __doc__, "one epoch, 20 pictures, 10 recordings", draws=True
+    )
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
     add_count(parser, "--seeds", 1, "networks of each")
@@ -104,7 +136,10 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
 
     def measured(quick: bool) -> dict[str, Any]:
-        folders = data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist")
+        folders = (
+            data_folder(args.nmnist, "nmnist", "--nmnist"),
+            data_folder(args.mnist, "mnist", "--mnist"),
+        )
         with TemporaryDirectory() as name:
             return measure(*folders, args.out or Path(name if quick else "few"), args.seeds, quick)
 

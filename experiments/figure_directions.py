@@ -38,7 +38,8 @@ def by_direction(per_motion: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """A polar panel for what was trained on: angle: direction of motion, downwards below; radius: accuracy."""
+    """A polar panel for what was trained on: angle: direction of motion, downwards below; radius:
+    accuracy."""
     from experiments.table_rows import ROWS
 
     table = report["table"]
@@ -52,7 +53,9 @@ def draw(report: dict[str, Any]) -> Figure:
                 title = ROWS[row].title.replace("`", "")
                 closed = np.append(angles, angles[0]), np.append(accuracies, accuracies[0])
                 axes.plot(*closed, label=title if place == 0 else None, lw=1.6, **look)
-        axes.plot(np.linspace(0, 2 * np.pi, 100), np.full(100, 0.1), color="#b0b0b0", lw=0.8, ls=":")
+        axes.plot(
+            np.linspace(0, 2 * np.pi, 100), np.full(100, 0.1), color="#b0b0b0", lw=0.8, ls=":"
+        )
         axes.set_ylim(0, 1)
         axes.set_yticks([0.25, 0.5, 0.75, 1.0], [".25", ".5", ".75", "1"])
         axes.set_rlabel_position(-20)
@@ -61,9 +64,16 @@ def draw(report: dict[str, Any]) -> Figure:
         for saccade in (1,) if column == "1/sim" else (1, 2, 3):
             angle = np.radians(SACCADES_DEG[saccade])
             axes.annotate(
-                "", (angle, 1.16), (angle, 1.01), arrowprops={"arrowstyle": "->", "color": TEXT}, annotation_clip=False
+                "",
+                (angle, 1.16),
+                (angle, 1.01),
+                arrowprops={"arrowstyle": "->", "color": TEXT},
+                annotation_clip=False,
             )
-    headline(figure, "Accuracy by direction of simulated motions; arrows: saccades trained on; dotted: guessing")
+    headline(
+        figure,
+        "Accuracy by direction of simulated motions; arrows: saccades trained on; dotted: guessing",
+    )
     figure.legend(loc="lower center", ncols=3, labelcolor=TEXT)
     return figure
 

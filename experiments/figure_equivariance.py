@@ -2,13 +2,15 @@
 
     python -m experiments.figure_equivariance [--picture docs/images/equivariance.png] [--json FILE]
 
-Flow is added to the first saccade of the bundled 3, on a larger sensor. With F the features of a layer of `digits` and
-T a translation by whole cells of the layer, the equivariance error is the smallest
+Flow is added to the first saccade of the bundled 3, on a larger sensor. With F the features of a
+layer of `digits` and T a translation by whole cells of the layer, the equivariance error is the
+smallest
 
     |F(L_v e) - T F(e)| / |F(e)|
 
-over T. Strides are the network's: a layer of stride 4 moves along with multiples of 4 pixels only. Dense layers have no
-place, and see the middle 34 x 34 cells, as on the network's own sensor: nothing is translated there.
+over T. Strides are the network's: a layer of stride 4 moves along with multiples of 4 pixels only.
+Dense layers have no place, and see the middle 34 x 34 cells, as on the network's own sensor:
+nothing is translated there.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ if TYPE_CHECKING:
 
 SIDE, OWN_SIDE, WINDOW_US, T_MAX, BINS = 82, 34, 105_000, 2.0, 9
 MARGIN = (SIDE - OWN_SIDE) // 2
-AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(SIDE, SIDE), grid=(SIDE, SIDE), bins=BINS)
+AT: dict[str, Any] = dict(
+    start_us=0, window_us=WINDOW_US, sensor=(SIDE, SIDE), grid=(SIDE, SIDE), bins=BINS
+)
 FLOWS = (0, 1, 2, 3, 5, 8, 13, 16)
 """In pixels per window, to the right. About the centre, v becomes a translation by v / t_max."""
 INPUTS: dict[str, dict[str, Any]] = {
@@ -61,7 +65,12 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
     t = torch.from_numpy(events["t"].astype(np.int64))
     place = torch.from_numpy(np.stack([events["x"], events["y"]]).astype(np.float64)) + MARGIN
     x, y = move_by_flow(t, place[0], place[1], (flow, 0.0), start_us=0, window_us=WINDOW_US)
-    columns: dict[str, Any] = {"t": t, "x": x, "y": y, "p": torch.from_numpy(events["p"].astype(np.int64))}
+    columns: dict[str, Any] = {
+        "t": t,
+        "x": x,
+        "y": y,
+        "p": torch.from_numpy(events["p"].astype(np.int64)),
+    }
     if not landmark:
         return event_volume(**columns, **AT, dtype=torch.float64)[None]
     return tnt_volume(**columns, **AT, t_max=T_MAX, **landmark, dtype=torch.float64)[None]
@@ -93,15 +102,19 @@ def measure(quick: bool = False) -> dict[str, Any]:
         empty = features(torch.zeros_like(of_flow[0][0]), weights)
         found[name] = {
             layer: [
-                _error(moved[k], of_flow[0][k], empty[k], of, flow) for flow, moved in zip(flows, of_flow, strict=True)
+                _error(moved[k], of_flow[0][k], empty[k], of, flow)
+                for flow, moved in zip(flows, of_flow, strict=True)
             ]
             for k, (layer, of) in enumerate(LAYERS.items())
         }
     return {"machine": machine(), "flows_px": flows, "errors": found}
 
 
-def _error(moved: torch.Tensor, still: torch.Tensor, empty: torch.Tensor, pixels: int, flow: int) -> float:
-    """By the best translation of 0 to `flow` pixels; cells that rolling round the border reaches are left out."""
+def _error(
+    moved: torch.Tensor, still: torch.Tensor, empty: torch.Tensor, pixels: int, flow: int
+) -> float:
+    """By the best translation of 0 to `flow` pixels; cells that rolling round the border reaches
+    are left out."""
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
     most, border = -(-flow // pixels), -(-4 // pixels)
@@ -119,7 +132,15 @@ def draw(report: dict[str, Any]) -> Figure:
         axes = axes_at(figure, 0.65 + 1.96 * k, 0.85, 1.7, 1.75, sharey=first)
         first = first or axes
         for (layer, row), colour in zip(of_layer.items(), colours, strict=True):
-            axes.plot(report["flows_px"], row, marker="o", ms=2.5, lw=1.2, color=colour, label=None if k else layer)
+            axes.plot(
+                report["flows_px"],
+                row,
+                marker="o",
+                ms=2.5,
+                lw=1.2,
+                color=colour,
+                label=None if k else layer,
+            )
         axes.set_title(name, color=TEXT)
         axes.set_xticks((0, 5, 10, 15))
         axes.grid(axis="y", color="#e4e4e4", lw=0.7)
@@ -128,7 +149,9 @@ def draw(report: dict[str, Any]) -> Figure:
     first.set_ylabel("equivariance error")
     figure.text(0.5, 0.12, "flow (pixels per window)", ha="center")
     headline(figure, "How far each layer is from moving along with the flow")
-    figure.legend(loc="lower center", ncols=len(LAYERS), labelcolor=TEXT, bbox_to_anchor=(0.5, -0.02))
+    figure.legend(
+        loc="lower center", ncols=len(LAYERS), labelcolor=TEXT, bbox_to_anchor=(0.5, -0.02)
+    )
     return figure
 
 

@@ -2,8 +2,8 @@
 
     python -m experiments.figure_groups --picture docs/images/groups.png
 
-The events of a bundled 3 are counted in an image, which is moved or turned before a convolution, and after it. Both are
-shown, and how far they differ, relative to the size of the features.
+The events of a bundled 3 are counted in an image, which is moved or turned before a convolution,
+and after it. Both are shown, and how far they differ, relative to the size of the features.
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ CASES = (
 
 
 def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
-    """The features of the transformed image, the transformed features, and their relative difference."""
+    """The features of the transformed image, the transformed features, and their relative
+    difference."""
     one, other = case.of(case.before(image)), case.expected(case.after(image))
     return one, other, float((one - other).norm() / other.norm())
 
@@ -119,7 +120,9 @@ def draw() -> Figure:
             axes.imshow(_tiled(part), cmap="RdBu_r", vmin=-most, vmax=most)
             if k == 0:
                 axes.set_title(head, fontsize=SMALL, color=TEXT)
-        write_at(figure, 2.6 + 1.45 * len(heads), top + 0.55, f"{error:.2f}", fontsize=SMALL, color=TEXT)
+        write_at(
+            figure, 2.6 + 1.45 * len(heads), top + 0.55, f"{error:.2f}", fontsize=SMALL, color=TEXT
+        )
     headline(figure, "What a convolution is equivariant to")
     return figure
 

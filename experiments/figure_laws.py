@@ -51,9 +51,10 @@ def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.cache
 def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: bool) -> np.ndarray:
-    """How far each event of a moving object lies from the same event of the object at rest, after the
-    transform, in units of D / t_max, where D is the displacement over the window."""
-    t = (np.arange(N) + 1) * (WINDOW_US // N)  # an even event rate; the last event at the window's end
+    """How far each event of a moving object lies from the same event of the object at rest, after
+    the transform, in units of D / t_max, where D is the displacement over the window."""
+    # an even event rate; the last event at the window's end
+    t = (np.arange(N) + 1) * (WINDOW_US // N)
     moved = 16.0 * path(t / WINDOW_US)
     y = np.full(N, 100.0)
     u = [
@@ -79,7 +80,8 @@ def landmark_table(path: Callable[[np.ndarray], np.ndarray]) -> None:
 
 
 def draw_motion_terms(path: str) -> None:
-    """The motion that each landmark leaves in the volume, in the course of the window: a translation is a flat line."""
+    """The motion that each landmark leaves in the volume, in the course of the window: a
+    translation is a flat line."""
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(10.4, 3.9), sharey=True, layout="constrained")
@@ -90,7 +92,9 @@ def draw_motion_terms(path: str) -> None:
     ):
         for (landmark, remove_flow), colour in zip(CASES, colours, strict=True):
             label = f"{landmark}, flow removed" if remove_flow else landmark
-            axis.plot(f, shift(motion, landmark, remove_flow), color=colour, label=label, linewidth=2)
+            axis.plot(
+                f, shift(motion, landmark, remove_flow), color=colour, label=label, linewidth=2
+            )
         axis.axhline(0.5, color="#bbbbbb", linewidth=0.8, linestyle=":", zorder=0)
         axis.set(title=title, xlabel="fraction f of the window", xlim=(0, 1), ylim=(-1.1, 1.6))
         axis.spines[["top", "right"]].set_visible(False)
@@ -100,7 +104,8 @@ def draw_motion_terms(path: str) -> None:
 
 
 def ridge_table() -> None:
-    """What `line` makes of constant flow v by the window's end, with events spread evenly over the window."""
+    """What `line` makes of constant flow v by the window's end, with events spread evenly over the
+    window."""
     rows = []
     for n in (10, 30, 100, 300, 1_300, 10_000):
         t = np.round((np.arange(n) + 1) * WINDOW_US / n).astype(np.int64)
@@ -109,18 +114,28 @@ def ridge_table() -> None:
         intercept = (tnt_reference.landmark("line", t, x, x, **AT)[-1, 0].item() - 100) / 16
         c_ff = n / 12
         rows.append(
-            [f"{n:,}", f"{flow:.3f}", f"{c_ff / (c_ff + 1):.3f}", f"{1 - intercept:.3f}", f"{1 - 0.5 / (c_ff + 1):.3f}"]
+            [
+                f"{n:,}",
+                f"{flow:.3f}",
+                f"{c_ff / (c_ff + 1):.3f}",
+                f"{1 - intercept:.3f}",
+                f"{1 - 0.5 / (c_ff + 1):.3f}",
+            ]
         )
     print_table(["events", "m / v", "C / (C + 1)", "translation", "1 - 1 / (2 (C + 1))"], rows)
 
 
 def wander_table() -> None:
-    """How far the landmark of an object at rest is from the object's middle, over 400 random objects."""
+    """How far the landmark of an object at rest is from the object's middle, over 400 random
+    objects."""
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     rows = []
     for landmark in ("running", "line"):
         strays = np.array(
-            [tnt_reference.landmark(landmark, t, *points(seed), **AT).numpy() - 100 for seed in range(400)]
+            [
+                tnt_reference.landmark(landmark, t, *points(seed), **AT).numpy() - 100
+                for seed in range(400)
+            ]
         )  # (objects, N, 2)
         rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
@@ -141,7 +156,9 @@ def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, A
     """The volume of a window's events, moved right and up by whole pixels."""
     volume = async_tnt.TNTVolume(async_tnt.TNTConfig(**options))
     volume.open(start_us)
-    volume.update((window["t"], window["x"].astype(int) + shift, window["y"].astype(int) - shift, window["p"]))
+    volume.update(
+        (window["t"], window["x"].astype(int) + shift, window["y"].astype(int) - shift, window["p"])
+    )
     return volume.array.astype(np.float64)
 
 
@@ -162,9 +179,11 @@ def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, An
 
 
 def translation_table() -> None:
-    """Proposition 3 on the bundled samples' windows: how far the volume of a translated stream is from the volume.
+    """Proposition 3 on the bundled samples' windows: how far the volume of a translated stream is
+    from the volume.
 
-    By 2 px each way, the most that the samples leave room for, in the stream; by 1/3 px in the reference.
+    By 2 px each way, the most that the samples leave room for, in the stream; by 1/3 px in the
+    reference.
     """
     inside = []
     for k, window in enumerate(sample_windows()):
@@ -181,7 +200,8 @@ def translation_table() -> None:
                 here = volume_of(window, start_us, 0, options)
                 there = volume_of(window, start_us, shift, options)
                 worst = max(worst, np.abs(there - here).max() / np.abs(here).max())
-            cells.append("below 1e-6" if worst < 1e-6 else f"{worst:.2f}")  # rounding is the machine's own
+            # rounding is the machine's own
+            cells.append("below 1e-6" if worst < 1e-6 else f"{worst:.2f}")
         rows.append([name_of(landmark, remove_flow), *cells])
     print_table(["landmark", "2 px, stream", "1/3 px, reference"], rows)
 
@@ -233,7 +253,8 @@ def t_max_table() -> None:
 
 
 def border_counts() -> str:
-    """Events that lie exactly on the border by exact arithmetic, and how float64 decides over them."""
+    """Events that lie exactly on the border by exact arithmetic, and how float64 decides over
+    them."""
     n = outside_a = outside_b = kept = 0
     for window_us in (800, 1_000, 10_000, 50_000, 100_000, 105_000):
         config = async_tnt.TNTConfig(window_us=window_us, landmark="center", transform="tnt")
@@ -254,17 +275,23 @@ def border_counts() -> str:
                 volume.update_one(int(dt), x, 16, 1)
                 kept += volume.counts.kept
     return (
-        f"{n} events exactly on the border: (x - l) / tau + c puts {outside_a} of them outside in float64, "
-        f"(x - l) * (1 / dt) * (window_us / t_max) + c {outside_b}; with the tolerance {kept} are kept."
+        f"{n} events exactly on the border: (x - l) / tau + c puts {outside_a} of them outside in "
+        "float64, "
+        f"(x - l) * (1 / dt) * (window_us / t_max) + c {outside_b}; with the tolerance {kept} are "
+        "kept."
     )
 
 
 def cancellation() -> str:
-    """1000 ON events, then 999 OFF events, at one pixel between two bins: one event should be left."""
+    """1000 ON events, then 999 OFF events, at one pixel between two bins: one event should be
+    left."""
     rng = np.random.default_rng(2)
     weights = rng.random(999)
     shares = np.concatenate([weights, [0.5], -weights])
-    sums = {dtype: np.add.accumulate(shares.astype(dtype), dtype=dtype)[-1] for dtype in (np.float32, np.float64)}
+    sums = {
+        dtype: np.add.accumulate(shares.astype(dtype), dtype=dtype)[-1]
+        for dtype in (np.float32, np.float64)
+    }
     errors = {dtype: abs(float(total) - 0.5) / 0.5 for dtype, total in sums.items()}
     return (
         "1000 ON and 999 OFF events in one cell: relative error of the cell "

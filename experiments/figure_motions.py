@@ -41,12 +41,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 N_SLICES = 4
-MEAN_PARTS, MEAN_SHARE = 12, 0.03  # the mean path: parts of the window, and the least share of events in one
+# the mean path: parts of the window, and the least share of events in one
+MEAN_PARTS, MEAN_SHARE = 12, 0.03
 
 
 def draw_motions(first: Window, second: Window) -> Figure:
-    """Two windows of a recording, a row each: events along the axis in which their motions differ most, and slices of
-    the volumes, raw and transformed."""
+    """Two windows of a recording, a row each: events along the axis in which their motions differ
+    most, and slices of the volumes, raw and transformed."""
     from matplotlib.lines import Line2D
 
     config = first.subject.config
@@ -69,7 +70,9 @@ def draw_motions(first: Window, second: Window) -> Figure:
         tnt = axes_at(figure, 3.38, top, 2.08, 2.52, sharex=raw, sharey=raw)
         _draw_along(raw, tnt, window, axis)
         look = {"rotation": 90, "ha": "center", "fontweight": "bold"}
-        write_at(figure, 0.21, top + 1.26, f"window {window.number}: {direction(flow, axis)}", **look)
+        write_at(
+            figure, 0.21, top + 1.26, f"window {window.number}: {direction(flow, axis)}", **look
+        )
         if window is second:
             raw.set_xlabel("time in the window (ms)")
             tnt.set_xlabel("time in the window (ms)")
@@ -88,14 +91,18 @@ def _picture(window: Window, n_columns: int, n_rows: int) -> tuple[float, float]
 
 
 def busiest_bins(volumes: np.ndarray, n_bins: int) -> list[int]:
-    """The evenly spaced bins with the most events: a saccade is slow, and makes few, at its start and end.
+    """The evenly spaced bins with the most events: a saccade is slow, and makes few, at its start
+    and end.
 
     volumes : (..., C, H, W), not negative; C is B, or 2 B.
     """
     weight = volumes.sum(axis=(0, -2, -1)).reshape(-1, n_bins).sum(axis=0)  # (B,)
     step = max(1, (n_bins - 1) // (2 * N_SLICES))
     n_shown = min(N_SLICES, n_bins)
-    runs = [list(range(k, k + step * (n_shown - 1) + 1, step)) for k in range(n_bins - step * (n_shown - 1))]
+    runs = [
+        list(range(k, k + step * (n_shown - 1) + 1, step))
+        for k in range(n_bins - step * (n_shown - 1))
+    ]
     return max(runs, key=lambda run: weight[run].sum())
 
 
@@ -121,7 +128,8 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
 
 
 def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -> None:
-    """Dots, and their mean position in each twelfth of the window, except where many fell off the grid."""
+    """Dots, and their mean position in each twelfth of the window, except where many fell off the
+    grid."""
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     axes.scatter(window.time_ms[shown], place[shown], s=3.2, c=colours, lw=0, rasterized=True)
@@ -139,7 +147,8 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
 
 
 def flow_of(window: Window) -> tuple[float, float]:
-    """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events move."""
+    """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events
+    move."""
     volume = TNTVolume(window.subject.config.replace(landmark="line", remove_flow=False))
     volume.open(window.start_us)
     volume.update(window.events)
@@ -149,8 +158,12 @@ def flow_of(window: Window) -> tuple[float, float]:
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
     parser = picture_parser("figure_motions", __doc__)
-    parser.add_argument("digit", nargs="?", type=int, choices=range(10), default=3, help="default: %(default)s")
-    parser.add_argument("--model", default="digits", help="a bundled model or a file (default: %(default)s)")
+    parser.add_argument(
+        "digit", nargs="?", type=int, choices=range(10), default=3, help="default: %(default)s"
+    )
+    parser.add_argument(
+        "--model", default="digits", help="a bundled model or a file (default: %(default)s)"
+    )
     args = parser.parse_args(argv)
     path, model = sample_recordings()[args.digit], load_model(args.model)
     subject = Subject(path.name, open_recording(path).read(), model.config, model, args.model)

@@ -22,16 +22,24 @@ TIMES_MS = 90, 200, 400
 def main(argv: list[str] | None = None) -> int:
     """Draw the picture."""
     parser = picture_parser("figure_objects", __doc__)
-    parser.add_argument("--model", default="digits-everywhere", help="a map model (default: %(default)s)")
+    parser.add_argument(
+        "--model", default="digits-everywhere", help="a map model (default: %(default)s)"
+    )
     args = parser.parse_args(argv)
     example: dict[str, Any] = runpy.run_path(str(EXAMPLE))
     events, _ = example["scene"](np.random.default_rng(0))
     model = load_model(args.model).for_sensor(example["SENSOR"])
-    found = [one for one in stream(np.array_split(events, 100), model, every_us=10_000) if not one.complete]
+    found = [
+        one
+        for one in stream(np.array_split(events, 100), model, every_us=10_000)
+        if not one.complete
+    ]
     shown = [[one for one in found if one.time_us <= 1000 * ms][-1] for ms in TIMES_MS]
     titles = [f"{ms} ms" for ms in TIMES_MS]
     words = "Six digits that begin one after the other on 320x240 pixels"
-    draw_into(args.picture, draw_objects, shown, titles, events, model.config.sensor, words, dpi=130)
+    draw_into(
+        args.picture, draw_objects, shown, titles, events, model.config.sensor, words, dpi=130
+    )
     return 0
 
 

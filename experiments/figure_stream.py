@@ -1,8 +1,10 @@
-"""Make README's moving picture: recordings as a stream, and what `digits` decides every millisecond.
+"""Make README's moving picture: recordings as a stream, and what `digits` decides every
+millisecond.
 
     python -m experiments.figure_stream --picture docs/images/stream.gif
 
-Left: the events of the last 15 ms, ON orange, OFF blue. Right: the probabilities of the classes at that moment.
+Left: the events of the last 15 ms, ON orange, OFF blue. Right: the probabilities of the classes at
+that moment.
 """
 
 from __future__ import annotations
@@ -56,14 +58,21 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
         x, y = 12 + SIDE * int(event["x"]), 12 + SIDE * int(event["y"])
         draw.rectangle((x + 1, y + 1, x + SIDE - 1, y + SIDE - 1), fill=ON if event["p"] else OFF)
     classes, left, top = load_model("digits").classes, 290, 52
-    probabilities = np.full(len(classes), 1 / len(classes)) if decision is None else decision.probabilities
+    probabilities = (
+        np.full(len(classes), 1 / len(classes)) if decision is None else decision.probabilities
+    )
     best = int(probabilities.argmax())
     for k, (name, probability) in enumerate(zip(classes, probabilities, strict=True)):
         y = top + 20 * k
         sure = k == best and probability >= 0.5
         draw.text((left, y), name, fill=INK, font=small)
-        draw.rectangle((left + 18, y + 3, left + 18 + int(170 * probability), y + 14), fill=INK if sure else PALE)
-    draw.text((left, 16), f"{1e3 * seconds:.0f} ms, a decision every millisecond", fill=INK, font=small)
+        draw.rectangle(
+            (left + 18, y + 3, left + 18 + int(170 * probability), y + 14),
+            fill=INK if sure else PALE,
+        )
+    draw.text(
+        (left, 16), f"{1e3 * seconds:.0f} ms, a decision every millisecond", fill=INK, font=small
+    )
     if probabilities[best] >= 0.5:
         draw.text((left + 210, top + 60), classes[best], fill=INK, font=large)
     return image
@@ -72,14 +81,18 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
 def main(argv: list[str] | None = None) -> int:
     """Write the picture."""
     parser = plain_parser("figure_stream", __doc__)
-    parser.add_argument("--picture", type=Path, metavar="FILE.gif", required=True, help="the moving picture")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE.gif", required=True, help="the moving picture"
+    )
     args = parser.parse_args(argv)
     check_writable(args.picture, (".gif",))
     with needs_extra("train", "pictures need Pillow"):
         from PIL import Image
     frames = [frame(*moment).quantize(16, dither=Image.Dither.NONE) for moment in moments()]
     with replacing(args.picture) as part, part.open("wb") as file:
-        frames[0].save(file, "GIF", save_all=True, append_images=frames[1:], duration=60, loop=0, optimize=True)
+        frames[0].save(
+            file, "GIF", save_all=True, append_images=frames[1:], duration=60, loop=0, optimize=True
+        )
     return 0
 
 

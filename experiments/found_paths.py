@@ -1,11 +1,13 @@
-"""In how many windows motion re-synthesis finds a path, and how often it is right; and how often where nothing moves.
+"""In how many windows motion re-synthesis finds a path, and how often it is right; and how often
+where nothing moves.
 
     python -m experiments.found_paths [--nmnist N-MNIST] [--windows N] [--json FILE] [--quick]
 
-N-MNIST's three saccades, with all and with a fifth of their events, and thirds of saccades with a fifth, alone and with
-the windows beside them: right is within 45 degrees of the median of those at full rate. Made hand motion, also of
-objects that turn or come near meanwhile: within 45 degrees of the direction of the swing. Noise is made here: uniform,
-all pixels flickering at once, of one polarity, in pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
+N-MNIST's three saccades, with all and with a fifth of their events, and thirds of saccades with a
+fifth, alone and with the windows beside them: right is within 45 degrees of the median of those at
+full rate. Made hand motion, also of objects that turn or come near meanwhile: within 45 degrees of
+the direction of the swing. Noise is made here: uniform, all pixels flickering at once, of one
+polarity, in pairs of ON and OFF, and at hot pixels, 50 to 3,000 events a window.
 """
 
 from __future__ import annotations
@@ -46,14 +48,17 @@ PARTS = np.arange(1, 17) / 16
 """Of a window, at whose ends a path's places are looked at."""
 
 
-def paths_of(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int, pixels: MeasuredPixels) -> Any:
+def paths_of(
+    windows: Sequence[Columns], sensor: tuple[int, int], window_us: int, pixels: MeasuredPixels
+) -> Any:
     """The `MotionPath` of each window."""
     reconstruction = Reconstruction(sensor, window_us, cell_for(windows, sensor))
     return [path for path, _ in reconstruction(windows, pixels)]
 
 
 def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
-    """How many paths were found, and how many of these and of all lead within 45 degrees of `angles`, in radians."""
+    """How many paths were found, and how many of these and of all lead within 45 degrees of
+    `angles`, in radians."""
     leads = np.array([path.at(PARTS).mean(0) for path in paths])
     off = np.abs(np.angle(np.exp(1j * (np.arctan2(leads[:, 1], leads[:, 0]) - angles))))
     found = np.array([not path.refused for path in paths])
@@ -70,7 +75,9 @@ def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
 def saccades(folder: Path, n: int) -> dict[str, Any]:
     """N-MNIST's saccades, at each rate."""
     rng = np.random.default_rng(0)
-    files = [Path(name) for name in rng.permutation(sorted(map(str, folder.glob("Train/*/*.bin"))))[:n]]
+    files = [
+        Path(name) for name in rng.permutation(sorted(map(str, folder.glob("Train/*/*.bin"))))[:n]
+    ]
     if not files:
         raise FileNotFoundError(f"no recordings {folder}/Train/<digit>/*.bin")
     n = len(files)
@@ -79,7 +86,9 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
 
     def cut(file: Path, from_us: int, until_us: int, rate: float, start_us: int) -> Columns:
         events = read_nmnist(file)
-        kept = (events["t"] >= from_us) & (events["t"] < until_us) & (rng.random(len(events)) < rate)
+        kept = (
+            (events["t"] >= from_us) & (events["t"] < until_us) & (rng.random(len(events)) < rate)
+        )
         return _columns((events["t"][kept] - start_us, *(events[name][kept] for name in "xyp")))
 
     for rate in RATES:
@@ -90,7 +99,9 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
             paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, pixels)
             ends = np.median([path.positions[-1] for path in paths], axis=0)
             true = angles.setdefault(saccade, np.arctan2(ends[1], ends[0]))
-            rows[f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"] = judged(paths, np.full(n, true))
+            rows[f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"] = judged(
+                paths, np.full(n, true)
+            )
     third, rate = SACCADE_US // 3, min(RATES)
     starts = third * (np.arange(n) % 9)
     wide = [
@@ -168,7 +179,10 @@ def noise(n: int) -> dict[str, Any]:
     rng, rows = np.random.default_rng(0), {}
     for kind in NOISE:
         paths = paths_of(noise_windows(kind, n, rng), (SIDE, SIDE), SACCADE_US, MeasuredPixels())
-        rows[f"noise, {kind}"] = {"windows": n, "found": float(np.mean([not path.refused for path in paths]))}
+        rows[f"noise, {kind}"] = {
+            "windows": n,
+            "found": float(np.mean([not path.refused for path in paths])),
+        }
     return rows
 
 
@@ -189,7 +203,12 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
     add_count(parser, "--windows", 200, "of each kind")
     args = parser.parse_args(argv)
-    return run_script(parser, argv, lambda quick: measure(args.nmnist, 8 if quick else args.windows), "found_paths")
+    return run_script(
+        parser,
+        argv,
+        lambda quick: measure(args.nmnist, 8 if quick else args.windows),
+        "found_paths",
+    )
 
 
 if __name__ == "__main__":

@@ -1,18 +1,24 @@
-"""Classifiers that never saw an event: trained on pictures alone, tested on recordings of real cameras.
+"""Classifiers that never saw an event: trained on pictures alone, tested on recordings of real
+cameras.
 
-    python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--made]
+    python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
+    [--made]
                                         [--fonts FOLDER] [--seeds N] [--out FOLDER] [--json FILE]
 
-nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part (numbers above
-            60,000), and simulated motions, speeds and bright digits (`moving_digits.py`); the first network, with its
-            test in its record, becomes FOLDER/digits-from-pictures.safetensors
-poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that follow a pip
+nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part
+            (numbers above 60,000), and simulated motions, speeds and bright digits
+            (`moving_digits.py`); the first network, with its test in its record, becomes
+            FOLDER/digits-from-pictures.safetensors
+poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that
+            follow a pip
 characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
             `examples/hots_characters.py`
-made        ten pictures of each of six objects, with backgrounds, and recordings of others (`made_pictures.py`)
+made        ten pictures of each of six objects, with backgrounds, and recordings of others
+            (`made_pictures.py`)
 
-Each network is trained by `async-tnt train PICTURES` with the options that its row states, and reads the recordings
-once. Finished trainings in --out are kept, interrupted ones resume, and what FILE has of other sets stays there.
+Each network is trained by `async-tnt train PICTURES` with the options that its row states, and
+reads the recordings once. Finished trainings in --out are kept, interrupted ones resume, and what
+FILE has of other sets stays there.
 """
 
 from __future__ import annotations
@@ -43,7 +49,12 @@ from experiments.script_options import (
 from experiments.table_data import OFFICIAL
 from experiments.unseen_motions import command
 
-TITLES = {"nmnist": "N-MNIST", "poker": "POKER-DVS", "characters": "HOTS' characters", "made": "made objects"}
+TITLES = {
+    "nmnist": "N-MNIST",
+    "poker": "POKER-DVS",
+    "characters": "HOTS' characters",
+    "made": "made objects",
+}
 TESTS = {
     "nmnist": ["official"],
     "poker": ["pips_train", "pips_test"],
@@ -51,8 +62,8 @@ TESTS = {
     "made": ["Test"],
 }
 OPTIONS = {
-    # 20 of 28 pixels are a digit's, and 28 of the sensor's 34 a picture's; of so many pictures more epochs and a wider
-    # network learn more, and a few tell how well
+    # 20 of 28 pixels are a digit's, and 28 of the sensor's 34 a picture's; of so many pictures more
+    # epochs and a wider network learn more, and a few tell how well
     "nmnist": "--sensor 34x34 --size 0.5-0.7 --validation 0.05 --network wide --epochs 40",
     "poker": "--sensor 35x35 --window-us 25000 --follow",
     "characters": "--sensor 32x32 --follow",
@@ -73,7 +84,8 @@ def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: P
 
 
 def link_official(nmnist: Path, out: Path) -> None:
-    """`out/official/<digit>`: links to N-MNIST's recordings of the official test part, see `table_data`."""
+    """`out/official/<digit>`: links to N-MNIST's recordings of the official test part, see
+    `table_data`."""
     for path in [*nmnist.glob("Test/*/*.bin"), *nmnist.glob("Train/*/*.bin")]:
         if path.parts[-3] == "Test" or int(path.stem) > OFFICIAL[0]:
             link = out / "official" / path.parent.name / path.name
@@ -125,7 +137,9 @@ def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) 
     """What the networks have of `n` simulated digits; also writes the model to bundle."""
     models = [load_model(out / f"models/nmnist{seed}.safetensors") for seed in range(len(networks))]
     tested = {"recordings of": "N-MNIST's official test part", **networks[0], "minutes": None}
-    replace(models[0], record={**models[0].record, "test": tested}).save(out / "digits-from-pictures.safetensors")
+    replace(models[0], record={**models[0].record, "test": tested}).save(
+        out / "digits-from-pictures.safetensors"
+    )
     images, labels = load_mnist(mnist, "test")
     return moving_digits.accuracies(models, images[:n], labels[:n])
 
@@ -137,10 +151,16 @@ def main(argv: list[str] | None = None) -> int:
         add_folder(parser, f"--{name}", TITLES[name])
     parser.add_argument("--made", action="store_true", help="made objects")
     add_folder(parser, "--mnist", "with MNIST's IDX files (default: $TNT_DATA/mnist)")
-    add_folder(parser, "--fonts", "TrueType and OpenType files, at any depth (default: those of matplotlib)")
+    add_folder(
+        parser,
+        "--fonts",
+        "TrueType and OpenType files, at any depth (default: those of matplotlib)",
+    )
     add_count(parser, "--pictures", 60_000, "of MNIST")
     add_count(parser, "--seeds", 5, "networks")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="default: pictures, of --quick pictures/quick")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="default: pictures, of --quick pictures/quick"
+    )
     args = parser.parse_args(argv)
     out = args.out or Path("pictures/quick" if args.quick else "pictures")
     if not (folders := {name: getattr(args, name) for name in TITLES if getattr(args, name)}):
@@ -160,7 +180,9 @@ def main(argv: list[str] | None = None) -> int:
         report["sets"][name] = measure(name, pictures, parts, seeds, out / "models", more)
         if name == "nmnist":
             tests = data_folder(args.mnist, "mnist", "--mnist"), 5 if args.quick else 1_000
-            report["sets"][name]["simulated"] = test_moving(report["sets"][name]["networks"], out, *tests)
+            report["sets"][name]["simulated"] = test_moving(
+                report["sets"][name]["networks"], out, *tests
+            )
         write_outputs(args, report)
     print_tables(report, "from_pictures")
     return 0

@@ -1,11 +1,13 @@
-"""What computing only what has changed brings, for four networks: ours beside onnxruntime, OpenVINO and torch.
+"""What computing only what has changed brings, for four networks: ours beside onnxruntime, OpenVINO
+and torch.
 
     python -m experiments.incremental [--quick] [--json FILE] [--picture FILE]
 
-One process, one thread each, warm, interleaved (see decisions.py), on the bundled recordings, whose 34 x 34 pixels are
-mapped onto each network's grid; random weights, since times do not depend on them as long as about half of the ReLUs
-are open. Before anything is timed, all must give the same logits within 1e-4. Packages that are not installed are left
-out: `pip install torch==2.13.0 onnx onnxruntime openvino`.
+One process, one thread each, warm, interleaved (see decisions.py), on the bundled recordings, whose
+34 x 34 pixels are mapped onto each network's grid; random weights, since times do not depend on
+them as long as about half of the ReLUs are open. Before anything is timed, all must give the same
+logits within 1e-4. Packages that are not installed are left out: `pip install torch==2.13.0 onnx
+onnxruntime openvino`.
 """
 
 from __future__ import annotations
@@ -44,18 +46,29 @@ NOT_DRAWN = "onnxruntime_run"  # the binding is as fast or faster
 
 
 def gesture(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Of the kind that is common for DVS gestures: a 2x2 stem of stride 2, 3x3 convolutions, average pools, dense."""
+    """Of the kind that is common for DVS gestures: a 2x2 stem of stride 2, 3x3 convolutions,
+    average pools, dense."""
     layers: list[nn.Module] = [nn.Conv2d(channels, 16, 2, 2), nn.ReLU()]
     for n_inputs, n_filters in ((16, 16), (16, 32), (32, 32), (32, 64)):
         layers += [nn.Conv2d(n_inputs, n_filters, 3, padding=1), nn.ReLU(), nn.AvgPool2d(2)]
     places = (grid[0] // 32) * (grid[1] // 32)
-    return nn.Sequential(*layers, nn.Flatten(), nn.Linear(64 * places, 256), nn.ReLU(), nn.Linear(256, n_classes))
+    return nn.Sequential(
+        *layers, nn.Flatten(), nn.Linear(64 * places, 256), nn.ReLU(), nn.Linear(256, n_classes)
+    )
 
 
 NETWORKS: dict[str, tuple[Callable[..., nn.Module], TNTConfig, int]] = {
     "thesis": (thesis, TNTConfig(landmark="running", t_max=2.0), 10),
-    "conv4": (conv4, TNTConfig(grid=(60, 50), bins=5, polarity="split", transform="none", landmark="center"), 2),
-    "residual": (residual, TNTConfig(grid=(64, 64), bins=5, polarity="split", transform="none", landmark="center"), 10),
+    "conv4": (
+        conv4,
+        TNTConfig(grid=(60, 50), bins=5, polarity="split", transform="none", landmark="center"),
+        2,
+    ),
+    "residual": (
+        residual,
+        TNTConfig(grid=(64, 64), bins=5, polarity="split", transform="none", landmark="center"),
+        10,
+    ),
     "gesture": (gesture, TNTConfig(grid=(128, 128), representation="count", polarity="split"), 11),
 }
 """Name -> (build, volume, classes)."""
@@ -88,7 +101,11 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
             warmup(model)
             networks = backends.dense_networks(model)
             recordings = bench_recordings(model.config)
-            windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
+            windows = [
+                window
+                for events in recordings
+                for window in windows_of(events, model.config.window_us)
+            ]
             counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
             times = {}
             for n_new in NEW_EVENTS:
@@ -96,7 +113,9 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
                 times[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
             bar.update(title=f"{name}, a decision after every event")
             others = {other: networks[other] for other in backends.ONNXRUNTIME if other in networks}
-            rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=500)
+            rates = bench_every_event(
+                model, others, recordings, rounds=settings["rounds"], n_events=500
+            )
             bar.update(title=f"{name}, what new events touch")
             arrays = CompiledClassifier(model).network
             rows[name] = {
@@ -104,7 +123,10 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
                 "network": times,
                 "every_event": rates,
                 "touched": bench_touched(model, windows, moments=settings["moments"]),
-                "bytes": {part: getattr(arrays, part).nbytes for part in ("weights", "maps", "places", "program")},
+                "bytes": {
+                    part: getattr(arrays, part).nbytes
+                    for part in ("weights", "maps", "places", "program")
+                },
             }
     return {
         "machine": machine(*PACKAGES),
@@ -130,9 +152,19 @@ def draw_incremental(report: dict[str, Any]) -> Figure:
     x = 0.62
     for name, (label, colour) in looks.items():
         if name in report["networks"]["thesis"]["network"]["1"]["in_blocks"]["us"]:
-            write_at(figure, x, 4.28, label.replace("\n", " "), fontsize=SMALL, color=colour, va="bottom")
+            write_at(
+                figure, x, 4.28, label.replace("\n", " "), fontsize=SMALL, color=colour, va="bottom"
+            )
             x += 1.75
-    write_at(figure, 6.9, 4.28, report["machine"]["cpu"] + ", one thread", fontsize=SMALL, color=TEXT, va="bottom")
+    write_at(
+        figure,
+        6.9,
+        4.28,
+        report["machine"]["cpu"] + ", one thread",
+        fontsize=SMALL,
+        color=TEXT,
+        va="bottom",
+    )
     return figure
 
 
@@ -140,7 +172,11 @@ def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser("incremental", __doc__, "a few decisions of each", draws=True)
     return run_script(
-        parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), "incremental", draw_incremental
+        parser,
+        argv,
+        lambda quick: measure(QUICK if quick else FULL, quick),
+        "incremental",
+        draw_incremental,
     )
 
 

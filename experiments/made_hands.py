@@ -1,13 +1,15 @@
-"""Recordings of single grey objects that a hand swings by two or three pixels in front of a sensor of 128x128.
+"""Recordings of single grey objects that a hand swings by two or three pixels in front of a sensor
+of 128x128.
 
-Half a swing takes 75 to 100 ms; in some recordings the hand turns round and comes back. Meanwhile the object turns by a
-few degrees and comes nearer or goes away. Pixels with events have about two, a sixth of which are after-pulses:
-another event of the same pixel within a millisecond, mostly of the other sign. Nothing here is shared
-with motion re-synthesis, which is measured on it.
+Half a swing takes 75 to 100 ms; in some recordings the hand turns round and comes back. Meanwhile
+the object turns by a few degrees and comes nearer or goes away. Pixels with events have about two,
+a sixth of which are after-pulses: another event of the same pixel within a millisecond, mostly of
+the other sign. Nothing here is shared with motion re-synthesis, which is measured on it.
 
-The objects are eight signs, thin and bold, darker than what is behind them: edges along the motion give no events, so
-that each direction shows another part of them. (Discs, squares, crosses, corners and triangles, with which this began,
-were no test: trained on one direction, `train` knew .89 to .98 of them in the others.)
+The objects are eight signs, thin and bold, darker than what is behind them: edges along the motion
+give no events, so that each direction shows another part of them. (Discs, squares, crosses, corners
+and triangles, with which this began, were no test: trained on one direction, `train` knew .89 to
+.98 of them in the others.)
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ BACK = 0.3
 SPREAD = np.radians(4.0)
 """Standard deviation of a swing's direction about the one that is asked for."""
 AFTER, AFTER_US, AFTER_OTHER = 0.2, 1_000, 0.8
-"""Share of events with an after-pulse, the longest time until it, and the share of those of the other sign."""
+"""Share of events with an after-pulse, the longest time until it, and the share of those of the
+other sign."""
 SOFT_PX = 0.7
 FAR, STEP = 1.6, 0.005
-"""Of tables of distances: how far they reach, and the distance of their places, in the objects' radius."""
+"""Of tables of distances: how far they reach, and the distance of their places, in the objects'
+radius."""
 Points = list[tuple[float, float]]
 Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -43,11 +47,13 @@ Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 class HandSession:
     """What differs from one day to the next.
 
-    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the first.
+    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the
+        first.
     noise_hz : events of noise a second, of each pixel.
     size : radius of the objects, in pixels.
     place : where they are from the middle of the sensor, in pixels.
-    turn_deg, nearer : standard deviations of how far they turn, and of the share by which they grow, in a swing.
+    turn_deg, nearer : standard deviations of how far they turn, and of the share by which they
+        grow, in a swing.
     """
 
     threshold: float = 0.2
@@ -75,9 +81,13 @@ def _strokes(thick: float, *lines: Points) -> Distance:
         nearest = np.full(x.shape, np.inf)
         for line in lines:
             for (x0, y0), (x1, y1) in pairwise(line):
-                along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / ((x1 - x0) ** 2 + (y1 - y0) ** 2)
+                along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / (
+                    (x1 - x0) ** 2 + (y1 - y0) ** 2
+                )
                 share = np.clip(along, 0, 1)
-                nearest = np.minimum(nearest, np.hypot(x - x0 - share * (x1 - x0), y - y0 - share * (y1 - y0)))
+                nearest = np.minimum(
+                    nearest, np.hypot(x - x0 - share * (x1 - x0), y - y0 - share * (y1 - y0))
+                )
         return nearest - thick
 
     return distance
@@ -87,7 +97,9 @@ THIN, BOLD = 0.07, 0.2
 SIX = [[*_arc(0.25, 0.0, 0.75, 235, 180), *_arc(0.0, 0.4, 0.5, 180, -180)]]
 SHAPES: Mapping[str, Distance] = {
     "2": _strokes(THIN, [*_arc(0.0, -0.4, 0.5, 190, 370), (-0.5, 0.9), (0.5, 0.9)]),
-    "5": _strokes(THIN, [(0.45, -0.9), (-0.4, -0.9), (-0.45, -0.15), *_arc(0.0, 0.35, 0.55, 225, 510)]),
+    "5": _strokes(
+        THIN, [(0.45, -0.9), (-0.4, -0.9), (-0.45, -0.15), *_arc(0.0, 0.35, 0.55, 225, 510)]
+    ),
     "6": _strokes(THIN, *SIX),
     "9": _strokes(THIN, *([(-x, -y) for x, y in line] for line in SIX)),
     "3": _strokes(BOLD, [*_arc(0.0, -0.4, 0.4, 200, 450), *_arc(0.0, 0.4, 0.4, 270, 520)]),
@@ -100,7 +112,8 @@ SHAPES: Mapping[str, Distance] = {
 
 @cache
 def _table(name: str) -> np.ndarray:
-    """The distance at all places within `FAR`, `STEP` apart: computing it for each picture would take a second."""
+    """The distance at all places within `FAR`, `STEP` apart: computing it for each picture would
+    take a second."""
     places = np.arange(-FAR, FAR, STEP)
     return SHAPES[name](*np.meshgrid(places, places)).astype(np.float32)
 
@@ -112,8 +125,11 @@ def _distance(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return distance
 
 
-def record(name: str, direction: float, rng: np.random.Generator, session: HandSession) -> dict[str, np.ndarray]:
-    """Columns t, x, y, p of one recording of an object that a hand swings in `direction`, in radians."""
+def record(
+    name: str, direction: float, rng: np.random.Generator, session: HandSession
+) -> dict[str, np.ndarray]:
+    """Columns t, x, y, p of one recording of an object that a hand swings in `direction`, in
+    radians."""
     width, height = SENSOR
     angle = direction + SPREAD * rng.standard_normal()
     length, lasts = rng.uniform(*SWING_PX), rng.uniform(*SWING_MS) * 1e3 / WINDOW_US
@@ -122,7 +138,10 @@ def record(name: str, direction: float, rng: np.random.Generator, session: HandS
     origin = np.array([width, height]) / 2 + session.place + rng.uniform(-4, 4, 2)
     size, posture = session.size * rng.uniform(0.85, 1.15), np.radians(rng.uniform(-4, 4))
     grey = -rng.uniform(0.4, 1.1)
-    turn, nearer = np.radians(session.turn_deg) * rng.standard_normal(), session.nearer * rng.standard_normal()
+    turn, nearer = (
+        np.radians(session.turn_deg) * rng.standard_normal(),
+        session.nearer * rng.standard_normal(),
+    )
     slope = rng.uniform(-0.001, 0.001, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
     row, column = np.mgrid[:height, :width].astype(float)
@@ -133,12 +152,18 @@ def record(name: str, direction: float, rng: np.random.Generator, session: HandS
     def seen() -> Iterator[np.ndarray]:
         for share in np.arange(STEPS + 1) / STEPS:
             u = np.clip((share - begins) / lasts, 0, 1)
-            way = (1 - np.cos(np.pi * (u / turns_at if is_back else u))) / 2  # out, and where it turns round, back
+            # out, and where it turns round, back
+            way = (1 - np.cos(np.pi * (u / turns_at if is_back else u))) / 2
             gone = length * way
-            x, y = column[near] - origin[0] - gone * np.cos(angle), row[near] - origin[1] - gone * np.sin(angle)
+            x, y = (
+                column[near] - origin[0] - gone * np.cos(angle),
+                row[near] - origin[1] - gone * np.sin(angle),
+            )
             cos, sin = np.cos(posture + turn * way), np.sin(posture + turn * way)
             scale = size * (1 + nearer * way)
-            outline = scale * _distance(name, (cos * x + sin * y) / scale, (cos * y - sin * x) / scale)
+            outline = scale * _distance(
+                name, (cos * x + sin * y) / scale, (cos * y - sin * x) / scale
+            )
             light = behind.copy()
             light[near] += grey / (1 + np.exp(np.clip(outline / SOFT_PX, -30, 30)))
             yield light
@@ -158,8 +183,15 @@ def _with_after_pulses(
     return tuple(map(np.concatenate, ((t, later), (x, x[again]), (y, y[again]), (p, sign))))
 
 
-def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: HandSession) -> Path:
-    """`n` recordings of each class, whose directions take turns, as `folder/<class>/<number>.npz`."""
+def write(
+    folder: Path, n: int, directions: tuple[float, ...], seed: int, session: HandSession
+) -> Path:
+    """`n` recordings of each class, whose directions take turns, as
+    `folder/<class>/<number>.npz`."""
     return write_classes(
-        folder, SHAPES, n, seed, lambda name, i, rng: record(name, directions[i % len(directions)], rng, session)
+        folder,
+        SHAPES,
+        n,
+        seed,
+        lambda name, i, rng: record(name, directions[i % len(directions)], rng, session),
     )

@@ -1,6 +1,7 @@
 """Recordings of two objects in grey levels that move together over a small sensor.
 
-This renders and simulates on its own: nothing here is shared with the augmentation that is measured on it.
+This renders and simulates on its own: nothing here is shared with the augmentation that is measured
+on it.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ STEPS, SUBPIXELS = 60, 2
 class Session:
     """What may differ from one day to the next.
 
-    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the first.
+    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the
+        first.
     noise_hz : events of noise a second, of each pixel.
-    size, place : a factor of the objects' size, and where they are from the middle of the sensor, in pixels.
+    size, place : a factor of the objects' size, and where they are from the middle of the sensor,
+        in pixels.
     """
 
     threshold: float = 0.2
@@ -72,7 +75,9 @@ def record(
             light = np.exp(slope[0] * x + slope[1] * y)
             for shape, place, size, turn, grey in objects:
                 a, b = (x - place[0]) / size, (y - place[1]) / size
-                hit = inside(shape, np.cos(turn) * a + np.sin(turn) * b, np.cos(turn) * b - np.sin(turn) * a)
+                hit = inside(
+                    shape, np.cos(turn) * a + np.sin(turn) * b, np.cos(turn) * b - np.sin(turn) * a
+                )
                 light = np.where(hit, light * np.exp(grey), light)
             yield np.log(light.reshape(height, SUBPIXELS, width, SUBPIXELS).mean((1, 3)))
 
@@ -87,8 +92,8 @@ def pixel_events(
     steps: int,
     rng: np.random.Generator,
 ) -> list[np.ndarray]:
-    """t, x, y, p of what pixels with thresholds (H, W) give while they see the log luminance of `steps` + 1 pictures,
-    and of noise; not in order, times float."""
+    """t, x, y, p of what pixels with thresholds (H, W) give while they see the log luminance of
+    `steps` + 1 pictures, and of noise; not in order, times float."""
     level, parts = None, []
     for step, light in enumerate(seen):
         if level is None:
@@ -99,7 +104,9 @@ def pixel_events(
         rows, columns = np.nonzero(n)
         many = abs(n[rows, columns])
         t = (step - 1 + rng.random(many.sum())) * window_us / steps
-        parts.append((t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many)))
+        parts.append(
+            (t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many))
+        )
     height, width = threshold.shape
     n_noise = rng.poisson(noise_hz * width * height * window_us * 1e-6)
     somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
@@ -113,10 +120,17 @@ def in_order(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict
     return {"t": t[order].astype(np.int64), "x": x[order], "y": y[order], "p": p[order]}
 
 
-def write(folder: Path, n: int, directions: tuple[float, ...], seed: int, session: Session = Session()) -> Path:
-    """`n` recordings of each class, whose directions take turns, as `folder/<class>/<number>.npz`."""
+def write(
+    folder: Path, n: int, directions: tuple[float, ...], seed: int, session: Session = Session()
+) -> Path:
+    """`n` recordings of each class, whose directions take turns, as
+    `folder/<class>/<number>.npz`."""
     return write_classes(
-        folder, CLASSES, n, seed, lambda name, i, rng: record(name, directions[i % len(directions)], rng, session)
+        folder,
+        CLASSES,
+        n,
+        seed,
+        lambda name, i, rng: record(name, directions[i % len(directions)], rng, session),
     )
 
 
@@ -127,7 +141,8 @@ def write_classes(
     seed: int,
     record: Callable[[str, int, np.random.Generator], dict[str, np.ndarray]],
 ) -> Path:
-    """`n` recordings of each class, each with a generator of its own, as `folder/<class>/<number>.npz`.
+    """`n` recordings of each class, each with a generator of its own, as
+    `folder/<class>/<number>.npz`.
 
     record : of class, number and generator; returns columns.
     """

@@ -1,8 +1,10 @@
-"""Pictures of six objects before a background, and recordings of the same objects in other pictures.
+"""Pictures of six objects before a background, and recordings of the same objects in other
+pictures.
 
-Cup, glass (a cup without its handle), bottle, leaf, star and key: with textures of power 1/f^2, light from aside,
-before other textures; each picture shows another one of its kind. The recordings show objects of their own on a sensor
-of 48x48, moved by another renderer and other pixels (`made_objects.pixel_events`) than those that training simulates.
+Cup, glass (a cup without its handle), bottle, leaf, star and key: with textures of power 1/f^2,
+light from aside, before other textures; each picture shows another one of its kind. The recordings
+show objects of their own on a sensor of 48x48, moved by another renderer and other pixels
+(`made_objects.pixel_events`) than those that training simulates.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from experiments.made_objects import in_order, pixel_events, write_classes
 CLASSES = ("bottle", "cup", "glass", "key", "leaf", "star")
 SENSOR, WINDOW_US, STEPS = (48, 48), 100_000, 60
 SIDE, OBJECT, FINE = 200, 0.55, 3
-"""Of a picture in pixels; of the object in the picture's side; places that a pixel is drawn by, along each side."""
+"""Of a picture in pixels; of the object in the picture's side; places that a pixel is drawn by,
+along each side."""
 LENGTH_PX, IN_VIEW = (2.0, 8.0), (0.75, 1.0)
 """How far recordings move, and how large the pictures are on the sensor."""
 Shape = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
@@ -36,14 +39,24 @@ def _cup(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _bottle(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     wide, neck, shoulder = rng.uniform(0.35, 0.45), rng.uniform(0.1, 0.16), rng.uniform(-0.4, -0.2)
-    half = np.where(y > shoulder, wide, neck + (wide - neck) * np.clip(1 - (shoulder - y) / 0.2, 0, 1))
+    half = np.where(
+        y > shoulder, wide, neck + (wide - neck) * np.clip(1 - (shoulder - y) / 0.2, 0, 1)
+    )
     return (abs(y) < 0.95) & (abs(x) < half)
 
 
 def _key(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     head = np.hypot(x, y + 0.55)
-    teeth = (x > 0) & (x < rng.uniform(0.3, 0.4)) & (((y > 0.35) & (y < 0.5)) | ((y > 0.65) & (y < 0.85)))
-    return ((head < 0.4) & (head > rng.uniform(0.15, 0.22))) | ((abs(x) < 0.1) & (y > -0.2) & (y < 0.95)) | teeth
+    teeth = (
+        (x > 0)
+        & (x < rng.uniform(0.3, 0.4))
+        & (((y > 0.35) & (y < 0.5)) | ((y > 0.65) & (y < 0.85)))
+    )
+    return (
+        ((head < 0.4) & (head > rng.uniform(0.15, 0.22)))
+        | ((abs(x) < 0.1) & (y > -0.2) & (y < 0.95))
+        | teeth
+    )
 
 
 def _leaf(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -76,7 +89,9 @@ def picture(name: str, rng: np.random.Generator) -> np.ndarray:
     angle, size = np.radians(rng.uniform(-10, 10)), OBJECT * rng.uniform(0.9, 1.1)
     aside, down = rng.uniform(-0.1, 0.1, 2)
     x, y = (column - aside) / size, (row - down) / size
-    inside = SHAPES[name](np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, rng)
+    inside = SHAPES[name](
+        np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, rng
+    )
     behind, before = rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.9)
     if abs(behind - before) < 0.3:
         before = behind + 0.4 if behind < 0.5 else behind - 0.4
@@ -105,7 +120,9 @@ def write_pictures(folder: Path, n: int, seed: int) -> Path:
             rng = np.random.default_rng((seed, label, i))
             light = picture(name, rng)[..., None] * rng.uniform(0.8, 1, 3)
             srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-            Image.fromarray(np.rint(255 * np.clip(srgb, 0, 1)).astype(np.uint8)).save(folder / name / f"{i:03}.jpg")
+            Image.fromarray(np.rint(255 * np.clip(srgb, 0, 1)).astype(np.uint8)).save(
+                folder / name / f"{i:03}.jpg"
+            )
     return folder
 
 

@@ -1,19 +1,21 @@
-"""From events to objects: the time it takes a map model on large sensors, beside computing the whole map.
+"""From events to objects: the time it takes a map model on large sensors, beside computing the
+whole map.
 
     python -m experiments.map_times [--quick] [--ssla-rt PROGRAM WEIGHTS] [--json FILE]
 
-The bundled `digits-everywhere`, and four convolutions with random weights, after bundled recordings that stand anywhere
-on the sensor, 1,400 events a window. One process, one thread, warm; at each moment in turn: one event after another
-one, 1,000 more, the first event of another window, the whole map by ours and by ONNX Runtime. Each time is that of
-`push` and `fire`, or of the call with the volume as an array. Before that, ours must give the same objects either way
-to the bit, and ONNX Runtime the same map to 1e-4.
+The bundled `digits-everywhere`, and four convolutions with random weights, after bundled recordings
+that stand anywhere on the sensor, 1,400 events a window. One process, one thread, warm; at each
+moment in turn: one event after another one, 1,000 more, the first event of another window, the
+whole map by ours and by ONNX Runtime. Each time is that of `push` and `fire`, or of the call with
+the volume as an array. Before that, ours must give the same objects either way to the bit, and ONNX
+Runtime the same map to 1e-4.
 
-With --ssla-rt also SSLA-RT (https://github.com/haohq19/ssla-rt), which has a network of its own that drops three of
-four events at each of its stages, by its own clock: its program `s2_decomp_st`, and a folder that its
-`tools/make_ssla_stub.py --h 240 --w 304` wrote.
+With --ssla-rt also SSLA-RT (https://github.com/haohq19/ssla-rt), which has a network of its own
+that drops three of four events at each of its stages, by its own clock: its program `s2_decomp_st`,
+and a folder that its `tools/make_ssla_stub.py --h 240 --w 304` wrote.
 
-Then a million events a second: recordings sped up, each moving across 320x240 pixels, with a decision every
-millisecond; processor time for each second of the stream.
+Then a million events a second: recordings sped up, each moving across 320x240 pixels, with a
+decision every millisecond; processor time for each second of the stream.
 """
 
 from __future__ import annotations
@@ -48,7 +50,8 @@ SPEED_SENSOR, RATE, EVERY_US = (320, 240), 1_000_000, 1_000
 
 
 def four(channels: int) -> nn.Module:
-    """Four convolutions, a place for 8x8 pixels; nothing is likely, as few objects are there to be found."""
+    """Four convolutions, a place for 8x8 pixels; nothing is likely, as few objects are there to be
+    found."""
     widths, strides = (channels, 16, 32, 32, 48), (2, 2, 2, 1)
     layers: list[nn.Module] = []
     for k, stride in enumerate(strides):
@@ -68,8 +71,11 @@ def models() -> dict[str, Model]:
     return {"digits-everywhere": bundled, "four convolutions": made}
 
 
-def moving(sensor: tuple[int, int], n_objects: int, n: int, duration_us: int, speed: float) -> np.ndarray:
-    """n events of recordings, over and over, each at its place, which moves by `speed` pixels a second."""
+def moving(
+    sensor: tuple[int, int], n_objects: int, n: int, duration_us: int, speed: float
+) -> np.ndarray:
+    """n events of recordings, over and over, each at its place, which moves by `speed` pixels a
+    second."""
     rng = np.random.default_rng(n_objects)
     room = np.array(sensor) - SIDE - 1
     parts = []
@@ -77,7 +83,9 @@ def moving(sensor: tuple[int, int], n_objects: int, n: int, duration_us: int, sp
         events = open_recording(sample_recordings()[k]).read()
         events = np.tile(events, -(-n // (n_objects * len(events))))[: n // n_objects]
         events["t"] = np.arange(len(events)) * duration_us // len(events)
-        path = rng.uniform(0, 2 * room, 2) + np.outer(events["t"], speed * 1e-6 * np.sqrt([0.5, 0.5]))
+        path = rng.uniform(0, 2 * room, 2) + np.outer(
+            events["t"], speed * 1e-6 * np.sqrt([0.5, 0.5])
+        )
         path = np.abs(path % (2 * room) - room).astype(int)  # back and forth
         events["x"] += path[:, 0].astype(np.uint16)
         events["y"] += path[:, 1].astype(np.uint16)
@@ -100,7 +108,9 @@ def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network
         in_parts.fire()
     one, other, volume = at_once.fire(), in_parts.fire(), at_once.volume()
     # but for an object's number, which depends on earlier decisions
-    found, again = ([replace(thing, id=0) for thing in decision.objects or ()] for decision in (one, other))
+    found, again = (
+        [replace(thing, id=0) for thing in decision.objects or ()] for decision in (one, other)
+    )
     if found != again:
         raise WorkDiffers("objects depend on how the events are cut")
     for name, network in networks.items():
@@ -113,7 +123,9 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
     """Case -> microseconds."""
     networks = backends.dense_networks(model)
     networks = {name: networks[name] for name in ("dense", "onnxruntime_run") if name in networks}
-    events = moving(model.config.sensor, OBJECTS, 1_400 * n_moments, model.config.window_us * n_moments, 20.0)
+    events = moving(
+        model.config.sensor, OBJECTS, 1_400 * n_moments, model.config.window_us * n_moments, 20.0
+    )
     check(model, events[:1_300], networks)
     followed, fresh = Processor(model, start_us=0), Processor(model, start_us=0)
     measured: dict[str, list[float]] = {}
@@ -130,7 +142,8 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
         for k in range(n_moments):
             of_moment = events[1_400 * k : 1_400 * (k + 1)]
             decide(followed)(of_moment[:299])
-            decide(followed)(of_moment[299].item())  # as in a stream: a dense pass before would have emptied the caches
+            # as in a stream: a dense pass before would have emptied the caches
+            decide(followed)(of_moment[299].item())
             timed("one event", decide(followed), of_moment[300].item())
             timed("1,000 events", decide(followed), of_moment[301:1301])
             volume = followed.volume()
@@ -147,11 +160,25 @@ def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
     """Microseconds of an event in SSLA-RT."""
     events = moving(SENSORS[1], OBJECTS, 1_400 * n_moments, 105_000 * n_moments, 20.0)
     with TemporaryDirectory() as folder:
-        np.save(path := f"{folder}/events.npy", np.stack([events[name] for name in "txyp"], 1).astype(np.float32))
-        words = [program, "--weights", weights, "--warmup", str(len(events) // 10), "--events", path]
+        np.save(
+            path := f"{folder}/events.npy",
+            np.stack([events[name] for name in "txyp"], 1).astype(np.float32),
+        )
+        words = [
+            program,
+            "--weights",
+            weights,
+            "--warmup",
+            str(len(events) // 10),
+            "--events",
+            path,
+        ]
         printed = subprocess.run(words, stdout=subprocess.PIPE, check=True, text=True).stdout
     us = {"ns": 1e-3, "us": 1.0, "ms": 1e3}
-    found = {name: float(n) * us[unit] for name, n, unit in re.findall(r"(p50|p99) +: ([\d.]+) (.s)", printed)}
+    found = {
+        name: float(n) * us[unit]
+        for name, n, unit in re.findall(r"(p50|p99) +: ([\d.]+) (.s)", printed)
+    }
     return {"median": found["p50"], "p99": found["p99"]}
 
 
@@ -178,7 +205,9 @@ def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
         for name, model in found.items():
             rows[name] = {"times_us": {}, "load": {}}
             for sensor in SENSORS:
-                rows[name]["times_us"]["x".join(map(str, sensor))] = times(model.for_sensor(sensor), n_moments)
+                rows[name]["times_us"]["x".join(map(str, sensor))] = times(
+                    model.for_sensor(sensor), n_moments
+                )
                 bar.update()
             for n_objects in range(1, OBJECTS + 1):
                 rows[name]["load"][str(n_objects)] = load(model, n_objects, seconds)
@@ -195,7 +224,9 @@ def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON if asked. Returns 1 if ways do not agree."""
     parser = script_parser("map_times", __doc__, "few moments")
-    parser.add_argument("--ssla-rt", nargs=2, metavar=("PROGRAM", "WEIGHTS"), help="measure it, too")
+    parser.add_argument(
+        "--ssla-rt", nargs=2, metavar=("PROGRAM", "WEIGHTS"), help="measure it, too"
+    )
     peer = parser.parse_args(argv).ssla_rt
     return run_script(parser, argv, lambda quick: measure(quick, peer), "map_times")
 

@@ -1,4 +1,5 @@
-"""From a packet of new events to the decision: by the stream, and by computing the window's volume again."""
+"""From a packet of new events to the decision: by the stream, and by computing the window's volume
+again."""
 
 from __future__ import annotations
 
@@ -61,7 +62,11 @@ class TorchRebuild:
         from async_tnt.networks.torch_modules import torch_classifier
         from experiments.bench_torch_batch import TorchBatch
 
-        self._torch, self._network, self._batch = torch, torch_classifier(model), TorchBatch(model.config)
+        self._torch, self._network, self._batch = (
+            torch,
+            torch_classifier(model),
+            TorchBatch(model.config),
+        )
 
     def prepare(self, moment: Moment) -> None:
         from experiments.bench_torch_batch import as_tensors
@@ -77,8 +82,8 @@ class TorchRebuild:
 
 
 class EventcvRebuild:
-    """eventcv's voxel grid of the window so far, and a network on it: of the sensor's size and signed, as the volume of
-    `digits`."""
+    """eventcv's voxel grid of the window so far, and a network on it: of the sensor's size and
+    signed, as the volume of `digits`."""
 
     def __init__(self, model: Model, network: Network) -> None:
         self._config, self._network = model.config, network
@@ -87,8 +92,12 @@ class EventcvRebuild:
         import eventcv
 
         events = moment.events
-        table = np.stack([events["t"], events["x"], events["y"], events["p"]], axis=1).astype(np.int64)
-        self._stream = eventcv.from_numpy(table, order="txyp", sensor_size=self._config.sensor, time_unit="us")
+        table = np.stack([events["t"], events["x"], events["y"], events["p"]], axis=1).astype(
+            np.int64
+        )
+        self._stream = eventcv.from_numpy(
+            table, order="txyp", sensor_size=self._config.sensor, time_unit="us"
+        )
         self._age_ms = max(1, int(table[-1, 0] - table[0, 0])) / 1000
 
     def decide(self) -> None:
@@ -97,14 +106,20 @@ class EventcvRebuild:
 
 
 def bench_end_to_end(
-    model: Model, onnxruntime: str | None, windows: list[np.ndarray], n_new: int, *, blocks: int, size: int
+    model: Model,
+    onnxruntime: str | None,
+    windows: list[np.ndarray],
+    n_new: int,
+    *,
+    blocks: int,
+    size: int,
 ) -> dict[str, Any]:
     """Time decisions, from the call with a packet of `n_new` events.
 
     Parameters
     ----------
-    onnxruntime : how it is called fastest, of `backends.ONNXRUNTIME`; None where it is not installed. Each row that
-        has a network of it has one of its own.
+    onnxruntime : how it is called fastest, of `backends.ONNXRUNTIME`; None where it is not
+        installed. Each row that has a network of it has one of its own.
 
     Other parameters, what is returned and raised: as for `bench_network`. Ratios are over `ours`.
     """

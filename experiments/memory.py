@@ -1,9 +1,11 @@
-"""Does memory grow during a long stream? Resident memory after the first million events and at the end.
+"""Does memory grow during a long stream? Resident memory after the first million events and at the
+end.
 
     python -m experiments.memory [--events 100000000] [--limit-mb 4]
 
-Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand), packets come as
-structured arrays, columns and single events. Prints one JSON object. Exit code 1 if memory grew by more than the limit.
+Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand),
+packets come as structured arrays, columns and single events. Prints one JSON object. Exit code 1 if
+memory grew by more than the limit.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ SINGLES = 50  # events of one packet in each window that come one by one
 
 
 def resident_mb() -> float:
-    """Resident memory of this process in MB (2^20 bytes); if the system does not report it, its peak."""
+    """Resident memory of this process in MB (2^20 bytes); if the system does not report it, its
+    peak."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
@@ -44,10 +47,13 @@ def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
     """Push one window's events, `start_us` later than recorded; returns the number of decisions."""
     n_decisions = 0
     for k in range(PACKETS_A_WINDOW):
-        packet = window[k * PACKET : (k + 1) * PACKET].copy()  # new memory each time, as a driver hands it over
+        # new memory each time, as a driver hands it over
+        packet = window[k * PACKET : (k + 1) * PACKET].copy()
         packet["t"] += start_us
         if k % 3 == 1:
-            n_decisions += len(processor.push(tuple(packet[name].copy() for name in ("t", "x", "y", "p"))))
+            n_decisions += len(
+                processor.push(tuple(packet[name].copy() for name in ("t", "x", "y", "p")))
+            )
         else:
             if k == 0:
                 for t, x, y, p in packet[:SINGLES].tolist():
@@ -62,8 +68,12 @@ def main(argv: list[str] | None = None) -> int:
     """Stream, print, and compare with the limit."""
     parser = plain_parser("memory", __doc__)
     add_json(parser)
-    parser.add_argument("--events", type=int, default=100_000_000, metavar="N", help="(default: 100 million)")
-    parser.add_argument("--limit-mb", type=float, default=4.0, metavar="MB", help="growth allowed (default: 4)")
+    parser.add_argument(
+        "--events", type=int, default=100_000_000, metavar="N", help="(default: 100 million)"
+    )
+    parser.add_argument(
+        "--limit-mb", type=float, default=4.0, metavar="MB", help="growth allowed (default: 4)"
+    )
     args = parser.parse_args(argv)
     if args.events <= FIRST:
         parser.error(f"--events must be more than the first {FIRST:,}, got {args.events:,}")
@@ -84,10 +94,16 @@ def main(argv: list[str] | None = None) -> int:
             first_mb = resident_mb()
         if time.perf_counter() - shown > 2:
             shown = time.perf_counter()
-            print(f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB", file=sys.stderr, flush=True)
+            print(
+                f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB",
+                file=sys.stderr,
+                flush=True,
+            )
     last_mb = resident_mb()
     if processor.counts.received != n_events:
-        raise RuntimeError(f"{n_events:,} events were pushed, {processor.counts.received:,} counted")
+        raise RuntimeError(
+            f"{n_events:,} events were pushed, {processor.counts.received:,} counted"
+        )
     assert first_mb is not None  # FIRST was passed
     grown_mb = last_mb - first_mb
     result = {

@@ -1,7 +1,9 @@
-"""How models read MNIST's test images in motions, lights and at speeds that N-MNIST does not have: simulated windows.
+"""How models read MNIST's test images in motions, lights and at speeds that N-MNIST does not have:
+simulated windows.
 
 motions   the 30 of N-MOVING-MNIST, dark digits and bright ones
-speeds    N-MNIST's own three saccades at a quarter to four times their speed, in windows in proportion
+speeds    N-MNIST's own three saccades at a quarter to four times their speed, in windows in
+          proportion
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ class Faster:
         return self.path.position(self.speed * np.asarray(t_us, np.float64))
 
 
-def accuracies(models: Sequence[Model], images: np.ndarray, labels: np.ndarray) -> dict[str, dict[str, list[float]]]:
+def accuracies(
+    models: Sequence[Model], images: np.ndarray, labels: np.ndarray
+) -> dict[str, dict[str, list[float]]]:
     """Test -> motion, or speed -> share of windows that each model has right.
 
     Parameters
@@ -54,7 +58,9 @@ def accuracies(models: Sequence[Model], images: np.ndarray, labels: np.ndarray) 
         for test, case, windows, window_us in _windows(images, labels):
             right = found.setdefault(test, {})[case] = []
             for model in models:
-                pipeline = pipeline_of(replace(model, config=model.config.replace(window_us=window_us)))
+                pipeline = pipeline_of(
+                    replace(model, config=model.config.replace(window_us=window_us))
+                )
                 decided = class_probabilities(pipeline, windows).argmax(1)
                 right.append(float((decided == windows.labels).mean()))
             bar.update()
@@ -63,7 +69,10 @@ def accuracies(models: Sequence[Model], images: np.ndarray, labels: np.ndarray) 
 
 def _windows(images: np.ndarray, labels: np.ndarray) -> Iterator[tuple[str, str, Windows, int]]:
     """Test, case, windows, and their length."""
-    for test, scene in (("dark on bright", Scene()), ("bright on dark", Scene(dark_on_bright=False))):
+    for test, scene in (
+        ("dark on bright", Scene()),
+        ("bright on dark", Scene(dark_on_bright=False)),
+    ):
         for motion in motions_of():
             rngs = [np.random.default_rng((motion.index, i)) for i in range(len(images))]
             paths = [motion.trajectory(rng) for rng in rngs]
@@ -85,7 +94,9 @@ def _simulated(
 ) -> Windows:
     with RecordingsWriter() as writer:
         for i, (image, rng, path) in enumerate(zip(images, rngs, paths, strict=True)):
-            events = simulate_digit(image, rng, trajectory=path, scene=scene, frame_us=1_000 / speed)
+            events = simulate_digit(
+                image, rng, trajectory=path, scene=scene, frame_us=1_000 / speed
+            )
             writer.add(events[events["t"] < path.duration_us], int(labels[i]), str(i))
         recordings = writer.finish()
     window_us = round(SACCADE_US / speed)

@@ -49,14 +49,23 @@ MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz a
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="folder of the set; made if missing")
-    parser.add_argument("--split", choices=("train", "test"), default="test", help="of MNIST (default: %(default)s)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        required=True,
+        help="folder of the set; made if missing",
+    )
+    parser.add_argument(
+        "--split", choices=("train", "test"), default="test", help="of MNIST (default: %(default)s)"
+    )
     parser.add_argument(
         "--motions",
         choices=KINDS,
         default="constant",
         help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a saccade; both pass the "
-        "sensor's centre at half time, or start there (-from-centre); beyond: 14 px, 5 px and back, or round a loop; "
+        "sensor's centre at half time, or start there (-from-centre); beyond: 14 px, 5 px and "
+        "back, or round a loop; "
         "nmnist: N-MNIST's three saccades, 308 ms "
         "(default: %(default)s)",
     )
@@ -65,20 +74,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="bright strokes on a dark background; without it dark on bright, as N-MNIST",
     )
-    parser.add_argument("--digits", type=positive_int, metavar="N", help="the first N images (default: all)")
-    parser.add_argument("--seed", type=whole_number, default=0, help="of all randomness (default: 0)")
     parser.add_argument(
-        "--workers", type=positive_int, metavar="N", help=f"processes (default: all cores, here {available_cores()})"
+        "--digits", type=positive_int, metavar="N", help="the first N images (default: all)"
+    )
+    parser.add_argument(
+        "--seed", type=whole_number, default=0, help="of all randomness (default: 0)"
+    )
+    parser.add_argument(
+        "--workers",
+        type=positive_int,
+        metavar="N",
+        help=f"processes (default: all cores, here {available_cores()})",
     )
     add_folder(
         parser,
         "--bin",
-        "also write each recording in N-MNIST's own format: FOLDER/<motion>/<digit>/<image, from 1>.bin",
+        "also write each recording in N-MNIST's own format: FOLDER/<motion>/<digit>/<image, from "
+        "1>.bin",
     )
     add_folder(
         parser,
         "--nmnist",
-        "N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin, to compare with (default: $TNT_DATA/nmnist "
+        "N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin, to compare with (default: "
+        "$TNT_DATA/nmnist "
         "where it exists)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
@@ -124,11 +142,26 @@ def main(argv: list[str] | None = None) -> int:
             title: {name: value if math.isfinite(value) else None for name, value in column.items()}
             for title, column in columns.items()
         }
-        answer = {"out": str(args.out), "recordings": len(made), "shards": len(made.shards), "bytes": n_bytes}
-        say(json.dumps({**answer, "seconds": round(seconds, 3), "motions": args.motions, "statistics": numbers}))
+        answer = {
+            "out": str(args.out),
+            "recordings": len(made),
+            "shards": len(made.shards),
+            "bytes": n_bytes,
+        }
+        say(
+            json.dumps(
+                {
+                    **answer,
+                    "seconds": round(seconds, 3),
+                    "motions": args.motions,
+                    "statistics": numbers,
+                }
+            )
+        )
         return 0
     say(
-        f"{args.out}: {len(made)} recordings ({len(made.parameters['images'])} images, {len(made.motions)} motions) in "
+        f"{args.out}: {len(made)} recordings ({len(made.parameters['images'])} images, "
+        f"{len(made.motions)} motions) in "
         f"{len(made.shards)} files, {n_bytes / 1e6:.1f} MB; {seconds:.1f} s"
     )
     if args.bin is not None:
@@ -142,7 +175,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def export(made: MovingMnist, folder: Path) -> None:
-    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index + 1."""
+    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index
+    + 1."""
     with progress(len(made), "exporting") as bar:
         for shard in made:
             motion = folder / shard.metadata["motion"]["name"]

@@ -1,9 +1,10 @@
 """N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
 
-The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is a folder of
-shards, each with up to `recordings_per_shard` images under one motion, and `set.json`, which records how
-they were made and is written first. Every recording has its own random generator, seeded by (seed, index of the
-motion, index of the image), so the number of workers and interruptions change nothing.
+The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is
+a folder of shards, each with up to `recordings_per_shard` images under one motion, and `set.json`,
+which records how they were made and is written first. Every recording has its own random generator,
+seeded by (seed, index of the motion, index of the image), so the number of workers and
+interruptions change nothing.
 """
 
 from __future__ import annotations
@@ -62,17 +63,18 @@ def build(
 ) -> MovingMnist:
     """Simulate the set, or what is missing of it; shows a progress bar.
 
-    Existing shards are kept, damaged ones made again, so an interrupted build resumes when called again. The same
-    arguments give the same files, for any number of workers.
+    Existing shards are kept, damaged ones made again, so an interrupted build resumes when called
+    again. The same arguments give the same files, for any number of workers.
 
     Parameters
     ----------
     mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
     split : "train" or "test".
     which : indices of images; all by default.
-    kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond" (30 motions), or
-        "nmnist" (1).
-    workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
+    kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond" (30
+        motions), or "nmnist" (1).
+    workers : processes; one per core by default. A script with more than one needs `if __name__ ==
+        "__main__":`.
     scene, frame_us : as in `simulate_digit`.
 
     Raises
@@ -89,7 +91,10 @@ def build(
     images, labels = load_mnist(mnist_folder, split)
     which = list(range(len(images))) if which is None else [int(i) for i in which]
     if not which or not 0 <= min(which) <= max(which) < len(images):
-        raise ValueError(f"`which` must be indices of the {len(images)} images of split {split!r}, got {short(which)}")
+        raise ValueError(
+            f"`which` must be indices of the {len(images)} images of split {split!r}, got "
+            f"{short(which)}"
+        )
     images, labels = images[which], labels[which]
     shared = {
         "split": split,
@@ -150,7 +155,8 @@ def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
         raise ValueError(
             f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: "
             f"python -m experiments.moving_mnist --mnist MNIST --out {folder} --split {p['split']} "
-            f"--motions {p['kind']} --digits {len(p['images'])} --seed {p['seed']}{bright}, or by `build` with "
+            f"--motions {p['kind']} --digits {len(p['images'])} --seed {p['seed']}{bright}, or by "
+            "`build` with "
             "the parameters in set.json"
         )
     return made

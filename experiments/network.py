@@ -2,16 +2,19 @@
 
     python -m experiments.network [--seconds 60] [--rate 1000000] [--pings 2000]
 
-Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a `UdpSource`, and one whose
-`Processor` decides on each: from just before `send` to the bytes, the packet, or the decision in hand. The plain socket
-shows how long the system takes to wake a process; the rest is ours.
+Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a
+`UdpSource`, and one whose `Processor` decides on each: from just before `send` to the bytes, the
+packet, or the decision in hand. The plain socket shows how long the system takes to wake a process;
+the rest is ours.
 
-Load. Events at an even rate for `--seconds`, in datagrams that fit Ethernet, to a `UdpSource` and a `Processor`
-that decides every 5 ms. Each event carries the time at which it was due on the clock that both processes share, so that
-a decision's delay (its newest event to the decision in hand) holds the sender's pacing and the system's buffer, too.
+Load. Events at an even rate for `--seconds`, in datagrams that fit Ethernet, to a `UdpSource` and a
+`Processor` that decides every 5 ms. Each event carries the time at which it was due on the clock
+that both processes share, so that a decision's delay (its newest event to the decision in hand)
+holds the sender's pacing and the system's buffer, too.
 
-Prints one JSON object. Exit code 1 if a datagram is missing, or if the sender fell short of the rate by more than
-1 %. What becomes of more events than a machine can decide on is measured by `experiments.sustained`.
+Prints one JSON object. Exit code 1 if a datagram is missing, or if the sender fell short of the
+rate by more than 1 %. What becomes of more events than a machine can decide on is measured by
+`experiments.sustained`.
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ SHARE_S = 1e-4
 BUFFER_BYTES = 1 << 22  # of the system, for datagrams that wait
 
 
-# -- the other process -----------------------------------------------------------------------------------
+# -- the other process -----------------------------------------------------------------------------
 
 
 def random_events(n: int) -> np.ndarray:
@@ -54,7 +57,8 @@ def random_events(n: int) -> np.ndarray:
 
 
 def send_pings(ports: list[int], n: int) -> None:
-    """One datagram a millisecond to each of the ports in turn, all its events at the time of sending."""
+    """One datagram a millisecond to each of the ports in turn, all its events at the time of
+    sending."""
     events = random_events(EVENTS)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for k in range(n * len(ports)):
@@ -64,10 +68,12 @@ def send_pings(ports: list[int], n: int) -> None:
 
 
 def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
-    """Events at an even rate, a datagram or a tenth of a millisecond's share at a time; what was sent."""
+    """Events at an even rate, a datagram or a tenth of a millisecond's share at a time; what was
+    sent."""
     n = max(1, round(rate * SHARE_S), min(EVENTS, round(rate)))
     events = random_events(n)
-    offset_us = (np.arange(n) * (1e6 / rate)).astype(np.int64) - round(n * 1e6 / rate)  # the last is due at the end
+    # the last is due at the end
+    offset_us = (np.arange(n) * (1e6 / rate)).astype(np.int64) - round(n * 1e6 / rate)
     n_shares = max(1, round(seconds * rate / n))
     n_datagrams = n_bytes = n_refused = 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -102,7 +108,7 @@ def other_process(*task: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
-# -- this process ----------------------------------------------------------------------------------------
+# -- this process ----------------------------------------------------------------------------------
 
 
 def measure_latency(model: Any, n: int) -> dict[str, Any]:
@@ -125,7 +131,8 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                 sent_us = int.from_bytes(plain.recv(1 << 16)[:8], "little")
                 late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
                 for way, source in (("packet", packets), ("decision", deciding)):
-                    if n_events[way] > k * EVENTS:  # it came with the one before: we were a round late
+                    # it came with the one before: we were a round late
+                    if n_events[way] > k * EVENTS:
                         continue
                     if (packet := source.receive(30)) is None:
                         raise RuntimeError("the sender sent nothing for 30 seconds")
@@ -138,7 +145,9 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
             sending.kill()
             sending.wait()
     result: dict[str, Any] = {way: latency(np.array(values)) for way, values in late_us.items()}
-    result["packet_adds"] = {key: result["packet"][key] - result["plain_socket"][key] for key in ("median", "p99")}
+    result["packet_adds"] = {
+        key: result["packet"][key] - result["plain_socket"][key] for key in ("median", "p99")
+    }
     return result
 
 
@@ -146,7 +155,9 @@ def measure_load(model: Any, seconds: float, rate: float) -> dict[str, Any]:
     """Receive and decide until the sender is silent."""
     processor = Processor(model, every_us=EVERY_US)
     delays_us: list[float] = []
-    with UdpSource(port=0, sensor=model.config.sensor, timeout_s=30, buffer_bytes=BUFFER_BYTES) as source:
+    with UdpSource(
+        port=0, sensor=model.config.sensor, timeout_s=30, buffer_bytes=BUFFER_BYTES
+    ) as source:
         sending = other_process("load", source.port, seconds, rate)
         try:
             for packet in source:
@@ -189,8 +200,16 @@ def wrong_with_load(result: dict[str, Any]) -> list[str]:
 def main(argv: list[str] | None = None) -> int:
     """Receive, decide, judge."""
     parser = plain_parser("network", __doc__)
-    parser.add_argument("--seconds", type=float, default=60.0, metavar="N", help="duration of the load (default: 60)")
-    parser.add_argument("--rate", type=float, default=1e6, metavar="R", help="events a second (default: a million)")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=60.0,
+        metavar="N",
+        help="duration of the load (default: 60)",
+    )
+    parser.add_argument(
+        "--rate", type=float, default=1e6, metavar="R", help="events a second (default: a million)"
+    )
     add_count(parser, "--pings", 2_000, "single datagrams")
     add_json(parser)
     parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
@@ -205,7 +224,10 @@ def main(argv: list[str] | None = None) -> int:
 
     model = load_model("digits")
     warmup(model)
-    result: dict[str, Any] = {"machine": machine(), "latency_us": measure_latency(model, args.pings)}
+    result: dict[str, Any] = {
+        "machine": machine(),
+        "latency_us": measure_latency(model, args.pings),
+    }
     result["load"] = measure_load(model, args.seconds, args.rate)
     result["wrong"] = wrong_with_load(result["load"])
     write_outputs(args, result)

@@ -12,7 +12,8 @@ def write_nmnist(path: Path, events: np.ndarray) -> None:
 
     Parameters
     ----------
-    events : structured array, in order of time: t in [0, 2**23) us, x and y below 256, y not 240. Not checked here.
+    events : structured array, in order of time: t in [0, 2**23) us, x and y below 256, y not 240.
+        Not checked here.
     """
     t_us = events["t"]
     rows = np.empty((len(events), 5), np.uint8)

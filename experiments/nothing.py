@@ -1,13 +1,16 @@
-"""How often a model decides with confidence where none of its classes is: noise, hot pixels, patches, edges, objects.
+"""How often a model decides with confidence where none of its classes is: noise, hot pixels,
+patches, edges, objects.
 
-    python -m experiments.nothing [--model NAME|FILE] [--poker POKER-DVS] [--characters FOLDER] [--cars N-CARS]
+    python -m experiments.nothing [--model NAME|FILE] [--poker POKER-DVS] [--characters FOLDER]
+    [--cars N-CARS]
                                   [--json FILE] [--quick]
 
-Windows have the times of the bundled recordings' events, which stand somewhere else. `train` shows noise, events of one
-polarity, hot pixels, rectangular patches and straight edges to its networks; discs and corners, and other objects, only
-this command does. Here they are made by code of their own. Shares are of windows whose class has .9 at their ends, and
-of those in which one has .9 or .99 at some moment, asked after every event.
-Of other objects, those in folders that are named as a class of the model are left out.
+Windows have the times of the bundled recordings' events, which stand somewhere else. `train` shows
+noise, events of one polarity, hot pixels, rectangular patches and straight edges to its networks;
+discs and corners, and other objects, only this command does. Here they are made by code of their
+own. Shares are of windows whose class has .9 at their ends, and of those in which one has .9 or .99
+at some moment, asked after every event. Of other objects, those in folders that are named as a
+class of the model are left out.
 """
 
 from __future__ import annotations
@@ -57,7 +60,10 @@ def hot_pixels(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 def patch(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     n = len(share)
     width, height = rng.uniform(0.15 * side, 0.45 * side, 2)
-    x, y = rng.uniform(0, side - width) + width * rng.random(n), rng.uniform(0, side - height) + height * rng.random(n)
+    x, y = (
+        rng.uniform(0, side - width) + width * rng.random(n),
+        rng.uniform(0, side - height) + height * rng.random(n),
+    )
     return x, y, rng.random(n) < rng.random()
 
 
@@ -66,7 +72,11 @@ def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     n, radius = len(share), rng.uniform(0.1, 0.25) * side
     far, angle = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
     x, y = rng.uniform(radius, side - radius, 2)
-    return x + far * np.cos(angle), y + far * np.sin(angle), np.sin(2 * np.pi * share * rng.integers(2, 8)) > 0
+    return (
+        x + far * np.cos(angle),
+        y + far * np.sin(angle),
+        np.sin(2 * np.pi * share * rng.integers(2, 8)) > 0,
+    )
 
 
 def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
@@ -74,7 +84,11 @@ def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     along = rng.uniform(-1, 1, n) * side
     across = rng.uniform(0.3, 1.0) * side * (share - 0.5) + rng.normal(0, 0.5, n)
     x = side / 2 + across * np.cos(angle) - along * np.sin(angle)
-    return x, side / 2 + across * np.sin(angle) + along * np.cos(angle), np.full(n, rng.random() < 0.5)
+    return (
+        x,
+        side / 2 + across * np.sin(angle) + along * np.cos(angle),
+        np.full(n, rng.random() < 0.5),
+    )
 
 
 def corner(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
@@ -82,7 +96,10 @@ def corner(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     n, turn = len(share), rng.uniform(0, np.pi / 2)
     along, first = rng.uniform(0, side, n), rng.random(n) < 0.5
     moved = rng.uniform(0.2, 0.6) * side * (share - 0.5)
-    u, v = np.where(first, along, 0) + moved, np.where(first, 0, along) + moved * rng.choice([-1, 1])
+    u, v = (
+        np.where(first, along, 0) + moved,
+        np.where(first, 0, along) + moved * rng.choice([-1, 1]),
+    )
     x, y = np.cos(turn) * u - np.sin(turn) * v, np.sin(turn) * u + np.cos(turn) * v
     return side / 2 + x, side / 2 + y, first
 
@@ -108,17 +125,24 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
     for name, kind in KINDS.items():
         rng = np.random.default_rng(len(name))
         windows = (
-            _of_kind(kind, samples[k % len(samples)], config.sensor[0], config.window_us, rng) for k in range(n_windows)
+            _of_kind(kind, samples[k % len(samples)], config.sensor[0], config.window_us, rng)
+            for k in range(n_windows)
         )
         rows[name] = _share(processor, windows)
     for name, folder in folders.items():
-        files = [path for path in recordings_under(folder) if path.parent.name not in (processor.classes or ())]
+        files = [
+            path
+            for path in recordings_under(folder)
+            if path.parent.name not in (processor.classes or ())
+        ]
         objects = _objects(files, config.sensor[0], config.window_us, n_windows)
         rows[f"{name} (tested only)"] = _share(processor, objects)
     return {"machine": machine(), "model": Path(model).name, "sure": SURE, "rows": rows}
 
 
-def _of_kind(kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.random.Generator) -> np.ndarray:
+def _of_kind(
+    kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.random.Generator
+) -> np.ndarray:
     """The first window of a recording, elsewhere."""
     t = events["t"] - events["t"][0]
     t = t[t < window_us]
@@ -134,17 +158,23 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
         scale = max(1.0, (max(int(events["x"].max()), int(events["y"].max())) + 1) / side)
         in_window = t < window_us
         one = events[in_window]
-        yield on_sensor(t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, (side, side))
+        yield on_sensor(
+            t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, (side, side)
+        )
 
 
 def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any]:
     last, highest = [], []
     for events in windows:
         processor.reset()
-        probabilities = [decision.probability for decision in [*processor.push(events), processor.fire()]]
+        probabilities = [
+            decision.probability for decision in [*processor.push(events), processor.fire()]
+        ]
         last.append(probabilities[-1])
         highest.append(max(probabilities))
-    at_some_moment = {f"{level:g}": float(np.mean(np.array(highest) >= level)) for level in (SURE, SURER)}
+    at_some_moment = {
+        f"{level:g}": float(np.mean(np.array(highest) >= level)) for level in (SURE, SURER)
+    }
     decided = float(np.mean(np.array(last) >= SURE))
     return {"windows": len(last), "decided": decided, "at_some_moment": at_some_moment}
 
@@ -152,11 +182,17 @@ def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
     parser = script_parser("nothing", __doc__, "ten windows of each kind")
-    parser.add_argument("--model", default="digits", metavar="NAME|FILE", help="a model (default: digits)")
+    parser.add_argument(
+        "--model", default="digits", metavar="NAME|FILE", help="a model (default: digits)"
+    )
     for name in ("poker", "characters", "cars"):
         add_folder(parser, f"--{name}", f"recordings of {name}, which are objects of other kinds")
     args = parser.parse_args(argv)
-    folders = {name: getattr(args, name) for name in ("poker", "characters", "cars") if getattr(args, name) is not None}
+    folders = {
+        name: getattr(args, name)
+        for name in ("poker", "characters", "cars")
+        if getattr(args, name) is not None
+    }
 
     def measured(quick: bool) -> dict[str, Any]:
         return measure(args.model, folders, 10 if quick else 500)

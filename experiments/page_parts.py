@@ -29,7 +29,8 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:
-    """Decorates what makes a table of a report: called without a report, it takes the recorded run `name`."""
+    """Decorates what makes a table of a report: called without a report, it takes the recorded run
+    `name`."""
 
     def decorated(make: Callable[[Any], str]) -> Table:
         @functools.wraps(make)
@@ -61,9 +62,15 @@ def about_machine(*reports: dict[str, Any]) -> str:
     about = reports[0]["machine"]
     loads = sorted({report["machine"]["load_1min"] for report in reports})
     load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"
-    names = {"torch": "torch", "onnxruntime": "onnxruntime", "openvino": "OpenVINO", "eventcv": "eventcv"}
+    names = {
+        "torch": "torch",
+        "onnxruntime": "onnxruntime",
+        "openvino": "OpenVINO",
+        "eventcv": "eventcv",
+    }
     versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
     return (
-        f"{about['cpu']}, one thread, load {load}; Python {about['python']}, NumPy {about['numpy']}, "
+        f"{about['cpu']}, one thread, load {load}; Python {about['python']}, NumPy "
+        f"{about['numpy']}, "
         f"Numba {about['numba']}" + "".join(", " + v for v in versions) + "."
     )

@@ -2,9 +2,9 @@
 
     python -m experiments.pages [--check]
 
-A table of a page stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`; RESULTS.md is
-written as a whole. `--check` changes nothing, and exits with 1 if a file differs from the results; a
-test does that, too.
+A table of a page stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`;
+RESULTS.md is written as a whole. `--check` changes nothing, and exits with 1 if a file differs from
+the results; a test does that, too.
 """
 
 from __future__ import annotations
@@ -13,7 +13,13 @@ import re
 from collections.abc import Callable
 
 from async_tnt.files import write_text
-from experiments import accuracy_tables, dataset_tables, decision_tables, results_sections, thesis_tables
+from experiments import (
+    accuracy_tables,
+    dataset_tables,
+    decision_tables,
+    results_sections,
+    thesis_tables,
+)
 from experiments.page_parts import ROOT
 from experiments.script_options import exit_with, plain_parser
 
@@ -25,7 +31,10 @@ SHORT = (
     thesis_tables.thesis_answers,
 )
 """What README and the page of results have of other tables."""
-TABLES = {make.__name__: make for make in (*SHORT, *(t for part in results_sections.SECTIONS for t in part.tables))}
+TABLES = {
+    make.__name__: make
+    for make in (*SHORT, *(t for part in results_sections.SECTIONS for t in part.tables))
+}
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -56,7 +65,9 @@ PAGES: dict[str, Callable[[str], str]] = {
 def main(argv: list[str] | None = None) -> int:
     """Write the pages, or check them."""
     parser = plain_parser("pages", __doc__)
-    parser.add_argument("--check", action="store_true", help="change nothing; exit code 1 if something would change")
+    parser.add_argument(
+        "--check", action="store_true", help="change nothing; exit code 1 if something would change"
+    )
     args = parser.parse_args(argv)
     stale = False
     for page, make in PAGES.items():

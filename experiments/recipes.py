@@ -1,12 +1,15 @@
 """Which volume `async-tnt train` takes by default: candidates on five data sets, held-out data.
 
-    python -m experiments.recipes [--cars N-CARS] [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
-                                  [--sets NAME ...] [--candidates NAME ...] [--seeds N] [--out FOLDER] [--json FILE]
+    python -m experiments.recipes [--cars N-CARS] [--nmnist N-MNIST] [--poker POKER-DVS]
+    [--characters FOLDER]
+                                  [--sets NAME ...] [--candidates NAME ...] [--seeds N] [--out
+                                  FOLDER] [--json FILE]
 
-No test part is read: N-CARS, N-MNIST and POKER-DVS hold out the last recordings of each class of their training parts;
-HOTS' characters, of which there is one recording each, their last 35 ms; `sessions`, which is made here, a second
-session: another noise, other thresholds, other places and sizes. Finished trainings in --out are kept, interrupted
-ones resume, and what FILE has of other sets and candidates stays there.
+No test part is read: N-CARS, N-MNIST and POKER-DVS hold out the last recordings of each class of
+their training parts; HOTS' characters, of which there is one recording each, their last 35 ms;
+`sessions`, which is made here, a second session: another noise, other thresholds, other places and
+sizes. Finished trainings in --out are kept, interrupted ones resume, and what FILE has of other
+sets and candidates stays there.
 """
 
 from __future__ import annotations
@@ -79,7 +82,9 @@ def sessions(folder: Path, config: Any) -> TrainingData:
     """Made in `folder`."""
     parts = {}
     for k, session in enumerate((Session(), Session(0.28, 0.2, 2.0, 0.8, (6.0, -4.0)))):
-        made = write(folder / f"session{k}", 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session)
+        made = write(
+            folder / f"session{k}", 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session
+        )
         parts[k] = read(made, config.replace(window_us=WINDOW_US), sensor=SENSOR, validation=0.0)
     return replace(parts[0], validation=parts[1].training)
 
@@ -93,7 +98,9 @@ SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
 }
 
 
-def measure(name: str, data: TrainingData, volume: Mapping[str, Any], seed: int, run_folder: Path) -> dict[str, Any]:
+def measure(
+    name: str, data: TrainingData, volume: Mapping[str, Any], seed: int, run_folder: Path
+) -> dict[str, Any]:
     """Held-out accuracy of one candidate on one set."""
     config = data.config.replace(**volume)
     settings = settings_for(config, len(data.training), epochs=EPOCHS.get(name), seed=seed)
@@ -116,16 +123,30 @@ def main(argv: list[str] | None = None) -> int:
     for name in SETS:
         if name != "sessions":
             add_folder(parser, f"--{name}", f"the data set {name}")
-    parser.add_argument("--sets", nargs="+", choices=list(SETS), metavar="NAME", help="default: those with a folder")
     parser.add_argument(
-        "--candidates", nargs="+", choices=list(CANDIDATES), default=list(CANDIDATES)[:2], metavar="NAME"
+        "--sets", nargs="+", choices=list(SETS), metavar="NAME", help="default: those with a folder"
+    )
+    parser.add_argument(
+        "--candidates",
+        nargs="+",
+        choices=list(CANDIDATES),
+        default=list(CANDIDATES)[:2],
+        metavar="NAME",
     )
     add_count(parser, "--seeds", 1, "of each candidate")
-    parser.add_argument("--out", type=Path, default=Path("recipes"), metavar="FOLDER", help="runs (default: recipes)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("recipes"),
+        metavar="FOLDER",
+        help="runs (default: recipes)",
+    )
     add_json(parser)
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
-    names = args.sets or [name for name in SETS if name == "sessions" or getattr(args, name) is not None]
+    names = args.sets or [
+        name for name in SETS if name == "sessions" or getattr(args, name) is not None
+    ]
     report = earlier_report(args, {"sets": {}}) | {"machine": machine("torch")}
     for name in names:
         _measure_set(name, args, report)

@@ -1,4 +1,5 @@
-"""What stands in RESULTS.md: the sections, how their tables were measured, and what each table shows."""
+"""What stands in RESULTS.md: the sections, how their tables were measured, and what each table
+shows."""
 
 from __future__ import annotations
 
@@ -50,12 +51,17 @@ class Section:
 SECTIONS = (
     Section(
         "Decisions",
-        "What is compared runs in one process, on one thread each, warm, taking turns, and must first give the same "
-        "logits within 1e-4, but for eventcv, whose volume is another one. *In blocks*: 50 decisions in a row, so "
-        "that each network has the caches to itself. *Call by call*: the networks alternate at every decision. Ratios "
-        "are taken pair by pair. Latency is wall-clock time, throughput processor time. OpenVINO uses float32 and the "
+        "What is compared runs in one process, on one thread each, warm, taking turns, and must "
+        "first give the same "
+        "logits within 1e-4, but for eventcv, whose volume is another one. *In blocks*: 50 "
+        "decisions in a row, so "
+        "that each network has the caches to itself. *Call by call*: the networks alternate at "
+        "every decision. Ratios "
+        "are taken pair by pair. Latency is wall-clock time, throughput processor time. OpenVINO "
+        "uses float32 and the "
         "hint LATENCY.",
-        "experiments.decisions --json experiments/results/decisions.json --picture docs/images/decisions.png",
+        "experiments.decisions --json experiments/results/decisions.json --picture "
+        "docs/images/decisions.png",
         {
             decisions.decisions_machine: "Machine",
             decisions.network_in_blocks: "The network alone, in blocks: microseconds from a finished volume to its "
@@ -68,16 +74,20 @@ SECTIONS = (
     ),
     Section(
         "Starts",
-        "A fresh process, to its first decision. A `Processor` compiles in its own process, commands compile in two.",
+        "A fresh process, to its first decision. A `Processor` compiles in its own process, "
+        "commands compile in two.",
         "experiments.starts --json experiments/results/starts.json",
         {decisions.starts_machine: "Machine", decisions.starts: "Seconds, medians of five"},
     ),
     Section(
         "Four networks",
-        "Random weights, on the bundled recordings, whose pixels are mapped onto each grid: that of the thesis; "
-        "`conv4`, four convolutions with batch norm and max pooling; `residual`; and one for gestures, a 2x2 stem of "
+        "Random weights, on the bundled recordings, whose pixels are mapped onto each grid: that "
+        "of the thesis; "
+        "`conv4`, four convolutions with batch norm and max pooling; `residual`; and one for "
+        "gestures, a 2x2 stem of "
         "stride 2 and four 3x3 convolutions with average pooling.",
-        "experiments.incremental --json experiments/results/incremental.json --picture docs/images/incremental.png",
+        "experiments.incremental --json experiments/results/incremental.json --picture "
+        "docs/images/incremental.png",
         {
             decisions.incremental_machine: "Machine",
             decisions.incremental_times: "Microseconds from a finished volume to its logits, in blocks, 99th "
@@ -101,7 +111,8 @@ SECTIONS = (
     Section(
         "Cars",
         CARS,
-        "experiments.cars N-CARS --json experiments/results/cars.json --picture docs/images/cars.png",
+        "experiments.cars N-CARS --json experiments/results/cars.json --picture "
+        "docs/images/cars.png",
         {
             datasets.cars: "Accuracy on the test part by the time since the first event",
             datasets.cars_confidence: "What a level of confidence costs, looked at every 2 ms; *right of all*: windows "
@@ -111,8 +122,10 @@ SECTIONS = (
     ),
     Section(
         "Without options",
-        "`async-tnt train` with the sensor's size alone; each network read the test part once. N-MNIST: 8,000 "
-        "recordings to learn from and 1,000 to test on, not the official split. POKER-DVS: 48 and 20. HOTS' "
+        "`async-tnt train` with the sensor's size alone; each network read the test part once. "
+        "N-MNIST: 8,000 "
+        "recordings to learn from and 1,000 to test on, not the official split. POKER-DVS: 48 and "
+        "20. HOTS' "
         "characters: 36 and 40.",
         "experiments.bare --nmnist N-MNIST --poker POKER-DVS --characters characters "
         "--json experiments/results/bare.json",
@@ -121,7 +134,8 @@ SECTIONS = (
     Section(
         "Which default",
         DEFAULT,
-        "experiments.recipes --cars N-CARS --nmnist N-MNIST --poker POKER-DVS --characters characters "
+        "experiments.recipes --cars N-CARS --nmnist N-MNIST --poker POKER-DVS --characters "
+        "characters "
         "--json experiments/results/recipes.json",
         {datasets.recipes: "Held-out windows right at their ends / in the mean over ten moments"},
     ),
@@ -134,7 +148,8 @@ SECTIONS = (
     ),
     Section(
         "Early decisions",
-        "The 1,000 test recordings of `digits`, a decision every 2.1 ms. Windows that do not reach a confidence count "
+        "The 1,000 test recordings of `digits`, a decision every 2.1 ms. Windows that do not reach "
+        "a confidence count "
         "with the decision at their end, after 105 ms. Nothing was chosen by these numbers.",
         "async_tnt evaluate digits N-MNIST --json > experiments/results/early.json",
         {
@@ -143,10 +158,14 @@ SECTIONS = (
     ),
     Section(
         "Where nothing is",
-        "Windows with the times of the bundled recordings' events, which stand somewhere else, and other objects. "
-        "Training showed `digits` noise, one polarity, hot pixels, patches and straight edges, by code of its own. "
-        "When it had seen noise alone, the shares were .00, .46, .00, .72, .25, .84, .22, .48, .56, .77, .17.",
-        "experiments.nothing --poker POKER-DVS/pips_train --characters characters --cars n-cars_train "
+        "Windows with the times of the bundled recordings' events, which stand somewhere else, and "
+        "other objects. "
+        "Training showed `digits` noise, one polarity, hot pixels, patches and straight edges, by "
+        "code of its own. "
+        "When it had seen noise alone, the shares were .00, .46, .00, .72, .25, .84, .22, .48, "
+        ".56, .77, .17.",
+        "experiments.nothing --poker POKER-DVS/pips_train --characters characters --cars "
+        "n-cars_train "
         "--json experiments/results/nothing.json",
         {accuracy.nothing: "Share of windows in which a class has .9 at their ends"},
     ),
@@ -166,7 +185,8 @@ SECTIONS = (
     Section(
         "The thesis' table",
         THESIS,
-        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --into experiments/results/table.json",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --into "
+        "experiments/results/table.json",
         {
             thesis.thesis_rows: "The thesis' own rows; in brackets its numbers, from the official split and simulated "
             f"motions of its own, which were probably like {THESIS_SET!r}",
@@ -182,15 +202,18 @@ SECTIONS = (
     ),
     Section(
         "Layers and flow",
-        "Equivariance errors of `digits`' layers: how far the features of a digit with flow added are from those "
-        "without, translated by whole cells of the layer; [drawn](../docs/theory.md#the-temporal-normalization-"
+        "Equivariance errors of `digits`' layers: how far the features of a digit with flow added "
+        "are from those "
+        "without, translated by whole cells of the layer; "
+        "[drawn](../docs/theory.md#the-temporal-normalization-"
         "transform).",
         "experiments.figure_equivariance --json experiments/results/equivariance.json",
         {thesis.equivariance: "By input, layer and pixels per window"},
     ),
     Section(
         "Missing edges and polarity",
-        "1,000 N-MNIST recordings; each saccade's events are moved back onto the MNIST image that was shown.",
+        "1,000 N-MNIST recordings; each saccade's events are moved back onto the MNIST image that "
+        "was shown.",
         "experiments.edges --nmnist N-MNIST --mnist MNIST --json experiments/results/edges.json",
         {
             accuracy.edges: "Events for each unit of gradient, by the angle between gradient and motion",
@@ -200,7 +223,8 @@ SECTIONS = (
     Section(
         "Re-synthesized motions",
         MOTIONS,
-        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows motions --into experiments/results/table.json",
+        "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows motions --into "
+        "experiments/results/table.json",
         {
             thesis.resynthesis: "Accuracy",
             thesis.resynthesis_match: "How well the recorded motion is matched",
@@ -216,15 +240,19 @@ SECTIONS = (
             "experiments/results/unseen_whole.json`",
             accuracy.unseen_hands: "Hand motion: `--set hands --json experiments/results/unseen_hands.json`",
             accuracy.unseen_volumes: "The saccades by what is learned from: `--set volumes --seeds 1 --json "
-            "experiments/results/unseen_volumes.json`. The default was set after this was seen; held-out windows in "
+            "experiments/results/unseen_volumes.json`. The default was set after this was seen; "
+            "held-out windows in "
             "other motions are ordered alike: .897, .922, .826, .915, .879",
         },
     ),
     Section(
         "Paths that are found",
-        "Right: within 45 degrees, of the median at full rate or of the swing. The constants of the rules were set by "
-        "the rows of N-MNIST's training recordings and of noise; hand motion (2 to 3 pixels, 1.2 to 2.7 events each, "
-        "`experiments/made_hands.py`) set none. Paths only shift: of objects that turn by 16° or grow by 25 % in a "
+        "Right: within 45 degrees, of the median at full rate or of the swing. The constants of "
+        "the rules were set by "
+        "the rows of N-MNIST's training recordings and of noise; hand motion (2 to 3 pixels, 1.2 "
+        "to 2.7 events each, "
+        "`experiments/made_hands.py`) set none. Paths only shift: of objects that turn by 16° or "
+        "grow by 25 % in a "
         "swing (standard deviations) those found are right nearly as often, and more are refused.",
         "experiments.found_paths --nmnist N-MNIST --json experiments/results/found_paths.json",
         {accuracy.found_paths: "Windows with a path that is relied on"},
@@ -232,7 +260,8 @@ SECTIONS = (
     Section(
         "Pictures alone",
         FROM_PICTURES,
-        "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters --made --fonts FONTS "
+        "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters "
+        "--made --fonts FONTS "
         "--seeds 5 --json experiments/results/from_pictures.json",
         {
             datasets.from_pictures: "Tested on real recordings, or on those of another renderer",
@@ -241,9 +270,12 @@ SECTIONS = (
     ),
     Section(
         "Pictures and few recordings",
-        "How many real recordings of each class a classifier of N-MNIST needs, with MNIST's 60,000 training images and "
-        "without: one network each, `async-tnt train FOLDER --sensor 34x34`, which reads 1,000 of Test once, as "
-        "did networks of an earlier version that recorded each picture once (pictures alone .985). Differences below "
+        "How many real recordings of each class a classifier of N-MNIST needs, with MNIST's 60,000 "
+        "training images and "
+        "without: one network each, `async-tnt train FOLDER --sensor 34x34`, which reads 1,000 of "
+        "Test once, as "
+        "did networks of an earlier version that recorded each picture once (pictures alone .985). "
+        "Differences below "
         ".005 may be chance.",
         "experiments.few_recordings --json experiments/results/few_recordings.json --picture "
         "docs/images/few_recordings.png",
@@ -253,12 +285,14 @@ SECTIONS = (
     Section(
         "Several objects on a large sensor",
         EVERYWHERE,
-        "experiments.everywhere digits-everywhere MODEL ... --json experiments/results/everywhere.json",
+        "experiments.everywhere digits-everywhere MODEL ... --json "
+        "experiments/results/everywhere.json",
         {
             datasets.everywhere: "Real digits in scenes",
             datasets.car_scenes: "Cars",
             streams.map_times: "From events to objects, `push` and `fire`, beside the whole map, after three digits, "
-            "medians and 99th percentiles: `python -m experiments.map_times --json experiments/results/map_times.json`",
+            "medians and 99th percentiles: `python -m experiments.map_times --json "
+            "experiments/results/map_times.json`",
             streams.map_load: "A million events and 1,000 decisions a second on 320x240: processor seconds for "
             "each second of the stream, which must stay below 1",
             streams.map_machine: "Machine",
@@ -266,15 +300,18 @@ SECTIONS = (
     ),
     Section(
         "Two threads",
-        "Two streams in two threads of one process: the time of one after the other, divided by that of both at once; "
+        "Two streams in two threads of one process: the time of one after the other, divided by "
+        "that of both at once; "
         "quartiles lie up to .1 away.",
         "experiments.threads --json experiments/results/threads.json",
         {streams.threads: "How much faster", streams.threads_machine: "Machine"},
     ),
     Section(
         "What a machine sustains",
-        "Streams in real time, in packets of a millisecond, through `KeepUp` with at most 50 ms, a minute each. Load: "
-        "the rate, divided by the one that takes a core. Delays from the moment a packet was due to the end of its "
+        "Streams in real time, in packets of a millisecond, through `KeepUp` with at most 50 ms, a "
+        "minute each. Load: "
+        "the rate, divided by the one that takes a core. Delays from the moment a packet was due "
+        "to the end of its "
         "decisions.",
         "experiments.sustained --seconds 60 --json experiments/results/sustained.json",
         {streams.sustained: "Delays under load"},
@@ -286,8 +323,10 @@ SECTIONS = (
     ),
     Section(
         "Network",
-        "Two processes, UDP on loopback, datagrams of 100 events, 1300 bytes. Latency from just before `send`; the "
-        "plain socket's time is the system's. Delays count from the time an event was due at the sender.",
+        "Two processes, UDP on loopback, datagrams of 100 events, 1300 bytes. Latency from just "
+        "before `send`; the "
+        "plain socket's time is the system's. Delays count from the time an event was due at the "
+        "sender.",
         "experiments.network --json experiments/results/network.json",
         {
             streams.udp_machine: "Machine",
@@ -302,8 +341,10 @@ def page() -> str:
     """RESULTS.md."""
     parts = [
         "# All results",
-        "Written by `python -m experiments.pages`, the tables from `results/*.json` and the record inside the bundled "
-        "model (that of simulated and real recordings by hand); do not edit.\n[What they say](../docs/results.md), "
+        "Written by `python -m experiments.pages`, the tables from `results/*.json` and the record "
+        "inside the bundled "
+        "model (that of simulated and real recordings by hand); do not edit.\n[What they "
+        "say](../docs/results.md), "
         "with the most important tables. Timings are medians on shared 2-core virtual machines.",
     ]
     for section in SECTIONS:

@@ -1,4 +1,5 @@
-"""Longer texts of RESULTS.md: how its tables were measured, and what limits their numbers; Markdown."""
+"""Longer texts of RESULTS.md: how its tables were measured, and what limits their numbers;
+Markdown."""
 
 RECIPE = """\
 Not the official N-MNIST test: training used the official training recordings 1-1,000 and 7,000 of the official *test*

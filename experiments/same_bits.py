@@ -2,10 +2,11 @@
 
     python -m experiments.same_bits [--json experiments/results/same_bits.json] [--check]
 
-For each landmark that needs no network, each polarity and each image, the volumes of the bundled recordings' windows at
-several prefixes; for each bundled model, its logits. --check compares with the recorded digest,
-and exits with 1 where it differs. Kernels say in which order they add, so that the length of a processor's vectors
-does not matter. Compared so far: x86-64 with AVX2 and with AVX-512, and arm64 under emulation.
+For each landmark that needs no network, each polarity and each image, the volumes of the bundled
+recordings' windows at several prefixes; for each bundled model, its logits. --check compares with
+the recorded digest, and exits with 1 where it differs. Kernels say in which order they add, so that
+the length of a processor's vectors does not matter. Compared so far: x86-64 with AVX2 and with
+AVX-512, and arm64 under emulation.
 """
 
 from __future__ import annotations
@@ -29,12 +30,16 @@ WINDOW_US = 105_000
 
 def configs() -> Iterator[TNTConfig]:
     """Of the volumes."""
-    for landmark, polarity in itertools.product(("center", "running", "line"), ("signed", "unsigned", "split")):
+    for landmark, polarity in itertools.product(
+        ("center", "running", "line"), ("signed", "unsigned", "split")
+    ):
         yield TNTConfig(t_max=4.0).replace(landmark=landmark, polarity=polarity)
     yield TNTConfig(landmark="line", remove_flow=True)
     yield TNTConfig(transform="none", landmark="center")
     for image in ("count", "count_time", "mean_time", "time_surface"):
-        yield TNTConfig(transform="none", landmark="center", polarity="split").replace(representation=image)
+        yield TNTConfig(transform="none", landmark="center", polarity="split").replace(
+            representation=image
+        )
 
 
 def digests() -> dict[str, str]:
@@ -67,7 +72,9 @@ def main(argv: list[str] | None = None) -> int:
     """Print, write or compare. Returns 1 if a digest differs from the recorded one."""
     parser = plain_parser("same_bits", __doc__)
     add_json(parser)
-    parser.add_argument("--check", action="store_true", help="compare with those of experiments/results")
+    parser.add_argument(
+        "--check", action="store_true", help="compare with those of experiments/results"
+    )
     args = parser.parse_args(argv)
     report: dict[str, Any] = {"machine": machine(), "sha256": digests()}
     for name, digest in report["sha256"].items():
@@ -76,7 +83,11 @@ def main(argv: list[str] | None = None) -> int:
     if args.check:
         recorded = results("same_bits")["sha256"]
         differ = [name for name, digest in report["sha256"].items() if recorded.get(name) != digest]
-        print(f"different from the recorded ones: {', '.join(differ)}" if differ else "the same as the recorded ones")
+        print(
+            f"different from the recorded ones: {', '.join(differ)}"
+            if differ
+            else "the same as the recorded ones"
+        )
         return int(bool(differ))
     return 0
 

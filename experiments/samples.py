@@ -15,7 +15,8 @@ from experiments.script_options import add_folder, data_folder, exit_with, plain
 from experiments.simulated_digits import simulate_digit
 
 FIRST_SAMPLE = 2_000
-"""Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings show."""
+"""Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings
+show."""
 
 
 def sample_indices(labels: np.ndarray) -> dict[int, int]:
@@ -29,7 +30,9 @@ def sample_indices(labels: np.ndarray) -> dict[int, int]:
     for digit in range(10):
         found = np.flatnonzero(labels[FIRST_SAMPLE:] == digit)
         if len(found) == 0:
-            raise ValueError(f"no image of a {digit} from index {FIRST_SAMPLE} on, in {len(labels)} images")
+            raise ValueError(
+                f"no image of a {digit} from index {FIRST_SAMPLE} on, in {len(labels)} images"
+            )
         indices[digit] = FIRST_SAMPLE + int(found[0])
     return indices
 

@@ -1,4 +1,5 @@
-"""What the commands of this folder share: options, how they end, and the files and pictures that they write."""
+"""What the commands of this folder share: options, how they end, and the files and pictures that
+they write."""
 
 from __future__ import annotations
 
@@ -34,8 +35,11 @@ def picture_file(text: str) -> Path:
     return writable_file(text, check_picture)
 
 
-def plain_parser(name: str, description: str | None, epilog: str | None = None) -> argparse.ArgumentParser:
-    """The parser of `python -m experiments.NAME`, which prints description and epilog as they are."""
+def plain_parser(
+    name: str, description: str | None, epilog: str | None = None
+) -> argparse.ArgumentParser:
+    """The parser of `python -m experiments.NAME`, which prints description and epilog as they
+    are."""
     return argparse.ArgumentParser(
         prog=f"python -m experiments.{name}",
         description=description,
@@ -47,17 +51,27 @@ def plain_parser(name: str, description: str | None, epilog: str | None = None) 
 def picture_parser(name: str, description: str | None) -> argparse.ArgumentParser:
     """`plain_parser` of a command that draws into --picture."""
     parser = plain_parser(name, description)
-    parser.add_argument("--picture", type=picture_file, metavar="FILE", required=True, help=".png, .svg or .pdf")
+    parser.add_argument(
+        "--picture", type=picture_file, metavar="FILE", required=True, help=".png, .svg or .pdf"
+    )
     return parser
 
 
-def script_parser(name: str, description: str | None, quick: str, *, draws: bool = False) -> argparse.ArgumentParser:
-    """`plain_parser` with --quick and --json; if the command draws, also with --picture and --from."""
+def script_parser(
+    name: str, description: str | None, quick: str, *, draws: bool = False
+) -> argparse.ArgumentParser:
+    """`plain_parser` with --quick and --json; if the command draws, also with --picture and
+    --from."""
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
     add_json(parser)
     if draws:
-        parser.add_argument("--picture", type=picture_file, metavar="FILE", help="also draw them: .png, .svg or .pdf")
+        parser.add_argument(
+            "--picture",
+            type=picture_file,
+            metavar="FILE",
+            help="also draw them: .png, .svg or .pdf",
+        )
         help_from = "take the figures from such a JSON file instead of measuring"
         parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help=help_from)
     return parser
@@ -70,8 +84,8 @@ def run_script(
     name: str,
     draw: Callable[[Any], Any] | None = None,
 ) -> int:
-    """Measure (given --quick) or read, print the tables of report `name`, and write JSON and the picture if asked.
-    Returns the exit code: 1 if backends do not agree."""
+    """Measure (given --quick) or read, print the tables of report `name`, and write JSON and the
+    picture if asked. Returns the exit code: 1 if backends do not agree."""
     args = parser.parse_args(argv)
     try:
         source = getattr(args, "source", None)
@@ -92,7 +106,8 @@ def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str
 
 
 def print_tables(report: dict[str, Any], name: str) -> None:
-    """What RESULTS.md would show of this report; what each row does, and what is left out and why."""
+    """What RESULTS.md would show of this report; what each row does, and what is left out and
+    why."""
     from experiments.results_sections import SECTIONS
 
     for section in SECTIONS:
@@ -107,10 +122,14 @@ def print_tables(report: dict[str, Any], name: str) -> None:
 
 def _leaves(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
     for name, value in node.items():
-        yield from _leaves(value, f"{name}: ") if isinstance(value, dict) else [(above + name, value)]
+        yield from (
+            _leaves(value, f"{name}: ") if isinstance(value, dict) else [(above + name, value)]
+        )
 
 
-def write_outputs(args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None) -> None:
+def write_outputs(
+    args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None
+) -> None:
     """The files of --json and --picture."""
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
@@ -125,10 +144,13 @@ def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100)
 
 
 def exit_with(main: Callable[[], int]) -> NoReturn:
-    """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130 Ctrl-C."""
+    """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130
+    Ctrl-C."""
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *where, **more: _print_line(f"warning: {message}")
+            warnings.showwarning = lambda message, *where, **more: _print_line(
+                f"warning: {message}"
+            )
             code = main()
     except BrokenPipeError:  # `| head`: the reader has seen enough
         code = 0
@@ -152,7 +174,9 @@ def add_count(parser: argparse._ActionsContainer, option: str, default: int, tex
 
 
 def add_json(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    parser.add_argument(
+        "--json", type=writable_file, metavar="FILE", help="also write the figures there"
+    )
 
 
 def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:
@@ -164,7 +188,9 @@ def data_folder(given: Path | None, name: str, option: str) -> Path:
     folder = given
     if folder is None:
         if not (root := os.environ.get("TNT_DATA")):
-            raise FileNotFoundError(f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/")
+            raise FileNotFoundError(
+                f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/"
+            )
         folder = Path(root) / name
     if not folder.is_dir():
         raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")

@@ -1,8 +1,9 @@
 """The manifest of a set of moving digits: `set.json` beside its shards.
 
 format, version   "async_tnt.moving_mnist", 1
-parameters        everything that decides the content: split, kind of motion, indices of images, seed, sensor,
-                  simulator, recordings_per_shard, package_version, and a checksum of the images and labels
+parameters        everything that decides the content: split, kind of motion, indices of images,
+                  seed, sensor, simulator, recordings_per_shard, package_version, and a checksum of
+                  the images and labels
 motions           by index
 shards            names of the files, motion by motion, and by image within each
 """
@@ -23,7 +24,8 @@ from experiments.shards import Shard, open_shard
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
 VERSION = 1
-PARAMETERS = ("split", "kind", "images", "seed", "sensor", "simulator", "recordings_per_shard")  # that readers need
+# that readers need
+PARAMETERS = ("split", "kind", "images", "seed", "sensor", "simulator", "recordings_per_shard")
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class MovingMnist:
     folder : its folder.
     shards : the files, motion by motion, and by image within each.
     motions : the motions, by index.
-    parameters : everything that decides the content: split, kind, indices of images, seed, simulator ...
+    parameters : everything that decides the content: split, kind, indices of images, seed,
+        simulator ...
     """
 
     folder: Path
@@ -69,12 +72,14 @@ def write_manifest(made: MovingMnist) -> None:
             name = next(key for key in sorted(there | asked) if there.get(key) != asked.get(key))
             there, asked = there.get(name), asked.get(name)
         raise ValueError(
-            f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give the same, or another "
+            f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give "
+            "the same, or another "
             "folder"
         )
     if any(shard.exists() for shard in made.shards):
         raise ValueError(
-            f"{made.folder}: shards without {MANIFEST}, which says how they were made. Give another folder"
+            f"{made.folder}: shards without {MANIFEST}, which says how they were made. Give "
+            "another folder"
         )
     content = {
         "format": FORMAT,
@@ -89,20 +94,31 @@ def write_manifest(made: MovingMnist) -> None:
 def read_manifest(folder: Path) -> MovingMnist:
     path = folder / MANIFEST
     if not path.is_file():
-        raise FileNotFoundError(f"{folder}: no {MANIFEST} in it; expected a folder that experiments.moving_mnist made")
+        raise FileNotFoundError(
+            f"{folder}: no {MANIFEST} in it; expected a folder that experiments.moving_mnist made"
+        )
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if (content["format"], content["version"]) != (FORMAT, VERSION):
-            raise ValueError(f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}")
+            raise ValueError(
+                f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}"
+            )
         parameters = {name: content["parameters"][name] for name in PARAMETERS}
         moving = motions_of(parameters["kind"])
         names = shard_names(moving, len(parameters["images"]), parameters["recordings_per_shard"])
-        if content["motions"] != [dataclasses.asdict(motion) for motion in moving] or content["shards"] != names:
-            raise ValueError(f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards")
+        if (
+            content["motions"] != [dataclasses.asdict(motion) for motion in moving]
+            or content["shards"] != names
+        ):
+            raise ValueError(
+                f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards"
+            )
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else error
         raise ValueError(f"{path}: damaged, or not a set of this release: {what}") from None
-    return MovingMnist(folder, tuple(folder / name for name in names), moving, content["parameters"])
+    return MovingMnist(
+        folder, tuple(folder / name for name in names), moving, content["parameters"]
+    )
 
 
 def shard_names(motions: Sequence[Motion], n_images: int, recordings_per_shard: int) -> list[str]:

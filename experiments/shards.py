@@ -5,14 +5,16 @@ With N events in R recordings, all of which last `duration_us`:
     t              int32    (N,)       time since the recording's start, us; 0 <= t < duration_us
     x, y           uint8    (N,)       pixel
     p              uint8    (N,)       1 = ON, 0 = OFF
-    offsets        int64    (R + 1,)   recording i is events offsets[i] to offsets[i + 1]; in order of time
+    offsets        int64    (R + 1,)   recording i is events offsets[i] to offsets[i + 1]; in order
+                                       of time
     labels         uint8    (R,)       class
     image          int32    (R,)       index of the image in its data set, from 0
-    flow           float32  (R, K, 2)  optical flow (vx, vy) of the whole image, px/s, to the right and downwards, at
+    flow           float32  (R, K, 2)  optical flow (vx, vy) of the whole image, px/s, to the right
+                                       and downwards, at
     flow_times_us  int64    (K,)       these times; K = 1 where the flow is constant
 
-and one metadata entry, `shard`: JSON with `sensor` [width, height], `duration_us` and more: the motion, the seed, the
-simulator's parameters.
+and one metadata entry, `shard`: JSON with `sensor` [width, height], `duration_us` and more: the
+motion, the seed, the simulator's parameters.
 """
 
 from __future__ import annotations
@@ -31,7 +33,16 @@ from safetensors.numpy import save
 from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.files import replacing
 
-COLUMNS = {"t": "i4", "x": "u1", "y": "u1", "p": "u1", "offsets": "i8", "labels": "u1", "image": "i4", "flow": "f4"}
+COLUMNS = {
+    "t": "i4",
+    "x": "u1",
+    "y": "u1",
+    "p": "u1",
+    "offsets": "i8",
+    "labels": "u1",
+    "image": "i4",
+    "flow": "f4",
+}
 COLUMNS |= {"flow_times_us": "i8"}
 
 
@@ -121,7 +132,14 @@ def open_shard(path: str | os.PathLike[str]) -> Shard:
             if columns[name].dtype != np.dtype(dtype):
                 raise ValueError(f"`{name}` must be {np.dtype(dtype)}, got {columns[name].dtype}")
         _check(columns, metadata)
-    except (SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+    except (
+        SafetensorError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ) as error:
         raise ValueError(f"{path}: not a shard, or a damaged one: {error}") from None
     for column in columns.values():
         column.flags.writeable = False
@@ -146,11 +164,20 @@ def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> No
     if offsets[0] != 0 or offsets[-1] != t.size or (offsets[1:] < offsets[:-1]).any():
         raise ValueError(f"`offsets` must rise from 0 to {t.size}, the number of events")
     (width, height), duration_us = metadata["sensor"], metadata["duration_us"]
-    limits = {"t": duration_us, "x": width, "y": height, "p": 2, "image": 1 << 31, "flow_times_us": duration_us + 1}
+    limits = {
+        "t": duration_us,
+        "x": width,
+        "y": height,
+        "p": 2,
+        "image": 1 << 31,
+        "flow_times_us": duration_us + 1,
+    }
     for name, limit in limits.items():
         values = columns[name]
         if values.size and (values.min() < 0 or values.max() >= limit):
-            raise ValueError(f"`{name}` must be in [0, {limit}), got {values.min()} to {values.max()}")
+            raise ValueError(
+                f"`{name}` must be in [0, {limit}), got {values.min()} to {values.max()}"
+            )
     falls = np.flatnonzero(t[1:] < t[:-1]) + 1
     if not np.isin(falls, offsets).all():
         raise ValueError("`t` must not decrease within a recording")

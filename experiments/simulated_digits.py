@@ -23,7 +23,8 @@ def simulate_digit(
 
     Parameters
     ----------
-    image : shape (28, 28) for MNIST, or any other; uint8 in 0-255 or floating in [0, 1]; 0 is the background.
+    image : shape (28, 28) for MNIST, or any other; uint8 in 0-255 or floating in [0, 1]; 0 is the
+        background.
     rng : source of all randomness. The same state and arguments give the same events.
     trajectory : the motion; N-MNIST's three saccades, a little delayed at random, by default.
     scene : contrast, blur and polarity; `Scene()` by default: dark on bright, ON events trail.
@@ -33,7 +34,8 @@ def simulate_digit(
 
     Returns
     -------
-    Structured array of `EVENT_DTYPE`, sorted by (t, y, x); times from 0 to `trajectory.duration_us`.
+    Structured array of `EVENT_DTYPE`, sorted by (t, y, x); times from 0 to
+    `trajectory.duration_us`.
 
     Raises
     ------
@@ -41,7 +43,9 @@ def simulate_digit(
     """
     trajectory = nmnist_saccades(rng) if trajectory is None else trajectory
     if not 0 < frame_us <= trajectory.duration_us:
-        raise ValueError(f"`frame_us` must be in (0, {trajectory.duration_us}], the duration, got {frame_us}")
+        raise ValueError(
+            f"`frame_us` must be in (0, {trajectory.duration_us}], the duration, got {frame_us}"
+        )
     n_frames = 1 + round(trajectory.duration_us / frame_us)
     times_us = np.linspace(0.0, trajectory.duration_us, n_frames)
     dx, dy = trajectory.position(times_us)

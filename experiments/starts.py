@@ -2,7 +2,8 @@
 
     python -m experiments.starts [--quick] [--json FILE]
 
-Ours, with an empty and with a full cache of compiled code, beside onnxruntime and torch, where they are installed.
+Ours, with an empty and with a full cache of compiled code, beside onnxruntime and torch, where they
+are installed.
 """
 
 from __future__ import annotations
@@ -88,15 +89,16 @@ print(json.dumps(seconds))
 
 
 def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
-    """Time starts, interleaved: each round has one process of each row, the cold one with a cache folder of its own.
+    """Time starts, interleaved: each round has one process of each row, the cold one with a cache
+    folder of its own.
 
-    A first round, which fills the system's file cache, is discarded. Without `cold` nothing is compiled: `ours_warm`
-    takes the cache as this process has it.
+    A first round, which fills the system's file cache, is discarded. Without `cold` nothing is
+    compiled: `ours_warm` takes the cache as this process has it.
 
     Returns
     -------
-    dict : row of `WORK` -> seconds of each step and of the whole process (`process`, Python's own start and end
-        included), each a `spread`. Rows whose packages are missing are left out.
+    dict : row of `WORK` -> seconds of each step and of the whole process (`process`, Python's own
+        start and end included), each a `spread`. Rows whose packages are missing are left out.
     """
     rows = [name for name in WORK if name not in left_out(cold)]
     seconds: dict[str, dict[str, list[float]]] = {name: {} for name in rows}
@@ -118,7 +120,10 @@ def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
                 for step, taken in _start(name, arguments, cache).items():
                     if k:
                         seconds[name].setdefault(step, []).append(taken)
-    return {name: {step: spread(np.array(taken)) for step, taken in steps.items()} for name, steps in seconds.items()}
+    return {
+        name: {step: spread(np.array(taken)) for step, taken in steps.items()}
+        for name, steps in seconds.items()
+    }
 
 
 def left_out(cold: bool) -> dict[str, str]:
@@ -154,13 +159,20 @@ def measure(quick: bool) -> dict[str, Any]:
     model, rounds = load_model(MODEL), 1 if quick else ROUNDS
     warmup(model)
     found = bench_starts(model, rounds, cold=not quick)
-    about: dict[str, Any] = {"machine": machine(*PACKAGES), "quick": quick, "rounds": rounds, "work": WORK}
+    about: dict[str, Any] = {
+        "machine": machine(*PACKAGES),
+        "quick": quick,
+        "rounds": rounds,
+        "work": WORK,
+    }
     return about | {"starts": found, "left_out": left_out(cold=not quick)}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
-    return run_script(script_parser("starts", __doc__, "one round, nothing compiled"), argv, measure, "starts")
+    return run_script(
+        script_parser("starts", __doc__, "one round, nothing compiled"), argv, measure, "starts"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""The tables of streams: event volumes (bench.json), map models, threads, memory, network, loads."""
+"""The tables of streams: event volumes (bench.json), map models, threads, memory, network,
+loads."""
 
 from __future__ import annotations
 
@@ -33,7 +34,15 @@ def udp_load() -> str:
     events, received, late = run["sent"]["events"], run["received"]["events"], run["delay_us"]
     counts = (events, received, run["datagrams_missing"] * run["datagram_events"], run["decisions"])
     delays = (f"{late[name] / 1e3:.1f}" for name in ("median", "p99", "max"))
-    head = ["events sent", "received", "lost by the system", "decisions", "delay, ms: median", "99 %", "at most"]
+    head = [
+        "events sent",
+        "received",
+        "lost by the system",
+        "decisions",
+        "delay, ms: median",
+        "99 %",
+        "at most",
+    ]
     return table(head, [[*(f"{n:,}" for n in counts), *delays]])
 
 
@@ -63,7 +72,8 @@ def memory() -> str:
     """A sentence."""
     found = results("memory")
     return (
-        f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions the process has grown "
+        f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions "
+        "the process has grown "
         f"by {found['grown_mb']:.1f} MB since the first million."
     )
 
@@ -82,7 +92,10 @@ def map_times(found: dict[str, Any]) -> str:
     rows = [
         [
             f"{name}, {sensor}",
-            *(f"{short(of[case]['median'])} ({short(of[case]['p99'])})" if case in of else "" for case in cases),
+            *(
+                f"{short(of[case]['median'])} ({short(of[case]['p99'])})" if case in of else ""
+                for case in cases
+            ),
         ]
         for name, row in models.items()
         for sensor, of in row["times_us"].items()
@@ -95,14 +108,22 @@ def map_load(found: dict[str, Any]) -> str:
     """Processor seconds for each second of the stream."""
     models = found["models"]
     numbers = next(iter(models.values()))["load"]
-    rows = [[name, *(f"{row['load'][n]:.2f}" for n in numbers)] for name, row in models.items() if row["load"]]
+    rows = [
+        [name, *(f"{row['load'][n]:.2f}" for n in numbers)]
+        for name, row in models.items()
+        if row["load"]
+    ]
     return table(["", *(f"{n} objects" if n != "1" else "one object" for n in numbers)], rows)
 
 
 @of_report("threads")
 def threads(found: dict[str, Any]) -> str:
     """The time of two streams one after the other, divided by that of both at once."""
-    words = {"volume": "`TNTVolume`", "windows": "`Processor`", "every_us": "`Processor`, a decision every millisecond"}
+    words = {
+        "volume": "`TNTVolume`",
+        "windows": "`Processor`",
+        "every_us": "`Processor`, a decision every millisecond",
+    }
     head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
     rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
     woken = f"A thread that waits for Python's lock runs on {found['wake_us']:.0f} us after it is released."
@@ -116,12 +137,18 @@ def sustained(report: dict[str, Any]) -> str:
     for load, of in report["streams"].items():
         delays = (f"{ms:.2f}" for ms in (*of["delay_ms"].values(), of["worst_ms"]))
         rare = "" if of["slowest"] == 1 else f"up to {of['slowest']} times rarer"
-        counts = f"{of['decisions']:,}", rare, percent(of["skipped"] / of["received"]), f"{of['grown_mb']:.1f}"
+        counts = (
+            f"{of['decisions']:,}",
+            rare,
+            percent(of["skipped"] / of["received"]),
+            f"{of['grown_mb']:.1f}",
+        )
         rows.append([load, f"{of['rate']:,.0f}", *delays, *counts])
     every = "event" if report["every_events"] == 1 else f"{report['every_events']} events"
     head = ["load", "events a second", "delay, ms: median", "99 %", "99.9 %", "worst"]
     found = (
         f"{report['model']}, a decision after every {every}, if need be rarer: "
-        f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us each."
+        f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us "
+        "each."
     )
     return f"{found}\n\n{table([*head, 'decisions', 'rarer', 'skipped', 'MB more'], rows)}\n\n{about_machine(report)}"

@@ -1,11 +1,14 @@
-"""What this machine sustains with a model: events a second, delays under load, and what becomes of too many.
+"""What this machine sustains with a model: events a second, delays under load, and what becomes of
+too many.
 
-    python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20] [--picture FILE]
+    python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20] [--picture
+    FILE]
 
-First the processor time of a stream by its rate, in packets of a millisecond, with a decision after every few events;
-the sustained rate is where that takes one core. Then streams come in real time, at shares of that rate, through
-`KeepUp`, and each packet's delay is measured from the moment it was due to the end of its decisions. `max_delay_us`
-bounds a packet's age as it is handed out; above the sustained rate decisions become rarer, and packets are skipped.
+First the processor time of a stream by its rate, in packets of a millisecond, with a decision after
+every few events; the sustained rate is where that takes one core. Then streams come in real time,
+at shares of that rate, through `KeepUp`, and each packet's delay is measured from the moment it was
+due to the end of its decisions. `max_delay_us` bounds a packet's age as it is handed out; above the
+sustained rate decisions become rarer, and packets are skipped.
 """
 
 from __future__ import annotations
@@ -34,8 +37,8 @@ PACKET_US, MAX_DELAY_US = 1_000, 50_000
 
 
 def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
-    """Packets of a millisecond, of a bundled recording's events over and over, each in new memory; in real time since
-    `started`, or at once."""
+    """Packets of a millisecond, of a bundled recording's events over and over, each in new memory;
+    in real time since `started`, or at once."""
     events = open_recording(sample_recordings()[3]).read()
     n, before = max(1, round(rate * PACKET_US * 1e-6)), 0
     for k in range(round(seconds * 1e6 / PACKET_US)):
@@ -67,7 +70,9 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
     processor.reset()
     delays_us, n_decisions, before_mb = [], 0, resident_mb()
     started = time.monotonic()
-    reader = KeepUp(packets(rate, seconds, started), processor, max_delay_us=MAX_DELAY_US, copy=False)
+    reader = KeepUp(
+        packets(rate, seconds, started), processor, max_delay_us=MAX_DELAY_US, copy=False
+    )
     with reader:
         for packet in reader:
             n_decisions += len(processor.push(packet))
@@ -86,7 +91,9 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
     }
 
 
-def measure(name: str, every_events: int, seconds: float, loads: tuple[float, ...]) -> dict[str, Any]:
+def measure(
+    name: str, every_events: int, seconds: float, loads: tuple[float, ...]
+) -> dict[str, Any]:
     """All of it."""
     model = load_model(name)
     warmup(model)
@@ -120,20 +127,33 @@ def draw(report: dict[str, Any]) -> Figure:
     axes.set_xlabel("load: the rate divided by the sustained one")
     axes.set_ylabel("delay of a packet, ms")
     axes.legend()
-    headline(figure, f"{report['model']}: {report['sustained']:,.0f} events a second, less and more")
+    headline(
+        figure, f"{report['model']}: {report['sustained']:,.0f} events a second, less and more"
+    )
     return figure
 
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print, and write what is asked for."""
     parser = script_parser("sustained", __doc__, "a second for each of two loads", draws=True)
-    parser.add_argument("--model", default="digits", help="bundled, or a file (default: %(default)s)")
-    parser.add_argument("--every-events", type=positive_int, default=1, metavar="N", help="(default: %(default)s)")
-    parser.add_argument("--seconds", type=positive_int, default=20, help="of each load (default: %(default)s)")
+    parser.add_argument(
+        "--model", default="digits", help="bundled, or a file (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--every-events", type=positive_int, default=1, metavar="N", help="(default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seconds", type=positive_int, default=20, help="of each load (default: %(default)s)"
+    )
     args = parser.parse_args(argv)
 
     def measured(quick: bool) -> dict[str, Any]:
-        return measure(args.model, args.every_events, 1.0 if quick else args.seconds, LOADS[::5] if quick else LOADS)
+        return measure(
+            args.model,
+            args.every_events,
+            1.0 if quick else args.seconds,
+            LOADS[::5] if quick else LOADS,
+        )
 
     return run_script(parser, argv, measured, "sustained", draw)
 

@@ -1,4 +1,5 @@
-"""The recordings that the table trains and tests on: N-MNIST by saccade, and simulated motions by shard."""
+"""The recordings that the table trains and tests on: N-MNIST by saccade, and simulated motions by
+shard."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ from experiments.set_manifest import MovingMnist
 from experiments.table_rows import SETS
 
 OFFICIAL = 60_000, 10_000
-"""Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set, index n - 1."""
+"""Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set,
+index n - 1."""
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
 """The one saccade of each digit in `confounded`."""
 VALIDATION_SEED = 0  # the same digits are held out, or left out, in every row and for every seed
@@ -41,8 +43,8 @@ class RealData:
     ----------
     training, held_out : windows of the training recordings, all three saccades; split by recording.
     test : windows of the test recordings.
-    seen_images : indices of MNIST's test images that a training recording shows, held out or not. Empty with the
-        official split, see `shown_test_images`.
+    seen_images : indices of MNIST's test images that a training recording shows, held out or not.
+        Empty with the official split, see `shown_test_images`.
     description : in words and numbers, for the results.
     """
 
@@ -77,8 +79,13 @@ class RealFolder:
         FileNotFoundError : a folder is missing.
         ValueError : a damaged file; the message names it.
         """
-        train, test = (read_nmnist_folder(self.folder / name, per_digit=self.per_digit) for name in ("Train", "Test"))
-        learned, held_out = split_recordings(train, self.validation, np.random.default_rng(VALIDATION_SEED))
+        train, test = (
+            read_nmnist_folder(self.folder / name, per_digit=self.per_digit)
+            for name in ("Train", "Test")
+        )
+        learned, held_out = split_recordings(
+            train, self.validation, np.random.default_rng(VALIDATION_SEED)
+        )
         official = (len(train), len(test)) == OFFICIAL
         return RealData(
             make_windows(train, SACCADE_US, which=learned, duration_us=DURATION_US),
@@ -89,23 +96,30 @@ class RealFolder:
                 "training_recordings": len(learned),
                 "held_out_recordings": len(held_out),
                 "test_recordings": len(test),
-                "split": "the official one" if official else "not the official one (60,000 and 10,000 recordings)",
+                "split": "the official one"
+                if official
+                else "not the official one (60,000 and 10,000 recordings)",
             },
         )
 
 
 def shown_test_images(names: Sequence[str]) -> np.ndarray:
-    """Which of MNIST's test images recordings show, by their names, such as `3/60026.bin`: int64, increasing.
+    """Which of MNIST's test images recordings show, by their names, such as `3/60026.bin`: int64,
+    increasing.
 
-    Number n of the official Train shows image n of MNIST's training set. Where a set is split differently, official
-    test recording n is numbered 60,000 + n; it shows image n of MNIST's test set, index n - 1.
+    Number n of the official Train shows image n of MNIST's training set. Where a set is split
+    differently, official test recording n is numbered 60,000 + n; it shows image n of MNIST's test
+    set, index n - 1.
     """
     numbers = np.array(recording_numbers(names), np.int64)
-    return np.unique(numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]) - OFFICIAL[0] - 1
+    return (
+        np.unique(numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]) - OFFICIAL[0] - 1
+    )
 
 
 def trained_on(windows: Windows, name: str) -> Windows:
-    """The windows that a network trained on `all`, on `1`, the first saccade, or on `confounded` sees."""
+    """The windows that a network trained on `all`, on `1`, the first saccade, or on `confounded`
+    sees."""
     if name == "1":
         return windows[saccade(windows) == 0]
     if name == "confounded":
@@ -114,8 +128,8 @@ def trained_on(windows: Windows, name: str) -> Windows:
 
 
 def spanned(windows: Windows, n_events: int) -> Windows:
-    """The same windows, a recording each: their first `n_events`, with times scaled so that the first is at 0 and the
-    last at the end of the window, as in the thesis."""
+    """The same windows, a recording each: their first `n_events`, with times scaled so that the
+    first is at 0 and the last at the end of the window, as in the thesis."""
     columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     for i in range(len(windows)):
         t, x, y, p = (column[:n_events] for column in windows.events(i, SACCADE_US))
@@ -132,8 +146,11 @@ def spanned(windows: Windows, n_events: int) -> Windows:
     return Windows(recordings, np.arange(len(windows)), np.zeros(len(windows), np.int64))
 
 
-def make_set(name: str, mnist: Path, folder: Path, data: RealData, n_images: int, workers: int) -> MovingMnist:
-    """A simulated set of `SETS`: the first `n_images` of MNIST's test images that no training recording shows.
+def make_set(
+    name: str, mnist: Path, folder: Path, data: RealData, n_images: int, workers: int
+) -> MovingMnist:
+    """A simulated set of `SETS`: the first `n_images` of MNIST's test images that no training
+    recording shows.
 
     Raises
     ------
@@ -142,9 +159,14 @@ def make_set(name: str, mnist: Path, folder: Path, data: RealData, n_images: int
     kind, dark = SETS[name]
     unseen = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
     if len(unseen) < n_images:
-        raise ValueError(f"{mnist}: {len(unseen)} test images are not shown by training recordings, not {n_images}")
+        raise ValueError(
+            f"{mnist}: {len(unseen)} test images are not shown by training recordings, not "
+            f"{n_images}"
+        )
     scene = Scene(dark_on_bright=dark)
-    return build(mnist, folder, kind=kind, which=unseen[:n_images].tolist(), scene=scene, workers=workers)
+    return build(
+        mnist, folder, kind=kind, which=unseen[:n_images].tolist(), scene=scene, workers=workers
+    )
 
 
 def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
@@ -162,4 +184,7 @@ def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
             labels=shard.labels.astype(np.int64),
             names=tuple(map(str, shard.image)),
         )
-        yield shard.metadata["motion"]["name"], make_windows(recordings, SACCADE_US, duration_us=SACCADE_US)
+        yield (
+            shard.metadata["motion"]["name"],
+            make_windows(recordings, SACCADE_US, duration_us=SACCADE_US),
+        )

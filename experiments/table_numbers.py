@@ -1,14 +1,16 @@
-"""The table's numbers: accuracies brought together over seeds, differences of rows with their intervals, and tables.
+"""The table's numbers: accuracies brought together over seeds, differences of rows with their
+intervals, and tables.
 
-Differences are taken seed by seed and digit by digit, and both are drawn at random: other seeds and other digits would
-give other numbers. With d the (S, I) differences of S seeds and I digits, the variance of their mean is estimated by
+Differences are taken seed by seed and digit by digit, and both are drawn at random: other seeds and
+other digits would give other numbers. With d the (S, I) differences of S seeds and I digits, the
+variance of their mean is estimated by
 
     var_seeds(mean over digits) / S + var_digits(mean over seeds) / I
 
-which a bootstrap that draws seeds and digits independently has where both are many (Owen 2007, The Pigeonhole
-Bootstrap, arXiv:0712.1111). Intervals and p are Student's, with Satterthwaite's degrees of freedom, as few seeds ask
-for. Of all differences of a question together, in all of its columns, those are claimed that hold by Holm's method at
-.05.
+which a bootstrap that draws seeds and digits independently has where both are many (Owen 2007, The
+Pigeonhole Bootstrap, arXiv:0712.1111). Intervals and p are Student's, with Satterthwaite's degrees
+of freedom, as few seeds ask for. Of all differences of a question together, in all of its columns,
+those are claimed that hold by Holm's method at .05.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ import numpy as np
 from experiments.table_rows import COLUMNS, QUESTIONS, ROWS, SETS, THESIS
 
 Right = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
-"""(row, column) -> seed -> which windows are right: int8, (motions, digits), -1 where a digit has no window."""
+"""(row, column) -> seed -> which windows are right: int8, (motions, digits), -1 where a digit has
+no window."""
 LEVEL = 0.05
 UNDRAWN = tuple(SETS)[1:]
 """Sets of which no figure tells one motion from another."""
@@ -36,22 +39,27 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
     Returns
     -------
-    {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion": {motion: mean},
-    "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the table's order; motions of `UNDRAWN`
-    left out. The deviation is the sample's (n - 1), None for a single seed.
+    {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion":
+    {motion: mean}, "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the
+    table's order; motions of `UNDRAWN` left out. The deviation is the sample's (n - 1), None for a
+    single seed.
     """
     runs = sorted(runs, key=lambda run: int(run["seed"]))
     table: dict[str, Any] = {}
     for row in ROWS:
         of_row = [run for run in runs if run["row"] == row]
         for column in in_order(column for run in of_row for column in run["columns"]):
-            found = {run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]}
+            found = {
+                run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]
+            }
             some = next(iter(found.values()))
             table.setdefault(row, {})[column] = {
                 **summary([part["accuracy"] for part in found.values()]),
                 "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
                 "windows": some["windows"],
-                "per_motion": _means(found, "per_motion") if column.split("/")[1] not in UNDRAWN else {},
+                "per_motion": _means(found, "per_motion")
+                if column.split("/")[1] not in UNDRAWN
+                else {},
                 "against_time_ms": _means(found, "against_time_ms"),
             }
     return table
@@ -60,19 +68,27 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
 def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
     """Over the seeds, of each entry."""
     entries = next(iter(found.values()))[name]
-    return {one: round(float(np.mean([part[name][one] for part in found.values()])), 5) for one in entries}
+    return {
+        one: round(float(np.mean([part[name][one] for part in found.values()])), 5)
+        for one in entries
+    }
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
     """Columns, each once, in the table's order: tests on recordings, then simulated sets."""
     found = set(columns)
     trained_on = dict.fromkeys(column.split("/")[0] for column in COLUMNS)
-    return [c for c in (*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)) if c in found]
+    return [
+        c for c in (*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)) if c in found
+    ]
 
 
 def summary(values: Sequence[float]) -> dict[str, float | None]:
     """Mean and sample deviation (n - 1), for `cell`."""
-    return {"mean": float(np.mean(values)), "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None}
+    return {
+        "mean": float(np.mean(values)),
+        "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None,
+    }
 
 
 def shares(right: np.ndarray) -> np.ndarray:
@@ -82,14 +98,16 @@ def shares(right: np.ndarray) -> np.ndarray:
 
 
 def interval(values: np.ndarray) -> dict[str, float]:
-    """Of the mean of differences (S, I) of S seeds and I digits: "mean", "low" and "high", its 95 % interval, and "p".
+    """Of the mean of differences (S, I) of S seeds and I digits: "mean", "low" and "high", its 95 %
+    interval, and "p".
 
     At least two seeds and two digits.
     """
     from scipy import stats  # here: scripts that only print tables need no SciPy
 
     mean = float(values.mean())
-    parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]  # of digits, of seeds
+    # of digits, of seeds
+    parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]
     error = float(sum(parts)) ** 0.5
     if error == 0.0:
         return {"mean": mean, "low": mean, "high": mean, "p": float(mean == 0.0)}
@@ -100,12 +118,13 @@ def interval(values: np.ndarray) -> dict[str, float]:
 
 
 def differences(right: Right) -> list[dict[str, Any]]:
-    """Differences of the pairs in `QUESTIONS`, in each column that both rows have with two seeds at least.
+    """Differences of the pairs in `QUESTIONS`, in each column that both rows have with two seeds at
+    least.
 
     Returns
     -------
-    Of each: "question", "row", "against", "column", "seeds" (how many), those of `interval`, and "holm": p adjusted for
-    all differences of its question.
+    Of each: "question", "row", "against", "column", "seeds" (how many), those of `interval`, and
+    "holm": p adjusted for all differences of its question.
     """
     found: list[dict[str, Any]] = []
     for question, pairs in QUESTIONS.items():
@@ -115,7 +134,9 @@ def differences(right: Right) -> list[dict[str, Any]]:
                 of_row, other = right[row, column], right.get((against, column), {})
                 seeds = [seed for seed in of_row if seed in other]
                 if len(seeds) > 1:
-                    values = np.stack([shares(of_row[seed]) - shares(other[seed]) for seed in seeds])
+                    values = np.stack(
+                        [shares(of_row[seed]) - shares(other[seed]) for seed in seeds]
+                    )
                     names = {"question": question, "row": row, "against": against, "column": column}
                     of_question.append({**names, "seeds": len(seeds), **interval(values)})
         for difference, p in zip(of_question, holm([d["p"] for d in of_question]), strict=True):
@@ -125,7 +146,8 @@ def differences(right: Right) -> list[dict[str, Any]]:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Adjusted p of several hypotheses (S. Holm 1979): those below a level are rejected together at that level.
+    """Adjusted p of several hypotheses (S. Holm 1979): those below a level are rejected together at
+    that level.
 
     Examples
     --------
@@ -139,8 +161,11 @@ def holm(p: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def markdown_table(table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()) -> str:
-    """The rows of groups in Markdown, in these columns or in all; the thesis' numbers follow in brackets."""
+def markdown_table(
+    table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()
+) -> str:
+    """The rows of groups in Markdown, in these columns or in all; the thesis' numbers follow in
+    brackets."""
     rows = [row for group in groups for row in table if row in ROWS and ROWS[row].group == group]
     columns = columns or in_order(column for row in rows for column in table[row])
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
@@ -148,7 +173,9 @@ def markdown_table(table: dict[str, Any], groups: Sequence[str], columns: Sequen
         cells = []
         for column in columns:
             thesis = THESIS.get(row, {}).get(column)
-            cells.append(cell(table[row].get(column)) + ("" if thesis is None else f" ({short(thesis)})"))
+            cells.append(
+                cell(table[row].get(column)) + ("" if thesis is None else f" ({short(thesis)})")
+            )
         lines.append(f"| {ROWS[row].title} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -168,7 +195,9 @@ def short(number: float) -> str:
 
 def with_range(numbers: Sequence[float]) -> str:
     """.957, or of several .957 (.951 to .963)"""
-    mean, least, most = (short(number) for number in (float(np.mean(numbers)), min(numbers), max(numbers)))
+    mean, least, most = (
+        short(number) for number in (float(np.mean(numbers)), min(numbers), max(numbers))
+    )
     return mean if len(numbers) == 1 else f"{mean} ({least} to {most})"
 
 

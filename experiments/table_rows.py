@@ -1,26 +1,29 @@
-"""The thesis' experiment: which networks are trained, how, and which of them are compared. All was set beforehand.
+"""The thesis' experiment: which networks are trained, how, and which of them are compared. All was
+set beforehand.
 
-A row is one way from events to a network's input, and what it is trained on. All rows share the network and the
-optimizer. Besides the thesis' own three rows, the comparison crosses
+A row is one way from events to a network's input, and what it is trained on. All rows share the
+network and the optimizer. Besides the thesis' own three rows, the comparison crosses
 
-- the input: the event volume as it is (raw), or TNT about the image centre, the running centroid, a regressed
-  landmark, or the fitted line with its flow removed,
+- the input: the event volume as it is (raw), or TNT about the image centre, the running centroid, a
+  regressed landmark, or the fitted line with its flow removed,
 - polarity: signed, or not, or split,
-- augmentation: events are thinned at random, which moves nothing, and windows are moved by up to 4 whole pixels or
-  not. The thesis moves them (it names no size) for its regressor alone; what one row may have, every row may have.
+- augmentation: events are thinned at random, which moves nothing, and windows are moved by up to 4
+  whole pixels or not. The thesis moves them (it names no size) for its regressor alone; what one
+  row may have, every row may have.
 
-t_max is 2 there: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training motion. The thesis
-has B - 1 = 8, as its own rows have, and some others.
+t_max is 2 there: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training
+motion. The thesis has B - 1 = 8, as its own rows have, and some others.
 
-The thesis scales time from a window's first event to its last, which rows of group `spans` do, over the whole saccade
-or over 1,000 events. Other groups: event images, and TNT about `window`; and rows with motion re-synthesis, an
-augmentation that the thesis does not have. They show what recordings of one motion can teach, not what a network infers
-by itself; their controls are trained for as many steps.
+The thesis scales time from a window's first event to its last, which rows of group `spans` do, over
+the whole saccade or over 1,000 events. Other groups: event images, and TNT about `window`; and rows
+with motion re-synthesis, an augmentation that the thesis does not have. They show what recordings
+of one motion can teach, not what a network infers by itself; their controls are trained for as many
+steps.
 
 References
 ----------
-Wang 2019, arXiv:1911.12801, the table of N-MNIST and N-MOVING-MNIST: the numbers in `THESIS`. "1/train" there: trained
-on the first saccade, tested on all three saccades of the training digits.
+Wang 2019, arXiv:1911.12801, the table of N-MNIST and N-MOVING-MNIST: the numbers in `THESIS`.
+"1/train" there: trained on the first saccade, tested on all three saccades of the training digits.
 """
 
 from __future__ import annotations
@@ -37,7 +40,9 @@ T_MAX_THESIS = 8.0
 STEPS, STEPS_MORE, STEPS_THESIS = 3_000, 8_000, 60_000
 ALL_EVENTS, WINDOW_EVENTS = 1_000_000, 1_000
 TRANSLATE_PX = 4
-AS_RECORDED = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)
+AS_RECORDED = Augmentation(
+    start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0
+)
 THINNED = replace(AS_RECORDED, drop=0.3)
 
 INPUTS = {
@@ -77,15 +82,25 @@ SETS = {
     }.items()
     if dark or kind != "beyond"
 }
-"""Simulated set -> its kind of motions, see `motions.KINDS`, and whether digits are dark on bright. The thesis' is
-probably "centre bright"."""
+"""Simulated set -> its kind of motions, see `motions.KINDS`, and whether digits are dark on bright.
+The thesis' is probably "centre bright"."""
 THESIS_SET = "centre bright"
 THESIS = {
-    "thesis-baseline": {"all/all": 0.991, "1/all": 0.437, "1/train": 0.442, f"all/{THESIS_SET}": 0.396}
+    "thesis-baseline": {
+        "all/all": 0.991,
+        "1/all": 0.437,
+        "1/train": 0.442,
+        f"all/{THESIS_SET}": 0.396,
+    }
     | {f"1/{THESIS_SET}": 0.207},
     "thesis-tnt": {"all/all": 0.981, "1/all": 0.468, "1/train": 0.464, f"all/{THESIS_SET}": 0.592}
     | {f"1/{THESIS_SET}": 0.318},
-    "thesis-regress": {"all/all": 0.981, "1/all": 0.485, "1/train": 0.481, f"all/{THESIS_SET}": 0.566}
+    "thesis-regress": {
+        "all/all": 0.981,
+        "1/all": 0.485,
+        "1/train": 0.481,
+        f"all/{THESIS_SET}": 0.566,
+    }
     | {f"1/{THESIS_SET}": 0.324},
 }
 """The thesis' accuracies: row -> column. Its all/sim and 1/sim stand in those of `THESIS_SET`."""
@@ -105,7 +120,8 @@ class Row:
     iterations : steps of the optimizer.
     trained_on : of `TRAINED_ON`.
     motions : how the windows are re-synthesized; None: they are not.
-    span : time is scaled from a window's first event to its last of so many; None: it is not scaled.
+    span : time is scaled from a window's first event to its last of so many; None: it is not
+        scaled.
     seeds : with how many of the command's seeds, at most; None: all.
     """
 
@@ -136,11 +152,24 @@ def _thesis() -> Iterator[Row]:
         for name, title, of, augmentation in (
             ("thesis-baseline", "Baseline", "raw", AS_RECORDED),
             ("thesis-tnt", "TNT", "center", AS_RECORDED),
-            ("thesis-regress", "TNT+regress", "regressor", replace(AS_RECORDED, translate_px=TRANSLATE_PX)),
+            (
+                "thesis-regress",
+                "TNT+regress",
+                "regressor",
+                replace(AS_RECORDED, translate_px=TRANSLATE_PX),
+            ),
         ):
             config = INPUTS[of] if of == "raw" else INPUTS[of].replace(t_max=T_MAX_THESIS)
             if steps == STEPS_THESIS:
-                yield Row(f"{name}-60000", "long", f"{title}, 60,000 steps", config, augmentation, steps, seeds=1)
+                yield Row(
+                    f"{name}-60000",
+                    "long",
+                    f"{title}, 60,000 steps",
+                    config,
+                    augmentation,
+                    steps,
+                    seeds=1,
+                )
             else:
                 yield Row(name, "thesis", title, config, augmentation, steps)
 
@@ -196,21 +225,45 @@ def _spans() -> Iterator[Row]:
 def _motions() -> Iterator[Row]:
     for name, title, config, motions, trained_on in (
         ("raw-motions", "raw + re-synthesis", INPUTS["raw"], MotionSettings(), ("all", "1")),
-        ("running-motions", "`running` + re-synthesis", INPUTS["running"], MotionSettings(), ("1",)),
+        (
+            "running-motions",
+            "`running` + re-synthesis",
+            INPUTS["running"],
+            MotionSettings(),
+            ("1",),
+        ),
         ("raw-8000", f"raw, {STEPS_MORE:,} steps", INPUTS["raw"], None, ("all", "1", "confounded")),
-        ("raw-moved", "raw, re-synthesis only", INPUTS["raw"], MotionSettings(recorded=0.0), ("confounded",)),
+        (
+            "raw-moved",
+            "raw, re-synthesis only",
+            INPUTS["raw"],
+            MotionSettings(recorded=0.0),
+            ("confounded",),
+        ),
     ):
-        yield Row(name, "motions", title, config, iterations=STEPS_MORE, trained_on=trained_on, motions=motions)
+        yield Row(
+            name,
+            "motions",
+            title,
+            config,
+            iterations=STEPS_MORE,
+            trained_on=trained_on,
+            motions=motions,
+        )
 
 
 def _representations() -> Iterator[Row]:
     inputs = {"window": ("`window`", TNTConfig(landmark="window", t_max=T_MAX))}
     for image, title in IMAGES.items():
-        config = TNTConfig(representation=image, transform="none", landmark="center", polarity="split")
+        config = TNTConfig(
+            representation=image, transform="none", landmark="center", polarity="split"
+        )
         inputs[image] = title, config
     augmentation = replace(THINNED, translate_px=TRANSLATE_PX)
     for name, (title, config) in inputs.items():
-        yield Row(f"{name}-translated", "representations", f"{title}, translated", config, augmentation)
+        yield Row(
+            f"{name}-translated", "representations", f"{title}, translated", config, augmentation
+        )
 
 
 _PARTS = (_thesis, _comparison, _spans, _motions, _representations)
@@ -222,7 +275,9 @@ QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
         ("thesis-tnt", "thesis-baseline"),
         ("thesis-regress", "thesis-baseline"),
     ),
-    "The transform against raw, not translated": tuple((name, "raw") for name in INPUTS if name != "raw"),
+    "The transform against raw, not translated": tuple(
+        (name, "raw") for name in INPUTS if name != "raw"
+    ),
     "The transform against raw, translated": (
         *((f"{name}-translated", "raw-translated") for name in INPUTS if name != "raw"),
         ("window-translated", "raw-translated"),
@@ -243,7 +298,9 @@ QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
         *((f"{name}-translated", name) for name in INPUTS),
         *((f"{name}-unsigned-translated", f"{name}-unsigned") for name in UNSIGNED),
     ),
-    "t_max 8 against 2": tuple((f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running")),
+    "t_max 8 against 2": tuple(
+        (f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running")
+    ),
     "Time from first event to last": (
         ("raw-span", "raw"),
         ("center-span", "center"),
@@ -257,8 +314,8 @@ QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
         ("running-motions", "raw-motions"),
     ),
 }
-"""Question -> pairs of rows whose difference in accuracy is looked at: (row, against), in every column that both
-have."""
+"""Question -> pairs of rows whose difference in accuracy is looked at: (row, against), in every
+column that both have."""
 
 
 @dataclass(frozen=True)
@@ -288,7 +345,9 @@ def runs_of(names: Iterable[str], trained_on: Collection[str], seeds: Sequence[i
         for group in GROUPS
         for place, seed in enumerate(seeds)
         for row in ROWS.values()
-        if row.group == group and names & {row.name, group} and (row.seeds is None or place < row.seeds)
+        if row.group == group
+        and names & {row.name, group}
+        and (row.seeds is None or place < row.seeds)
         for on in row.trained_on
         if on in trained_on
     ]

@@ -1,4 +1,5 @@
-"""The networks of the table: trained and tested, several at a time, each with its result in two files."""
+"""The networks of the table: trained and tested, several at a time, each with its result in two
+files."""
 
 from __future__ import annotations
 
@@ -45,18 +46,23 @@ def run_networks(
     folder: Path,
     workers: int,
 ) -> list[dict[str, Any]]:
-    """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker, in this process.
+    """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker,
+    in this process.
 
     Raises
     ------
     ValueError, OSError : as `run_network`. ChildProcessError : a worker was killed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):  # by all workers together
+    # by all workers together
+    for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):
         motions_of(row, on, real.read(), settings_of(Run(row, on, 0), settings), folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
     done = []
-    with progress(len(runs), "training networks") as bar, contextlib.closing(run_all(task, runs, workers)) as results:
+    with (
+        progress(len(runs), "training networks") as bar,
+        contextlib.closing(run_all(task, runs, workers)) as results,
+    ):
         for result in results:
             done.append(result)
             bar.update()
@@ -64,23 +70,35 @@ def run_networks(
 
 
 def _run_task(
-    run: Run, *, real: RealFolder, simulated: dict[str, MovingMnist], settings: TrainSettings, folder: Path
+    run: Run,
+    *,
+    real: RealFolder,
+    simulated: dict[str, MovingMnist],
+    settings: TrainSettings,
+    folder: Path,
 ) -> dict[str, Any]:
     torch.set_num_threads(1)  # the cores have a network each
     return run_network(run, real.read(), simulated, settings, folder)
 
 
 def run_network(
-    run: Run, data: RealData, simulated: Mapping[str, MovingMnist], settings: TrainSettings, folder: Path
+    run: Run,
+    data: RealData,
+    simulated: Mapping[str, MovingMnist],
+    settings: TrainSettings,
+    folder: Path,
 ) -> dict[str, Any]:
-    """Train and test one network, or return the result that is there already, if its settings are the same.
+    """Train and test one network, or return the result that is there already, if its settings are
+    the same.
 
     Parameters
     ----------
     simulated : of `table_rows.SETS`, by name.
-    settings : without seed and augmentation, which are the run's and its row's; without iterations: its row's.
-    folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its model, its result
-        as JSON, which windows were right and, with matplotlib, its learning curves.
+    settings : without seed and augmentation, which are the run's and its row's; without iterations:
+        its row's.
+    folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its
+        model, its result as JSON, which windows were right and, with matplotlib, its learning
+        curves.
 
     Raises
     ------
@@ -88,14 +106,20 @@ def run_network(
     """
     row = ROWS[run.row]
     settings = settings_of(run, settings)
-    training, held_out = (trained_on(windows, run.trained_on) for windows in (data.training, data.held_out))
+    training, held_out = (
+        trained_on(windows, run.trained_on) for windows in (data.training, data.held_out)
+    )
     if row.span is not None:
         training, held_out = (spanned(windows, row.span) for windows in (training, held_out))
     motions = motions_of(run.row, run.trained_on, data, settings, folder)
     folder = folder / run.name
     # quick for a finished run: its checkpoint, if it has these settings, is at the end
-    trained = train(row.config, training, held_out, settings, folder, classes=CLASSES, motions=motions)
-    tested_on = {column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on}
+    trained = train(
+        row.config, training, held_out, settings, folder, classes=CLASSES, motions=motions
+    )
+    tested_on = {
+        column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on
+    }
     tested_on |= {f"{run.trained_on}/{name}": made.parameters for name, made in simulated.items()}
     finished = folder / RESULT
     if finished.exists():
@@ -118,9 +142,15 @@ def run_network(
         "columns": columns,
         "tested_on": tested_on,
         "validation": {name: last_epoch[name] for name in VALIDATION if name in last_epoch},
-        "history": [{name: epoch[name] for name in HISTORY if name in epoch} for epoch in trained.history],
+        "history": [
+            {name: epoch[name] for name in HISTORY if name in epoch} for epoch in trained.history
+        ],
         "motions": None if motions is None else motions.record,
-        "settings": {name: value for name, value in asdict(settings).items() if name not in ("seed", "augmentation")},
+        "settings": {
+            name: value
+            for name, value in asdict(settings).items()
+            if name not in ("seed", "augmentation")
+        },
     }
     plot_curves(trained.history, folder / "curves.png")
     replace(trained.model, record=result).save(folder / "model.safetensors")
@@ -130,7 +160,9 @@ def run_network(
     return result
 
 
-def right_of(results: list[dict[str, Any]], folder: Path) -> dict[tuple[str, str], dict[int, np.ndarray]]:
+def right_of(
+    results: list[dict[str, Any]], folder: Path
+) -> dict[tuple[str, str], dict[int, np.ndarray]]:
     """Which windows the networks of `run_networks` had right, see `table_numbers.Right`."""
     right: dict[tuple[str, str], dict[int, np.ndarray]] = {}
     for result in results:
@@ -151,14 +183,21 @@ def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
 def motions_of(
     row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
 ) -> Motions | None:
-    """Other motions of a row's training windows; rows and seeds with the same settings share them."""
+    """Other motions of a row's training windows; rows and seeds with the same settings share
+    them."""
     config, motions = ROWS[row].config, ROWS[row].motions
     if motions is None:
         return None
     training, held_out = (trained_on(windows, on) for windows in (data.training, data.held_out))
     motions = motions.for_epochs(settings.n_epochs(len(training)))
     return resynthesize(
-        training, held_out, config, motions, folder / f"motions-{on}", workers=workers, progress=progress
+        training,
+        held_out,
+        config,
+        motions,
+        folder / f"motions-{on}",
+        workers=workers,
+        progress=progress,
     )
 
 
@@ -170,8 +209,8 @@ def _tested(
     span: int | None,
     moments_ms: tuple[int, ...],
 ) -> dict[str, Any]:
-    """Accuracy in all, of each motion and at moments; "right": int8, (motions, recordings or images), -1 where one has
-    no window."""
+    """Accuracy in all, of each motion and at moments; "right": int8, (motions, recordings or
+    images), -1 where one has no window."""
     parts = []
     early = {ms: [0, 0] for ms in moments_ms}
     for motion, windows in _windows(test, data, simulated):
@@ -182,7 +221,8 @@ def _tested(
             at_once = _right(pipeline, some, until_us=1_000 * ms)
             counts[0] += int(at_once.sum())
             counts[1] += len(at_once)
-    motions = list(dict.fromkeys(motion for motion, *_ in parts))  # a motion may come in several parts
+    # a motion may come in several parts
+    motions = list(dict.fromkeys(motion for motion, *_ in parts))
     every = sorted({name for _, names, _ in parts for name in names})
     place = {name: i for i, name in enumerate(every)}
     right = np.full((len(motions), len(every)), -1, np.int8)
@@ -191,14 +231,19 @@ def _tested(
     return {
         "accuracy": float(right[right >= 0].mean()),
         "windows": int((right >= 0).sum()),
-        "per_motion": {motion: float(row[row >= 0].mean()) for motion, row in zip(motions, right, strict=True)},
+        "per_motion": {
+            motion: float(row[row >= 0].mean()) for motion, row in zip(motions, right, strict=True)
+        },
         "against_time_ms": {str(ms): n_right / n for ms, (n_right, n) in early.items()},
         "right": right,
     }
 
 
-def _windows(test: str, data: RealData, simulated: Mapping[str, MovingMnist]) -> Iterator[tuple[str, Windows]]:
-    """(motion, windows) of the test data "all", "others" (saccades 2 and 3), "train", or of a simulated set."""
+def _windows(
+    test: str, data: RealData, simulated: Mapping[str, MovingMnist]
+) -> Iterator[tuple[str, Windows]]:
+    """(motion, windows) of the test data "all", "others" (saccades 2 and 3), "train", or of a
+    simulated set."""
     if test in simulated:
         yield from simulated_windows(simulated[test])
         return
@@ -208,5 +253,7 @@ def _windows(test: str, data: RealData, simulated: Mapping[str, MovingMnist]) ->
 
 
 def _right(pipeline: Pipeline, windows: Windows, until_us: int | None = None) -> np.ndarray:
-    right: np.ndarray = class_probabilities(pipeline, windows, until_us=until_us).argmax(1) == windows.labels
+    right: np.ndarray = (
+        class_probabilities(pipeline, windows, until_us=until_us).argmax(1) == windows.labels
+    )
     return right

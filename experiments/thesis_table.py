@@ -1,4 +1,5 @@
-"""`python -m experiments.thesis_table`: the thesis' experiment. Train and test its networks, and compare them."""
+"""`python -m experiments.thesis_table`: the thesis' experiment. Train and test its networks, and
+compare them."""
 
 from __future__ import annotations
 
@@ -17,7 +18,13 @@ from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
 from experiments.bench_timing import machine
 from experiments.page_parts import read_json
-from experiments.script_options import add_folder, data_folder, exit_with, plain_parser, writable_file
+from experiments.script_options import (
+    add_folder,
+    data_folder,
+    exit_with,
+    plain_parser,
+    writable_file,
+)
 from experiments.table_rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
 DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
@@ -58,7 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folder(
         data,
         "--nmnist",
-        "N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)",
+        "N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: "
+        "$TNT_DATA/nmnist)",
     )
     add_folder(data, "--mnist", "MNIST's IDX files, to simulate from (default: $TNT_DATA/mnist)")
     data.add_argument(
@@ -99,7 +107,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="steps of the optimizer for each network (default: each row's, see --list)",
     )
-    how.add_argument("--batch", type=positive_int, default=64, metavar="N", help="windows per step (default: 64)")
+    how.add_argument(
+        "--batch", type=positive_int, default=64, metavar="N", help="windows per step (default: 64)"
+    )
     how.add_argument(
         "--workers",
         type=positive_int,
@@ -113,7 +123,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "digits",
     )
     out = parser.add_argument_group("results")
-    add_folder(out, "--out", "networks, results.json, table.md (default: table; with --smoke: table-smoke)")
+    add_folder(
+        out, "--out", "networks, results.json, table.md (default: table; with --smoke: table-smoke)"
+    )
     out.add_argument(
         "--into",
         type=writable_file,
@@ -132,7 +144,9 @@ def main(argv: list[str] | None = None) -> int:
         args.rows, args.seeds = args.rows or list(INPUTS), args.seeds[:1]
         args.iterations, args.images = min(args.iterations or 30, 30), min(args.images, 20)
     if not (runs := runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))):
-        raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
+        raise ValueError(
+            f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}"
+        )
     if args.list:
         say(*_listed(runs, args.iterations))
         return 0
@@ -159,7 +173,9 @@ def main(argv: list[str] | None = None) -> int:
     mnist = data_folder(args.mnist, "mnist", "--mnist")
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     simulated = {
-        name: make_set(name, mnist, args.out / "simulated" / name.replace(" ", "-"), data, args.images, workers)
+        name: make_set(
+            name, mnist, args.out / "simulated" / name.replace(" ", "-"), data, args.images, workers
+        )
         for name in SETS
     }
     note(*_listed(runs, args.iterations))
@@ -175,18 +191,27 @@ def main(argv: list[str] | None = None) -> int:
             add_arguments,
             leave_out=("into", "json", "workers"),
         ),
-        "data": {**data.description, "simulated": {name: made.parameters for name, made in simulated.items()}},
+        "data": {
+            **data.description,
+            "simulated": {name: made.parameters for name, made in simulated.items()},
+        },
         "rows": {
             name: {
                 "config": ROWS[name].config.to_dict(),
                 "augmentation": asdict(ROWS[name].augmentation),
                 "iterations": args.iterations or ROWS[name].iterations,
                 "span_events": ROWS[name].span,
-                "motions": {r["trained_on"]: r["motions"] for r in results if r["row"] == name and r["motions"]},
+                "motions": {
+                    r["trained_on"]: r["motions"]
+                    for r in results
+                    if r["row"] == name and r["motions"]
+                },
             }
             for name in table
         },
-        "settings": {name: value for name, value in results[0]["settings"].items() if name != "iterations"},
+        "settings": {
+            name: value for name, value in results[0]["settings"].items() if name != "iterations"
+        },
         "seeds": list(dict.fromkeys(run.seed for run in runs)),
         "machine": machine("torch"),
         "table": table,
@@ -214,30 +239,40 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _listed(runs: list[Run], iterations: int | None) -> list[str]:
-    """The networks, a line for each row: what it is trained on, with how many seeds, for how many steps."""
+    """The networks, a line for each row: what it is trained on, with how many seeds, for how many
+    steps."""
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
         row, of = ROWS[name], [run for run in runs if run.row == name]
         on = ", ".join(dict.fromkeys(run.trained_on for run in of))
         seeds = len({run.seed for run in of})
         steps = f"{iterations or row.iterations:,} steps"
-        lines.append(f"  {name:<30} trained on {on:<10} {seeds} seed{'s' if seeds > 1 else ' '}  {steps}")
+        lines.append(
+            f"  {name:<30} trained on {on:<10} {seeds} seed{'s' if seeds > 1 else ' '}  {steps}"
+        )
     return lines
 
 
 def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> list[str]:
     data = record["data"]
     seeds = ", ".join(map(str, record["seeds"]))
-    counts = {name: min(len(part["seeds"]) for part in columns.values()) for name, columns in record["table"].items()}
+    counts = {
+        name: min(len(part["seeds"]) for part in columns.values())
+        for name, columns in record["table"].items()
+    }
     fewer = ", ".join(f"{name} {n}" for name, n in counts.items() if n < len(record["seeds"]))
     return [
         "",
-        f"mean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; windows per step: {args.batch}.",
-        f"N-MNIST: {data['training_recordings']} recordings to train on, {data['held_out_recordings']} held out, "
+        f"mean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; windows per "
+        f"step: {args.batch}.",
+        f"N-MNIST: {data['training_recordings']} recordings to train on, "
+        f"{data['held_out_recordings']} held out, "
         f"{data['test_recordings']} to test on; the split is {data['split']}.",
-        f"{', '.join(data['simulated'])}: 30 simulated motions each of {args.images} MNIST test images that no "
+        f"{', '.join(data['simulated'])}: 30 simulated motions each of {args.images} MNIST test "
+        "images that no "
         "training recording shows.",
-        f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)",
+        f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} "
+        "minutes)",
     ]
 
 

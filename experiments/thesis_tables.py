@@ -1,6 +1,8 @@
-"""The tables of the thesis' experiment, all from one run of `thesis_table.py`, and the sentences that follow from them.
+"""The tables of the thesis' experiment, all from one run of `thesis_table.py`, and the sentences
+that follow from them.
 
-No sentence picks its differences: it names all of a question that hold by Holm's method, gains and losses.
+No sentence picks its differences: it names all of a question that hold by Holm's method, gains and
+losses.
 """
 
 from __future__ import annotations
@@ -68,15 +70,24 @@ def effects() -> str:
     for effect in dict.fromkeys(e["effect"] for e in found):
         of = {(e["trained_on"], e["row"]): e for e in found if e["effect"] == effect}
         rows.append([effect, *(_difference(of[column]) for column in columns)])
-    return table(["gain over the Baseline", *(f"{on}: {ROWS[row].title}" for on, row in columns)], rows)
+    return table(
+        ["gain over the Baseline", *(f"{on}: {ROWS[row].title}" for on, row in columns)], rows
+    )
 
 
 def comparison() -> str:
     """With what a network would have that knows the motion it saw, and guesses in others."""
     lines = markdown_table(_accuracies(), ("comparison", "spans"), COLUMNS).splitlines()
-    guessed = {"1/all": _guessed("1/all"), "1/others": GUESS, "1/train": _guessed("1/train"), "1/sim": GUESS}
+    guessed = {
+        "1/all": _guessed("1/all"),
+        "1/others": GUESS,
+        "1/train": _guessed("1/train"),
+        "1/sim": GUESS,
+    }
     cells = [short(guessed[column]) if column in guessed else "" for column in COLUMNS]
-    return "\n".join([*lines[:2], "| *guessing in other motions* | " + " | ".join(cells) + " |", *lines[2:]])
+    return "\n".join(
+        [*lines[:2], "| *guessing in other motions* | " + " | ".join(cells) + " |", *lines[2:]]
+    )
 
 
 def _guessed(column: str) -> float:
@@ -116,13 +127,23 @@ def conclusions() -> str:
 
 def thesis_answers() -> str:
     """The thesis' own question, on the simulated sets: all that holds."""
-    found = {(d["row"], d["column"]): d for d in _differences() if d["question"] == next(iter(QUESTIONS))}
+    found = {
+        (d["row"], d["column"]): d for d in _differences() if d["question"] == next(iter(QUESTIONS))
+    }
     sentences = []
     for on, words in (("all", "all saccades"), ("1", "the first saccade")):
         for row in THESIS_ROWS[1:]:
-            held = {name: d for name in SETS if (d := found.get((row, f"{on}/{name}"))) and d["holm"] < LEVEL}
+            held = {
+                name: d
+                for name in SETS
+                if (d := found.get((row, f"{on}/{name}"))) and d["holm"] < LEVEL
+            }
             for verb, sign in (("gains", 1), ("loses", -1)):
-                listed = [f"*{name}* {signed(d['mean'])}" for name, d in held.items() if sign * d["mean"] > 0]
+                listed = [
+                    f"*{name}* {signed(d['mean'])}"
+                    for name, d in held.items()
+                    if sign * d["mean"] > 0
+                ]
                 of = f"Trained on {words}, *{ROWS[row].title}* {verb} on {', '.join(listed)}"
                 sentences += [of] * bool(listed)
     n = sum(column.split("/")[1] in SETS for _, column in found)
@@ -142,7 +163,11 @@ def answer(question: str, every: Iterable[dict[str, Any]]) -> str:
     for (row, against), means in pairs.items():
         listed = ", ".join(f"{means[column]} in {column}" for column in in_order(means))
         parts.append(f"*{ROWS[row].title}* against *{ROWS[against].title}* {listed}")
-    return f"**{question}**: {n_held} of {len(found)} hold" + ("".join(f"; {part}" for part in parts)) + "."
+    return (
+        f"**{question}**: {n_held} of {len(found)} hold"
+        + ("".join(f"; {part}" for part in parts))
+        + "."
+    )
 
 
 def unseen_motion() -> str:
@@ -154,12 +179,18 @@ def unseen_motion() -> str:
         if "1/all" in columns
     }
     return (
-        f"Trained on the first saccade, tested on all three / in 30 simulated motions ({n_seeds} seeds, t_max 2, "
-        f"windows moved by up to 4 px in training). With the sign of polarity: untransformed {of['raw-translated']}, "
-        f"`running` {of['running-translated']}. Without it: untransformed {of['raw-unsigned-translated']}, `running` "
-        f"{of['running-unsigned-translated']}, `line` with its flow removed {of['line-unsigned-translated']}. "
-        f"A network that guesses in other motions would score {short(_guessed('1/all'))} / {short(GUESS)}. "
-        f"With [re-synthesized motions](docs/guide.md#motions-that-were-not-recorded) (untransformed, windows not "
+        f"Trained on the first saccade, tested on all three / in 30 simulated motions ({n_seeds} "
+        "seeds, t_max 2, "
+        f"windows moved by up to 4 px in training). With the sign of polarity: untransformed "
+        f"{of['raw-translated']}, "
+        f"`running` {of['running-translated']}. Without it: untransformed "
+        f"{of['raw-unsigned-translated']}, `running` "
+        f"{of['running-unsigned-translated']}, `line` with its flow removed "
+        f"{of['line-unsigned-translated']}. "
+        f"A network that guesses in other motions would score {short(_guessed('1/all'))} / "
+        f"{short(GUESS)}. "
+        f"With [re-synthesized motions](docs/guide.md#motions-that-were-not-recorded) "
+        "(untransformed, windows not "
         f"moved, more steps): {of['raw-motions']}."
     )
 
@@ -173,17 +204,22 @@ def against_time() -> str:
             if of.get("against_time_ms"):
                 early = [short(accuracy) for accuracy in of["against_time_ms"].values()]
                 rows.append([f"{column}: {ROWS[row].title}", *early, short(of["mean"])])
-    times = next(of for part in _accuracies().values() for c in part.values() if (of := c["against_time_ms"]))
+    times = next(
+        of for part in _accuracies().values() for c in part.values() if (of := c["against_time_ms"])
+    )
     return table(["", *(f"{ms} ms" for ms in times), "105 ms"], rows)
 
 
 def curves() -> str:
-    """Of the long trainings: how many held-out windows are right, and their loss, after so many steps."""
+    """Of the long trainings: how many held-out windows are right, and their loss, after so many
+    steps."""
     rows = []
     for name, history in results("table")["curves"].items():
         row, trained_on, _ = name.rsplit("-", 2)
         at = [next(epoch for epoch in history if epoch["iterations"] >= steps) for steps in STEPS]
-        cells = (f"{short(epoch['per_window'])} / {short(epoch['validation_loss'])}" for epoch in at)
+        cells = (
+            f"{short(epoch['per_window'])} / {short(epoch['validation_loss'])}" for epoch in at
+        )
         rows.append([f"{trained_on}: {ROWS[row].title}", *cells])
     return table(["trained on", *(f"{steps:,} steps" for steps in STEPS)], rows)
 
@@ -207,9 +243,15 @@ def resynthesis_match() -> str:
     """How well the recorded motion is matched, and how many paths were found."""
     motions = results("table")["rows"]["raw-motions"]["motions"]["1"]
     names = [name for name in motions["match"]["recorded"] if not name.startswith("ON - OFF")]
-    units = {name: f", {UNITS[name.split(',')[0]]}" if name.split(",")[0] in UNITS else "" for name in names}
+    units = {
+        name: f", {UNITS[name.split(',')[0]]}" if name.split(",")[0] in UNITS else ""
+        for name in names
+    }
     rows = [
-        [name + units[name], *(f"{motions['match'][part][name]:.2f}" for part in ("recorded", "resynthesized"))]
+        [
+            name + units[name],
+            *(f"{motions['match'][part][name]:.2f}" for part in ("recorded", "resynthesized")),
+        ]
         for name in names
     ]
     found = f"A path was found in {motions['with_path']:,} of {motions['windows']:,} windows.\n\n"

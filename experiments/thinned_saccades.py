@@ -1,6 +1,8 @@
-"""Windows of N-MNIST, one saccade each, with all of their events, or with a fifth, as few as hands give.
+"""Windows of N-MNIST, one saccade each, with all of their events, or with a fifth, as few as hands
+give.
 
-N-MNIST's pixels with events have five in a saccade; those of an object that a hand moves have about two.
+N-MNIST's pixels with events have five in a saccade; those of an object that a hand moves have about
+two.
 """
 
 from __future__ import annotations
@@ -16,7 +18,14 @@ SENSOR = (34, 34)
 KEPT = 0.2
 
 
-def write(folder: Path, n: int | None, saccades: tuple[int, ...], seed: int, source: Path, share: float = KEPT) -> Path:
+def write(
+    folder: Path,
+    n: int | None,
+    saccades: tuple[int, ...],
+    seed: int,
+    source: Path,
+    share: float = KEPT,
+) -> Path:
     """Windows of `n` recordings of each digit, of which each shows one of `saccades` in turn, as
     `folder/<digit>/<number>.npz`; n None: of all recordings, each of these saccades.
 
@@ -27,8 +36,12 @@ def write(folder: Path, n: int | None, saccades: tuple[int, ...], seed: int, sou
     for digit in CLASSES:
         files = sorted((source / digit).glob("*.bin"))
         if len(files) < (n or 1):
-            raise ValueError(f"{source / digit} must hold at least {n or 1} recordings, got {len(files)}")
-        shown = [(k, saccades[i % len(saccades)]) for i, k in enumerate(rng.permutation(len(files))[:n])]
+            raise ValueError(
+                f"{source / digit} must hold at least {n or 1} recordings, got {len(files)}"
+            )
+        shown = [
+            (k, saccades[i % len(saccades)]) for i, k in enumerate(rng.permutation(len(files))[:n])
+        ]
         if n is None:
             shown = [(k, saccade) for saccade in saccades for k in range(len(files))]
         (folder / digit).mkdir(parents=True, exist_ok=True)

@@ -2,10 +2,11 @@
 
     python -m experiments.threads [--quick] [--json FILE]
 
-Each thread has its own volume or Processor and its own packets of random events on the sensor of `digits`, a million a
-second. By the wall clock, both ways interleaved, so that only a quiet machine tells; each for a tenth of a second and
-more, as the system starts both threads on one core and needs tens of milliseconds until it gives them one each. A
-thread that finds Python's lock taken sleeps, and is woken: how long that takes is measured, too.
+Each thread has its own volume or Processor and its own packets of random events on the sensor of
+`digits`, a million a second. By the wall clock, both ways interleaved, so that only a quiet machine
+tells; each for a tenth of a second and more, as the system starts both threads on one core and
+needs tens of milliseconds until it gives them one each. A thread that finds Python's lock taken
+sleeps, and is woken: how long that takes is measured, too.
 """
 
 from __future__ import annotations
@@ -69,13 +70,17 @@ def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
 
 def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
     """The time of one after the other, divided by that of both at once."""
-    both = {str(in_threads): (lambda in_threads=in_threads: seconds(pair, in_threads)) for in_threads in (False, True)}
+    both = {
+        str(in_threads): (lambda in_threads=in_threads: seconds(pair, in_threads))
+        for in_threads in (False, True)
+    }
     measured = interleave(both, rounds)
     return spread(measured["False"] / measured["True"])
 
 
 def wake_us(n: int = 2_000) -> float:
-    """Median microseconds until a thread that waits for a lock runs on: what it costs to wait for Python's lock."""
+    """Median microseconds until a thread that waits for a lock runs on: what it costs to wait for
+    Python's lock."""
     there, back, took = threading.Lock(), threading.Lock(), []
 
     def answer() -> None:

@@ -1,8 +1,8 @@
 """How the image moves over the sensor: displacement in pixels as a function of time.
 
-A displacement (dx, dy) puts the image's pixel (column 0, row 0) on the sensor's point (x, y) = (dx, dy);
-x grows to the right, y downwards. The image moves as a whole: its optical flow is the derivative, the same at every
-point of it.
+A displacement (dx, dy) puts the image's pixel (column 0, row 0) on the sensor's point (x, y) = (dx,
+dy); x grows to the right, y downwards. The image moves as a whole: its optical flow is the
+derivative, the same at every point of it.
 """
 
 from __future__ import annotations
@@ -50,13 +50,22 @@ class ConstantVelocity:
 
     @classmethod
     def towards(
-        cls, angle_deg: float, speed: float, *, centre: tuple[float, float] = (3.0, 3.0), duration_us: int = 105_000
+        cls,
+        angle_deg: float,
+        speed: float,
+        *,
+        centre: tuple[float, float] = (3.0, 3.0),
+        duration_us: int = 105_000,
     ) -> ConstantVelocity:
-        """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half of `duration_us`.
+        """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half of
+        `duration_us`.
 
         0 degrees is to the right, 90 downwards (y grows downwards).
         """
-        vx, vy = speed * math.cos(math.radians(angle_deg)), speed * math.sin(math.radians(angle_deg))
+        vx, vy = (
+            speed * math.cos(math.radians(angle_deg)),
+            speed * math.sin(math.radians(angle_deg)),
+        )
         half_s = duration_us * 0.5e-6
         return cls((vx, vy), (centre[0] - vx * half_s, centre[1] - vy * half_s), duration_us)
 
@@ -74,7 +83,8 @@ class Saccade:
 
         s(u) = 10 u^3 - 15 u^4 + 6 u^5,
 
-    the minimum-jerk profile (Flash and Hogan 1985): at rest at both ends, halfway at 15/8 of its mean speed.
+    the minimum-jerk profile (Flash and Hogan 1985): at rest at both ends, halfway at 15/8 of its
+    mean speed.
     """
 
     start_us: float
@@ -136,29 +146,35 @@ _NMNIST_MOVES_X = (  # saccade (0, 1, 2), centre (ms), duration (ms), distance (
     (2, 257.1, 37.2, -2.32),
     (2, 278.6, 41.2, -1.18),
 )
-_NMNIST_MOVES_Y = ((0, 41.5, 79.7, 5.37), (1, 99.9, 32.8, -0.10), (1, 151.9, 75.0, -5.03), (2, 265.6, 52.3, -0.32))
+_NMNIST_MOVES_Y = (
+    (0, 41.5, 79.7, 5.37),
+    (1, 99.9, 32.8, -0.10),
+    (1, 151.9, 75.0, -5.03),
+    (2, 265.6, 52.3, -0.32),
+)
 _NMNIST_DELAY_SD_MS = (0.6, 3.2, 2.4)
 
 
 def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
     """The motion in an N-MNIST recording: three saccades round a triangle, in 308 ms.
 
-    By (1.4, 5.4) px, then (4.0, -5.1), then (-5.3, -0.3). The camera's motors moved unevenly, so each axis is
-    a sum of bell-shaped movements, fitted to the flow measured in 200 of N-MNIST's first 1,000 training
-    recordings: per 4 ms, the signed event counts of all of them regressed on the gradient of the log image
-    that each one shows, at the displacement that explains most of the counts (about two thirds of their
-    variance in mid-saccade). Velocity and position are thus measured independently; the integral of the one
-    agrees with the other within 0.12 px (standard deviation).
+    By (1.4, 5.4) px, then (4.0, -5.1), then (-5.3, -0.3). The camera's motors moved unevenly, so
+    each axis is a sum of bell-shaped movements, fitted to the flow measured in 200 of N-MNIST's
+    first 1,000 training recordings: per 4 ms, the signed event counts of all of them regressed on
+    the gradient of the log image that each one shows, at the displacement that explains most of the
+    counts (about two thirds of their variance in mid-saccade). Velocity and position are thus
+    measured independently; the integral of the one agrees with the other within 0.12 px (standard
+    deviation).
 
     Parameters
     ----------
-    rng : draws a delay for each saccade, as measured: normal with standard deviations of 0.6, 3.2 and 2.4 ms.
-        (The real ones come in steps of about 5 ms.) None: no delays.
+    rng : draws a delay for each saccade, as measured: normal with standard deviations of 0.6, 3.2
+        and 2.4 ms. (The real ones come in steps of about 5 ms.) None: no delays.
 
     References
     ----------
-    Orchard et al. 2015, Converting Static Image Datasets to Spiking Neuromorphic Datasets Using Saccades:
-    three movements of about 100 ms each along an isosceles triangle.
+    Orchard et al. 2015, Converting Static Image Datasets to Spiking Neuromorphic Datasets Using
+    Saccades: three movements of about 100 ms each along an isosceles triangle.
     """
     delays_ms = np.zeros(3) if rng is None else rng.normal(0.0, _NMNIST_DELAY_SD_MS)
 
@@ -177,4 +193,6 @@ def _check_pair(name: str, pair: tuple[float, float]) -> None:
 
 def _check_duration(duration_us: float) -> None:
     if not (math.isfinite(duration_us) and duration_us > 0):
-        raise ValueError(f"`duration_us` must be a positive number of microseconds, got {duration_us}")
+        raise ValueError(
+            f"`duration_us` must be a positive number of microseconds, got {duration_us}"
+        )

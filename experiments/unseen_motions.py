@@ -1,17 +1,20 @@
 """Recognizing objects in motions that were not recorded: with and without motion re-synthesis.
 
-    python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST] [--mnist MNIST]
+    python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST]
+    [--mnist MNIST]
                                          [--json FILE]
 
-hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128, made by a renderer
-           and pixels of their own (`made_hands.py`); also tested in a second session
+hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128,
+           made by a renderer and pixels of their own (`made_hands.py`); also tested in a second
+           session
 saccades   N-MNIST's digits with a fifth of their events (`thinned_saccades.py`)
 volumes    the same, re-synthesized, with different volumes
-whole      all recordings of N-MNIST with all of their events, the first saccade re-synthesized; also tested in the 30
-           constant motions of N-MOVING-MNIST (*sim*, 3,000 images that no training recording shows)
+whole      all recordings of N-MNIST with all of their events, the first saccade re-synthesized;
+           also tested in the 30 constant motions of N-MOVING-MNIST (*sim*, 3,000 images that no
+           training recording shows)
 
-All training recordings move in one direction, to the right or as in the first saccade; they are tested in that and in
-others, and compared with training in all. The commands differ by one option:
+All training recordings move in one direction, to the right or as in the first saccade; they are
+tested in that and in others, and compared with training in all. The commands differ by one option:
 
     async-tnt train OBJECTS --sensor WxH --window-us US
     async-tnt train OBJECTS --sensor WxH --window-us US --motions resynthesized
@@ -63,9 +66,15 @@ HARDLY = 0.03
 VOLUMES = {
     "counts": ("--volume", "representation=count,polarity=split,transform=none"),
     "5 bins": ("--volume", "representation=volume,bins=5,polarity=split,transform=none"),
-    "5 bins, unsigned": ("--volume", "representation=volume,bins=5,polarity=unsigned,transform=none"),
+    "5 bins, unsigned": (
+        "--volume",
+        "representation=volume,bins=5,polarity=unsigned,transform=none",
+    ),
     "9 bins, signed": ("--volume", "representation=volume,bins=9,polarity=signed,transform=none"),
-    "TNT, running": ("--volume", "representation=volume,bins=9,polarity=split,transform=tnt,landmark=running,t_max=4"),
+    "TNT, running": (
+        "--volume",
+        "representation=volume,bins=9,polarity=split,transform=tnt,landmark=running,t_max=4",
+    ),
 }
 
 
@@ -79,7 +88,8 @@ class MadeSet:
     n_train, n_test : recordings of each class; None: all.
     modes : name -> directions to train on, and options of `train`.
     tests : name -> directions and how they are written.
-    simulated : of models, a folder and a number of images: accuracy of each in simulated motions; None: not asked.
+    simulated : of models, a folder and a number of images: accuracy of each in simulated motions;
+        None: not asked.
     """
 
     classes: tuple[str, ...]
@@ -95,7 +105,9 @@ class MadeSet:
 
 def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
     """The sets; those of saccades need the folder of N-MNIST, `whole` also that of MNIST."""
-    hand, other_hand = (partial(made_hands.write, session=session) for session in made_hands.SESSIONS)
+    hand, other_hand = (
+        partial(made_hands.write, session=session) for session in made_hands.SESSIONS
+    )
     made = {
         "hands": MadeSet(
             tuple(made_hands.SHAPES),
@@ -116,7 +128,9 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
         ),
     }
     if nmnist is not None:
-        learned, tested = (partial(thinned_saccades.write, source=nmnist / part) for part in ("Train", "Test"))
+        learned, tested = (
+            partial(thinned_saccades.write, source=nmnist / part) for part in ("Train", "Test")
+        )
         made["saccades"] = MadeSet(
             CLASSES,
             thinned_saccades.SENSOR,
@@ -128,7 +142,8 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
             {"recorded motion": ((0,), tested), "other motions": ((1, 2), tested)},
         )
         made["volumes"] = replace(
-            made["saccades"], modes={name: ((0,), (*MOVED, *options)) for name, options in VOLUMES.items()}
+            made["saccades"],
+            modes={name: ((0,), (*MOVED, *options)) for name, options in VOLUMES.items()},
         )
         made["whole"] = MadeSet(
             CLASSES,
@@ -173,17 +188,29 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
                 objects = out / f"{'one' if is_one else 'all'}-{seed}"
                 made.write(objects, made.n_train, directions, first + (not is_one))
                 model = out / f"{mode.replace(' ', '-')}{seed}.safetensors"
-                words = ["train", objects, "--sensor", format_size(made.sensor), "--window-us", made.window_us]
+                words = [
+                    "train",
+                    objects,
+                    "--sensor",
+                    format_size(made.sensor),
+                    "--window-us",
+                    made.window_us,
+                ]
                 words += [*options, "--seed", seed, "--out", model, "--json", *extra]
                 records.append(command(*words).get("motions"))
                 results[mode].append(
-                    {test: command("evaluate", model, where, "--json")["accuracy"] for test, where in tests.items()}
+                    {
+                        test: command("evaluate", model, where, "--json")["accuracy"]
+                        for test, where in tests.items()
+                    }
                 )
                 bar.update()
     if made.simulated is not None:
         for mode, rows in results.items():
             models = [out / f"{mode}{seed}.safetensors" for seed in range(seeds)]
-            for row, right in zip(rows, made.simulated(models, out / "sim", made.n_train or N_IMAGES), strict=True):
+            for row, right in zip(
+                rows, made.simulated(models, out / "sim", made.n_train or N_IMAGES), strict=True
+            ):
                 row["simulated motions"] = right
     return {
         "classes": made.classes,
@@ -193,7 +220,10 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
         },
         "seeds": list(range(seeds)),
         "accuracy": {
-            mode: {test: {"mean": float(np.mean(values)), "seeds": values} for test, values in _columns(rows).items()}
+            mode: {
+                test: {"mean": float(np.mean(values)), "seeds": values}
+                for test, values in _columns(rows).items()
+            }
             for mode, rows in results.items()
         },
         "motions": [record for record in records if record],
@@ -201,7 +231,9 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
     }
 
 
-def _in_simulated_motions(models: list[Path], folder: Path, n_images: int, *, nmnist: Path, mnist: Path) -> list[float]:
+def _in_simulated_motions(
+    models: list[Path], folder: Path, n_images: int, *, nmnist: Path, mnist: Path
+) -> list[float]:
     """Accuracy of each model over the windows of *sim*."""
     made = make_set("sim", mnist, folder, RealFolder(nmnist).read(), n_images, available_cores())
     pipelines = [pipeline_of(load_model(path)) for path in models]
@@ -214,17 +246,22 @@ def _in_simulated_motions(models: list[Path], folder: Path, n_images: int, *, nm
 
 def command(*words: object) -> dict[str, Any]:
     """What `async-tnt` prints as JSON."""
-    done = subprocess.run([sys.executable, "-m", "async_tnt", *map(str, words)], stdout=subprocess.PIPE, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "async_tnt", *map(str, words)], stdout=subprocess.PIPE, check=True
+    )
     result: dict[str, Any] = json.loads(done.stdout)
     return result
 
 
 def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
-    """In each test of other motions: the share of the gap between training on one and on all directions that
-    re-synthesis closes; none where there is no such comparison, or hardly a gap."""
+    """In each test of other motions: the share of the gap between training on one and on all
+    directions that re-synthesis closes; none where there is no such comparison, or hardly a gap."""
     if "all directions" not in accuracy:
         return {}
-    means = {mode: {test: found["mean"] for test, found in tests.items()} for mode, tests in accuracy.items()}
+    means = {
+        mode: {test: found["mean"] for test, found in tests.items()}
+        for mode, tests in accuracy.items()
+    }
     one, moved, every = (means[mode] for mode in ("recorded", "resynthesized", "all directions"))
     gaps = {test: every[test] - one[test] for test in one if test != "recorded motion"}
     return {test: (moved[test] - one[test]) / gap for test, gap in gaps.items() if gap > HARDLY}
@@ -239,12 +276,20 @@ def main(argv: list[str] | None = None) -> int:
     parser = script_parser("unseen_motions", __doc__, "one seed, few recordings and epochs")
     parser.add_argument("--set", choices=SETS, default="hands", help="default: hands")
     add_count(parser, "--seeds", 5, "data and networks")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="data and models (default: unseen_SET)")
-    add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test, for saccades (default: $TNT_DATA/nmnist)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="data and models (default: unseen_SET)"
+    )
+    add_folder(
+        parser,
+        "--nmnist",
+        "with Train/<digit>/*.bin and Test, for saccades (default: $TNT_DATA/nmnist)",
+    )
     add_folder(parser, "--mnist", "of its four files, for whole (default: $TNT_DATA/mnist)")
     args = parser.parse_args(argv)
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist") if args.set in OF_NMNIST else None
-    made = sets(nmnist, data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None)[args.set]
+    made = sets(
+        nmnist, data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None
+    )[args.set]
     with TemporaryDirectory() as name:
         out = args.out or Path(name if args.quick else f"unseen_{args.set}")
         few = replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3")

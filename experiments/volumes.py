@@ -2,8 +2,9 @@
 
     python -m experiments.volumes [--quick] [--json FILE]
 
-Events are random, seeded. Each way feeds one window, all ways in turns, on one thread. Opening a window is not timed,
-except for whole windows of 400,000 events on 1280 x 720, which are opened, filled and read.
+Events are random, seeded. Each way feeds one window, all ways in turns, on one thread. Opening a
+window is not timed, except for whole windows of 400,000 events on 1280 x 720, which are opened,
+filled and read.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ PACKETS = (10, 100, 1300)
 CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
 """How camera drivers commonly pack an event: 14 bytes, t not aligned."""
 N_WHOLE = 400_000
-N_EVENTS, ROUNDS = (26_000, 13_000), (31, 5)  # in full, with --quick; whole packets of every size, many short rounds
+# in full, with --quick; whole packets of every size, many short rounds
+N_EVENTS, ROUNDS = (26_000, 13_000), (31, 5)
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -42,7 +44,9 @@ def measure(quick: bool) -> dict[str, Any]:
     return {"machine": machine(), "settings": settings, "volume": found, "whole_window": whole}
 
 
-def bench_volume(grid: tuple[int, int], rng: np.random.Generator, *, n_events: int, rounds: int) -> dict[str, Any]:
+def bench_volume(
+    grid: tuple[int, int], rng: np.random.Generator, *, n_events: int, rounds: int
+) -> dict[str, Any]:
     """Time one window of `n_events` events, fed in every way.
 
     Returns
@@ -63,12 +67,15 @@ def bench_volume(grid: tuple[int, int], rng: np.random.Generator, *, n_events: i
         "t_max": config.t_max,
         "window_us": config.window_us,
         "events": n_events,
-        "ns_per_event": {name: spread(values) for name, values in interleave(cases, rounds).items()},
+        "ns_per_event": {
+            name: spread(values) for name, values in interleave(cases, rounds).items()
+        },
     }
 
 
 def whole_windows(rng: np.random.Generator, n_events: int, rounds: int) -> dict[str, Any]:
-    """Time a window on the largest sensor, opened, filled by packets of 1,300 and read once at its end."""
+    """Time a window on the largest sensor, opened, filled by packets of 1,300 and read once at its
+    end."""
     config = TNTConfig(sensor=GRIDS[-1], grid=GRIDS[-1], landmark="running")
     packets = _column_packets(made_columns(rng, GRIDS[-1], n_events, config.window_us), PACKETS[-1])
     volume = TNTVolume(config)
@@ -118,12 +125,16 @@ def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.n
 
 def _column_packets(columns: tuple[np.ndarray, ...], size: int) -> list[tuple[np.ndarray, ...]]:
     n = len(columns[0])
-    return [tuple(column[first : first + size] for column in columns) for first in range(0, n, size)]
+    return [
+        tuple(column[first : first + size] for column in columns) for first in range(0, n, size)
+    ]
 
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print, and write JSON if asked."""
-    return run_script(script_parser("volumes", __doc__, "fewer events and rounds"), argv, measure, "bench")
+    return run_script(
+        script_parser("volumes", __doc__, "fewer events and rounds"), argv, measure, "bench"
+    )
 
 
 if __name__ == "__main__":

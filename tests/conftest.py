@@ -10,14 +10,17 @@ from hypothesis import HealthCheck, settings
 ROOT = Path(__file__).resolve().parent.parent
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# No deadline: how long an example takes depends on what else the machine does. Many more random streams:
-# HYPOTHESIS_PROFILE=deep pytest
-settings.register_profile("ci", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+# No deadline: how long an example takes depends on what else the machine does. Many more random
+# streams: HYPOTHESIS_PROFILE=deep pytest
+settings.register_profile(
+    "ci", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.register_profile("few", settings.get_profile("ci"), max_examples=20)
 settings.register_profile("deep", settings.get_profile("ci"), max_examples=2000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
-# A shell's background job ignores SIGINT, and so would each program that a test starts to interrupt it.
+# A shell's background job ignores SIGINT, and so would each program that a test starts to interrupt
+# it.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if os.name != "nt" and signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # under nohup
@@ -34,7 +37,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
-    """Kernels are compiled once, here: a program that a test starts would say on stderr that it compiles."""
+    """Kernels are compiled once, here: a program that a test starts would say on stderr that it
+    compiles."""
     from async_tnt import warmup  # not above: OMP_NUM_THREADS has to be set first
 
     warmup()

@@ -1,4 +1,5 @@
-"""Valid files, damaged in hundreds of ways: bytes that changed, are missing or too many; JSON values of other types."""
+"""Valid files, damaged in hundreds of ways: bytes that changed, are missing or too many; JSON
+values of other types."""
 
 from __future__ import annotations
 
@@ -9,7 +10,26 @@ from typing import Any
 
 import numpy as np
 
-VALUES = (None, True, False, 0, -1, 2**31, 2**64, 0.5, 1e308, -1e-9, "", "a\nb", "0", [], [0], [[]], {}, {"": None})
+VALUES = (
+    None,
+    True,
+    False,
+    0,
+    -1,
+    2**31,
+    2**64,
+    0.5,
+    1e308,
+    -1e-9,
+    "",
+    "a\nb",
+    "0",
+    [],
+    [0],
+    [[]],
+    {},
+    {"": None},
+)
 """One or more of every type of JSON."""
 RAW = {
     "whole number of 5,000 digits": "9" * 5_000,
@@ -76,7 +96,13 @@ def damaged_json(value: Any, n: int, seed: int) -> Iterator[str]:
 def _paths(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """The way to the value itself, and to everything in it."""
     yield path
-    for key, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+    for key, inner in (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    ):
         yield from _paths(inner, (*path, key))
 
 

@@ -1,4 +1,5 @@
-"""What the tests of Processor share: a stream at given times, and decisions as comparable values."""
+"""What the tests of Processor share: a stream at given times, and decisions as comparable
+values."""
 
 import numpy as np
 from oracles import as_values
@@ -26,7 +27,12 @@ def key(decision):
 def at(times):
     """Events at these times, anywhere."""
     n = len(times)
-    return times, [3 + k % 5 for k in range(n)], [4 + k % 3 for k in range(n)], [k % 2 for k in range(n)]
+    return (
+        times,
+        [3 + k % 5 for k in range(n)],
+        [4 + k % 3 for k in range(n)],
+        [k % 2 for k in range(n)],
+    )
 
 
 def summary(decisions):

@@ -23,7 +23,8 @@ def free_port(kind=socket.SOCK_DGRAM) -> int:
 def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
     """Wait until a process listens for datagrams there; it receives an empty one.
 
-    Trying to bind the port would show it, too, but might take the port from the process that is about to.
+    Trying to bind the port would show it, too, but might take the port from the process that is
+    about to.
     """
     deadline = time.monotonic() + patience_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -42,7 +43,8 @@ def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
 
 @contextlib.contextmanager
 def sent(events: np.ndarray) -> Iterator[int]:
-    """A port to which the events are sent once somebody listens; all of them before the block ends."""
+    """A port to which the events are sent once somebody listens; all of them before the block
+    ends."""
     port = free_port()
     sender = threading.Thread(target=send_in_parts, args=(port, events), daemon=True)
     sender.start()
@@ -58,10 +60,14 @@ def send_in_parts(port: int, events: np.ndarray, n_parts: int = 40, pause_s: flo
         time.sleep(pause_s)
 
 
-def send(port: int, events: np.ndarray, format: str = "t64_x16_y16_on8", datagram_events: int = 100) -> int:
+def send(
+    port: int, events: np.ndarray, format: str = "t64_x16_y16_on8", datagram_events: int = 100
+) -> int:
     """Send events, in as many datagrams as they need; returns how many."""
     firsts = range(0, len(events), datagram_events)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for first in firsts:
-            sender.sendto(encode(events[first : first + datagram_events], format), ("127.0.0.1", port))
+            sender.sendto(
+                encode(events[first : first + datagram_events], format), ("127.0.0.1", port)
+            )
     return len(firsts)

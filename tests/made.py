@@ -15,7 +15,9 @@ def events_of(t, x, y, p) -> np.ndarray:
     return events
 
 
-def random_events(n: int, *, seed: int = 0, duration_us: int = 105_000, sensor=(34, 34), start_us: int = 0):
+def random_events(
+    n: int, *, seed: int = 0, duration_us: int = 105_000, sensor=(34, 34), start_us: int = 0
+):
     """A sorted stream, uniform over time and sensor."""
     rng = np.random.default_rng(seed)
     return events_of(
@@ -43,7 +45,8 @@ def random_model(
     sharpness: float = 2.0,
     seed: int = 0,
 ) -> Model:
-    """A model with random weights of a sensible size; with a landmark network where the configuration needs one."""
+    """A model with random weights of a sensible size; with a landmark network where the
+    configuration needs one."""
     rng = np.random.default_rng(seed)
     channels, height, width = config.shape
     shapes = {
@@ -59,16 +62,26 @@ def random_model(
         weights[f"{layer}.bias"] = rng.uniform(-bound, bound, shape[0])
     if config.needs_regressor:
         weights |= _random_regressor(rng, channels, regressor_widths, sharpness)
-    return thesis_model(config, weights, tuple(f"class {k}" for k in range(classes)), {"made": True})
+    return thesis_model(
+        config, weights, tuple(f"class {k}" for k in range(classes)), {"made": True}
+    )
 
 
-def random_regressor_model(config: TNTConfig = TNTConfig(landmark="regressor"), **settings) -> Model:  # noqa: B008
-    """`random_model` with a landmark network that is far from its start: its heatmap has peaks where the events
-    are, and its landmark lies pixels away from the centre (with few events: where `sharpness` is large)."""
-    return random_model(config.replace(landmark="regressor", transform="tnt", remove_flow=False), **settings)
+REGRESSOR_CONFIG = TNTConfig(landmark="regressor")
 
 
-def _random_regressor(rng: np.random.Generator, channels: int, widths, sharpness: float) -> dict[str, np.ndarray]:
+def random_regressor_model(config: TNTConfig = REGRESSOR_CONFIG, **settings) -> Model:
+    """`random_model` with a landmark network that is far from its start: its heatmap has peaks
+    where the events are, and its landmark lies pixels away from the centre (with few events: where
+    `sharpness` is large)."""
+    return random_model(
+        config.replace(landmark="regressor", transform="tnt", remove_flow=False), **settings
+    )
+
+
+def _random_regressor(
+    rng: np.random.Generator, channels: int, widths, sharpness: float
+) -> dict[str, np.ndarray]:
     weights, inputs = {}, channels
     for layer, n_filters in zip(("conv1", "conv2", "conv3"), widths, strict=True):
         # sized so that numbers neither die out nor explode from layer to layer
@@ -82,19 +95,26 @@ def _random_regressor(rng: np.random.Generator, channels: int, widths, sharpness
 
 @st.composite
 def nasty_streams(draw, sensor, window_us: int, start_us: int, max_events: int = 60):
-    """Streams of hard cases: ties, bursts, borders, corners, the window's first and last microsecond,
-    times that run backwards, all at one pixel."""
+    """Streams of hard cases: ties, bursts, borders, corners, the window's first and last
+    microsecond, times that run backwards, all at one pixel."""
     n = draw(st.integers(0, max_events))
     inside = st.integers(0, window_us - 1)
     special = st.sampled_from(
-        [k for k in (0, 1, window_us // 8, window_us // 4, window_us // 2, window_us - 1) if k < window_us]
+        [
+            k
+            for k in (0, 1, window_us // 8, window_us // 4, window_us // 2, window_us - 1)
+            if k < window_us
+        ]
     )
     times = draw(st.lists(st.one_of(inside, special), min_size=n, max_size=n))
     if draw(st.booleans()):
         times = sorted(times)
     if n and draw(st.booleans()):  # a burst: half of the stream at one moment
         times[n // 2 :] = [times[n // 2]] * (n - n // 2)
-    side = [st.one_of(st.sampled_from([0, s - 1, (s - 1) // 2, s // 2]), st.integers(0, s - 1)) for s in sensor]
+    side = [
+        st.one_of(st.sampled_from([0, s - 1, (s - 1) // 2, s // 2]), st.integers(0, s - 1))
+        for s in sensor
+    ]
     x = draw(st.lists(side[0], min_size=n, max_size=n))
     y = draw(st.lists(side[1], min_size=n, max_size=n))
     if n and draw(st.integers(0, 4)) == 0:
@@ -111,29 +131,41 @@ def thesis_model(config: TNTConfig, *arguments, **named) -> Model:
 def thesis_network(config: TNTConfig) -> dict[str, list[dict]]:
     """The thesis' two networks as layers (Wang 2019).
 
-    The classifier: two convolutions with ReLU, each followed by average pooling, then two dense layers. The landmark
-    regressor, where the configuration needs one: three convolutions with ReLU, then one 1x1, the heatmap's centroid.
+    The classifier: two convolutions with ReLU, each followed by average pooling, then two dense
+    layers. The landmark regressor, where the configuration needs one: three convolutions with ReLU,
+    then one 1x1, the heatmap's centroid.
     """
     pool = {"kernel": [2, 2], "stride": [2, 2], "padding": [0, 0, 0, 0]}
-    halves = [s for k in (1, 2) for s in (_conv(f"conv{k}"), _relu(k), (f"pool{k}", "average_pool", pool))]
+    halves = [
+        s for k in (1, 2) for s in (_conv(f"conv{k}"), _relu(k), (f"pool{k}", "average_pool", pool))
+    ]
     dense = [("flatten", "flatten", {}), _dense("fc1"), _relu(3), _dense("fc2")]
     network = {"classifier": _chain(*halves, *dense)}
     if config.needs_regressor:
         steps = [s for k in (1, 2, 3) for s in (_conv(f"conv{k}", "regressor."), _relu(k))]
-        heatmap = _conv("heatmap", "regressor.", side=1, roles=("weight",))  # a bias would not move the centroid
+        # a bias would not move the centroid
+        heatmap = _conv("heatmap", "regressor.", side=1, roles=("weight",))
         network["regressor"] = _chain(*steps, heatmap, ("landmark", "heatmap_centroid", {}))
     return network
 
 
 def _chain(*steps):
     names = ["volume", *(name for name, _, _ in steps)]
-    return [{"op": op, "name": name, "inputs": [names[k]], **more} for k, (name, op, more) in enumerate(steps)]
+    return [
+        {"op": op, "name": name, "inputs": [names[k]], **more}
+        for k, (name, op, more) in enumerate(steps)
+    ]
 
 
 def _conv(name, prefix="", side=3, roles=("weight", "bias")):
     """A convolution that keeps the size."""
     weights = {role: f"{prefix}{name}.{role}" for role in roles}
-    sides = {"kernel": [side, side], "stride": [1, 1], "padding": [side // 2] * 4, "dilation": [1, 1]}
+    sides = {
+        "kernel": [side, side],
+        "stride": [1, 1],
+        "padding": [side // 2] * 4,
+        "dilation": [1, 1],
+    }
     return name, "conv", {"weights": weights, **sides, "groups": 1}
 
 

@@ -11,10 +11,15 @@ SENSOR = (34, 34)
 
 
 def blobs(rng, sensor=SENSOR, n=6, spread=7.0):
-    """A function of (x, y): log luminance of a few dark smooth bars and discs about the middle of the sensor."""
+    """A function of (x, y): log luminance of a few dark smooth bars and discs about the middle of
+    the sensor."""
     size = min(sensor) / 34
     centres = (np.array(sensor) - 1) / 2 + rng.uniform(-spread, spread, (n, 2)) * size
-    angles, lengths, depths = rng.uniform(0, np.pi, n), rng.uniform(0, 8, n) * size, rng.uniform(0.5, 1.6, n)
+    angles, lengths, depths = (
+        rng.uniform(0, np.pi, n),
+        rng.uniform(0, 8, n) * size,
+        rng.uniform(0.5, 1.6, n),
+    )
 
     def at(x, y):
         total = np.zeros(np.broadcast(x, y).shape)
@@ -22,7 +27,9 @@ def blobs(rng, sensor=SENSOR, n=6, spread=7.0):
             along = np.cos(angle) * (x - cx) + np.sin(angle) * (y - cy)
             across = np.cos(angle) * (y - cy) - np.sin(angle) * (x - cx)
             beyond = np.maximum(np.abs(along) - length / 2, 0)
-            total = np.maximum(total, depth * np.exp(-(beyond**2 + across**2) / (2 * (1.2 * size) ** 2)))
+            total = np.maximum(
+                total, depth * np.exp(-(beyond**2 + across**2) / (2 * (1.2 * size) ** 2))
+            )
         return -total
 
     return at
@@ -49,9 +56,12 @@ def recorded(scene, displacement, rng, sensor=SENSOR, pixels=None, window_us=WIN
 
 
 def noiseless_events(light, times, threshold_on, threshold_off, reference=None, refractory_us=0.0):
-    """Events of noiseless pixels with known thresholds; the level begins at the first frame, or at `reference`."""
+    """Events of noiseless pixels with known thresholds; the level begins at the first frame, or at
+    `reference`."""
     level = light[0] if reference is None else reference
-    of_pixels = (np.full(light[0].shape, value, float) for value in (threshold_on, threshold_off, level))
+    of_pixels = (
+        np.full(light[0].shape, value, float) for value in (threshold_on, threshold_off, level)
+    )
     found = structured(pixel_events(light, np.array(times, float), *of_pixels, refractory_us))
     return found[np.lexsort((found["x"], found["y"], found["t"]))]
 

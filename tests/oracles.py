@@ -1,19 +1,22 @@
-"""Slow twins: the classifier in NumPy, bit for bit, and a Processor's windows and triggers in plain Python.
+"""Slow twins: the classifier in NumPy, bit for bit, and a Processor's windows and triggers in plain
+Python.
 
-The classifier (`forward`) spells out each operation, rounded once. Nothing of the product is used but the order of its
-sums, which is part of what it promises:
+The classifier (`forward`) spells out each operation, rounded once. Nothing of the product is used
+but the order of its sums, which is part of what it promises:
 
     convolution     bias, then row by row and tap by tap of the kernel the channels
     pooling         0, then row by row each place times 1/4
-    dense 1         what each place adds, filter by filter; sums of a row's places; bias, then the rows' sums
+    dense 1         what each place adds, filter by filter; sums of a row's places; bias, then the
+                    rows' sums
     dense 2         bias, then unit by unit
 
 each term added with one rounding (fma).
 
-The windows and triggers (`Oracle`) are integers, floats and lists, one event at a time, written from the docstrings:
-time passes to an event's time first, moment by moment, and windows close and open on the way; then the event is added
-to every open window that holds it, and the triggers that see events are asked. The oldest open window is the one that
-decides. What a window shows is kept in a TNTVolume of its own, opened by hand.
+The windows and triggers (`Oracle`) are integers, floats and lists, one event at a time, written
+from the docstrings: time passes to an event's time first, moment by moment, and windows close and
+open on the way; then the event is added to every open window that holds it, and the triggers that
+see events are asked. The oldest open window is the one that decides. What a window shows is kept in
+a TNTVolume of its own, opened by hand.
 """
 
 from __future__ import annotations
@@ -29,8 +32,9 @@ from async_tnt import Counts, TNTConfig, TNTVolume
 def fma(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """a b + c in float32 with one rounding.
 
-    The product of two float32 is exact in float64. The sum is rounded there to odd: where it is not exact, the last
-    bit is made 1, which keeps what is left out in view of the second rounding (Boldo and Melquiond 2008).
+    The product of two float32 is exact in float64. The sum is rounded there to odd: where it is not
+    exact, the last bit is made 1, which keeps what is left out in view of the second rounding
+    (Boldo and Melquiond 2008).
     """
     product = np.float64(a) * np.float64(b)
     c = np.float64(c)
@@ -38,7 +42,9 @@ def fma(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     rest = total - product
     error = (product - (total - rest)) + (c - rest)  # exactly what the sum lacks (Knuth's two-sum)
     even = total.view(np.int64) & 1 == 0
-    odd = np.where((error != 0) & even, np.nextafter(total, np.where(error > 0, np.inf, -np.inf)), total)
+    odd = np.where(
+        (error != 0) & even, np.nextafter(total, np.where(error > 0, np.inf, -np.inf)), total
+    )
     return odd.astype(np.float32)
 
 
@@ -133,7 +139,8 @@ class Oracle:
         self.passed_us = 0  # moments up to this one are over
         self.close_calls = 0  # probabilities so near the level that exp's last bit decides
         self.received = self.dropped_late = self.dropped_decided = 0
-        self.closed: list[Counts] = []  # what became of the events of each window that is no longer open
+        # what became of the events of each window that is no longer open
+        self.closed: list[Counts] = []
         self.every_us: int | None = None
         self.every_events: int | None = None
         self.confidence: float | None = None
@@ -170,7 +177,9 @@ class Oracle:
             decisions.append(self._decision(oldest, "window", complete=True)[0])
             self._close(decided=False, now_us=max(oldest.times))
         elif by_events or only_confidence:
-            decisions += self._decide(oldest, "every_events" if by_events else "", now_us=max(oldest.times))
+            decisions += self._decide(
+                oldest, "every_events" if by_events else "", now_us=max(oldest.times)
+            )
         return decisions
 
     def push_all(self, events: np.ndarray) -> list[Values]:
@@ -186,7 +195,8 @@ class Oracle:
 
     @property
     def counts(self) -> Counts:
-        """See `Processor.counts`: of all windows together; received, late and decided count once."""
+        """See `Processor.counts`: of all windows together; received, late and decided count
+        once."""
         of_windows = [*self.closed, *(window.volume.counts for window in self.windows)]
         return Counts(
             received=self.received,
@@ -220,10 +230,13 @@ class Oracle:
         if self.every_us is None:
             return math.inf
         passed_us = max(self.passed_us, window.start_us, *window.times)
-        return window.start_us + ((passed_us - window.start_us) // self.every_us + 1) * self.every_us
+        return (
+            window.start_us + ((passed_us - window.start_us) // self.every_us + 1) * self.every_us
+        )
 
     def _open_windows(self, t_us: int) -> None:
-        """Those on the grid that hold `t_us`; where none is open, the next one, though it may begin later."""
+        """Those on the grid that hold `t_us`; where none is open, the next one, though it may begin
+        later."""
         if self.next_start_us is None:
             self.next_start_us = t_us
         while self.next_start_us + self.config.window_us <= t_us:
@@ -243,7 +256,9 @@ class Oracle:
         if self.config.window_events:
             self.next_start_us = None  # at the next event
         else:
-            self.decided_from_us = min(self.decided_from_us, oldest.start_us) if decided else math.inf
+            self.decided_from_us = (
+                min(self.decided_from_us, oldest.start_us) if decided else math.inf
+            )
         self.n_decided, self.passed_us = 0, now_us
 
     def _decide(self, oldest: Window, trigger: str, now_us: int) -> list[Values]:
@@ -259,7 +274,9 @@ class Oracle:
         self.n_decided = len(oldest.times)
         return [decision]
 
-    def _decision(self, window: Window, trigger: str, complete: bool = False) -> tuple[Values, float]:
+    def _decision(
+        self, window: Window, trigger: str, complete: bool = False
+    ) -> tuple[Values, float]:
         logits = np.asarray(self.classify(window.volume.array), np.float32)
         probability = 1 / math.fsum(math.exp(float(v) - float(max(logits))) for v in logits)
         newest_us, n = max(window.times), len(window.times)

@@ -18,7 +18,9 @@ def started(*words: object, **settings: object) -> Iterator[subprocess.Popen]:
     """Python with these words, which also imports the tests; killed at the end of the block."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     env = {**os.environ, "PYTHONPATH": PATHS, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen([sys.executable, *map(str, words)], **{"env": env, **pipes, **settings}) as process:
+    with subprocess.Popen(
+        [sys.executable, *map(str, words)], **{"env": env, **pipes, **settings}
+    ) as process:
         try:
             yield process
         finally:

@@ -13,7 +13,8 @@ from experiments.nmnist_files import write_nmnist
 
 
 def write_small_nmnist(folder: Path, *, n_train: int, first_number: int) -> Path:
-    """The ten bundled samples, each moved by 0, 1, ... pixels: `n_train` of each digit in Train, 1 in Test."""
+    """The ten bundled samples, each moved by 0, 1, ... pixels: `n_train` of each digit in Train, 1
+    in Test."""
     for digit, path in sample_recordings().items():
         events = read_nmnist(path)
         for split, n in (("Train", n_train), ("Test", 1)):
@@ -21,12 +22,15 @@ def write_small_nmnist(folder: Path, *, n_train: int, first_number: int) -> Path
             for k in range(n):
                 moved = events.copy()
                 moved["x"] = np.minimum(moved["x"] + k, 33)
-                write_nmnist(folder / split / str(digit) / f"{first_number + 10 * k + digit:05d}.bin", moved)
+                write_nmnist(
+                    folder / split / str(digit) / f"{first_number + 10 * k + digit:05d}.bin", moved
+                )
     return folder
 
 
 def write_small_mnist(folder: Path, n: int) -> Path:
-    """`n` images of thick bars, whose slope and place follow their label; the same in both splits."""
+    """`n` images of thick bars, whose slope and place follow their label; the same in both
+    splits."""
     rng = np.random.default_rng(0)
     labels = (np.arange(n) * 7 % 10).astype(np.uint8)
     rows, columns = np.mgrid[:28, :28] - 13.5

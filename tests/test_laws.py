@@ -1,7 +1,9 @@
-"""Laws that hold for everything that takes a stream: volumes of every kind, processors with every trigger.
+"""Laws that hold for everything that takes a stream: volumes of every kind, processors with every
+trigger.
 
 However the stream is cut into packets; after a reset, in a copy, pickled; whatever invalid packets
-arrived and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for bit.
+arrived and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for
+bit.
 """
 
 import copy
@@ -28,16 +30,22 @@ KINDS = {
     "window": CONFIG.replace(landmark="window", polarity="split"),
     "regressor": CONFIG.replace(landmark="regressor"),
     "of 60 events": CONFIG.replace(window_events=60, window_us=None),
-    "of 50 events, flow removed": CONFIG.replace(window_events=50, landmark="line", remove_flow=True),
+    "of 50 events, flow removed": CONFIG.replace(
+        window_events=50, landmark="line", remove_flow=True
+    ),
     "of 70 events, regressor": CONFIG.replace(window_events=70, landmark="regressor"),
-    "image of counts": CONFIG.replace(representation="count", bins=None, landmark="line", polarity="split"),
+    "image of counts": CONFIG.replace(
+        representation="count", bins=None, landmark="line", polarity="split"
+    ),
     "image of counts and times": CONFIG.replace(
         representation="count_time", bins=None, transform="none", polarity="split"
     ),
     "image of mean times": CONFIG.replace(
         representation="mean_time", bins=None, transform="none", polarity="unsigned", grid=(30, 24)
     ),
-    "time surface": CONFIG.replace(representation="time_surface", bins=None, transform="none", polarity="split"),
+    "time surface": CONFIG.replace(
+        representation="time_surface", bins=None, transform="none", polarity="split"
+    ),
     "no transform": CONFIG.replace(transform="none", polarity="split"),
     "one bin, large": CONFIG.replace(sensor=(300, 200), grid=(300, 200), bins=1),
 }
@@ -49,7 +57,11 @@ SETTINGS = {
     "every_events": {"every_events": 7, "late": "drop"},
     "every event": {"every_events": 1},
     "confidence": {"confidence": 0.4},
-    "confidence every 3 events, overlapping": {"confidence": 0.38, "every_events": 3, "hop_us": 250},
+    "confidence every 3 events, overlapping": {
+        "confidence": 0.38,
+        "every_events": 3,
+        "hop_us": 250,
+    },
     "every 5 events and every_us, overlapping": {"every_events": 5, "every_us": 300, "hop_us": 450},
 }
 
@@ -67,7 +79,11 @@ class Volume(Copied):
     """A TNTVolume, used like a Processor that never decides."""
 
     def __init__(self, config):
-        model = random_regressor_model(config, widths=(3, 4, 5), sharpness=20.0) if config.needs_regressor else None
+        model = (
+            random_regressor_model(config, widths=(3, 4, 5), sharpness=20.0)
+            if config.needs_regressor
+            else None
+        )
         self.volume = TNTVolume(config, regressor=model and CompiledRegressor(model))
 
     def push(self, events):
@@ -81,14 +97,22 @@ class Volume(Copied):
 
     def look(self):
         volume = self.volume
-        return volume.array.tobytes(), volume.landmark, volume.counts, volume.start_us, volume.n_events
+        return (
+            volume.array.tobytes(),
+            volume.landmark,
+            volume.counts,
+            volume.start_us,
+            volume.n_events,
+        )
 
 
 class Stream(Copied):
     """A Processor, its decisions as comparable values."""
 
     def __init__(self, config, compiled, settings):
-        model = random_model(config, classes=3, widths=(3, 4, 5), regressor_widths=(3, 3, 3), sharpness=20.0)
+        model = random_model(
+            config, classes=3, widths=(3, 4, 5), regressor_widths=(3, 3, 3), sharpness=20.0
+        )
         self.processor = Processor(model, classifier=None if compiled else uneven, **settings)
 
     def push(self, events):
@@ -110,11 +134,17 @@ OF_A_DURATION = {"hop_us", "start_us"}
 # Each setting with both ways of deciding, and with one of the other landmarks.
 OTHERS = zip(itertools.cycle(["line", "window", "regressor", "image of mean times"]), SETTINGS)
 PROCESSORS = {
-    f"{kind}, {name}, {'network' if compiled else 'callable'}": partial(Stream, KINDS[kind], compiled, SETTINGS[name])
+    f"{kind}, {name}, {'network' if compiled else 'callable'}": partial(
+        Stream, KINDS[kind], compiled, SETTINGS[name]
+    )
     for kind, name, compiled in (
         *itertools.product(["running"], SETTINGS, (True, False)),
         *((kind, name, True) for kind, name in OTHERS),
-        *(("of 60 events", name, name != "every_events") for name, of in SETTINGS.items() if not OF_A_DURATION & {*of}),
+        *(
+            ("of 60 events", name, name != "every_events")
+            for name, of in SETTINGS.items()
+            if not OF_A_DURATION & {*of}
+        ),
     )
 }
 ALL = VOLUMES | PROCESSORS
@@ -130,11 +160,16 @@ def events_of(make, n=400, seed=1, start_us=50):
 
 
 def fed(stream, events, sizes=(400,)):
-    """The outputs of a stream cut into packets of these sizes, over and over; 0: one event by `push_one`."""
+    """The outputs of a stream cut into packets of these sizes, over and over; 0: one event by
+    `push_one`."""
     outputs, first, sizes = [], 0, itertools.cycle(sizes)
     while first < len(events):
         size = next(sizes)
-        outputs += stream.push(events[first : first + size]) if size else stream.push_one(*events[first].tolist())
+        outputs += (
+            stream.push(events[first : first + size])
+            if size
+            else stream.push_one(*events[first].tolist())
+        )
         first += size or 1
     return outputs
 
@@ -192,7 +227,9 @@ def test_after_a_reset_it_is_as_new(make, few):
 
 
 @of_all
-@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream))])
+@pytest.mark.parametrize(
+    "duplicate", [copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream))]
+)
 def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
     original, alone, events = make(), make(), events_of(make)
     fed(original, events[:170], (13,)), fed(alone, events[:170], (13,))
@@ -209,7 +246,12 @@ def test_invalid_packets_change_nothing(make):
     stream, alone, events = make(), make(), events_of(make)
     width = make.args[0].sensor[0]
     fed(stream, events[:170]), fed(alone, events[:170])
-    for invalid in (([9000, 9001], [1, width], [1, 1], [1, 1]), ([9000, -1], [1, 1], [1, 1], [0, 1]), [1, 2, 3], "abc"):
+    for invalid in (
+        ([9000, 9001], [1, width], [1, 1], [1, 1]),
+        ([9000, -1], [1, 1], [1, 1], [0, 1]),
+        [1, 2, 3],
+        "abc",
+    ):
         with pytest.raises((ValueError, TypeError)):
             stream.push(invalid)
     for invalid in ((9000, width, 1, 1), (-1, 1, 1, 1), (9000, 1, 1, 2), (9000.5, 1, 1, 1)):

@@ -1,4 +1,5 @@
-"""Wait for a sign from another thread, task or process, for as long as a busy machine may take; read in both ways."""
+"""Wait for a sign from another thread, task or process, for as long as a busy machine may take;
+read in both ways."""
 
 import asyncio
 import threading

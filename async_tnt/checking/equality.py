@@ -1,13 +1,17 @@
-"""Compare the stream with the batch reference on one recording: the promise of equality as a function.
+"""Compare the stream with the batch reference on one recording: the promise of equality as a
+function.
 
-(a) the streamed volume is bit for bit the same however the stream was cut into packets, and made of the events that
+(a) the streamed volume is bit for bit the same however the stream was cut into packets, and made of
+the events that
     the reference has in that window;
-(b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9 px;
-(c) logits equal the reference's to 1e-4 (of the largest, where it exceeds 1), and with them the class, but for ties;
-(d) a decision after every event, for which only what changed is computed, has the bits of the whole network's;
+(b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9
+px; (c) logits equal the reference's to 1e-4 (of the largest, where it exceeds 1), and with them the
+class, but for ties; (d) a decision after every event, for which only what changed is computed, has
+the bits of the whole network's;
 
-but for (b) where the tolerance of the border ends, 1e-9 px beyond it, where rounding decides whether an event is kept,
-and for (d) if the caller switches `torch.set_flush_denormal` between two decisions.
+but for (b) where the tolerance of the border ends, 1e-9 px beyond it, where rounding decides
+whether an event is kept, and for (d) if the caller switches `torch.set_flush_denormal` between two
+decisions.
 
 Needs torch (extra `reference`), which is imported only when something is checked.
 """
@@ -32,7 +36,8 @@ from async_tnt.volume_state import Regressor
 
 PACKET_SIZES = (1, 2, 7, 100, 0)  # 0: everything at once
 VOLUME_BOUND = 1e-6  # of the largest cell
-CANCELLED = 1e-9  # events: where all cells are below it, opposite events cancelled and left their rounding
+# events: where all cells are below it, opposite events cancelled and left their rounding
+CANCELLED = 1e-9
 LANDMARK_BOUND = 1e-9  # pixels
 LOGIT_BOUND = 1e-4
 REGRESSED_LANDMARK_BOUND = 1e-4  # landmark "regressor" comes from float32 convolutions
@@ -64,8 +69,8 @@ class Comparison:
 
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
-    """A configuration with every landmark (`regressor` where it has one), with the flow removed, and without the
-    transform; images of times have only the last."""
+    """A configuration with every landmark (`regressor` where it has one), with the flow removed,
+    and without the transform; images of times have only the last."""
     if base.representation in TIME_IMAGES:
         return {"no transform": base}
     tnt = base.replace(transform="tnt", remove_flow=False)
@@ -90,8 +95,8 @@ def check_recording(
     ----------
     events : structured array of `EVENT_DTYPE`.
     model : its configuration, under every landmark, and its networks.
-    prefixes : how many prefixes of each window are compared with the reference, evenly spread, the last one
-        included; None for all of them (minutes for a recording of some thousand events).
+    prefixes : how many prefixes of each window are compared with the reference, evenly spread, the
+        last one included; None for all of them (minutes for a recording of some thousand events).
     start_us : start of the first window; the first event by default.
     on_progress : called after every configuration.
     """
@@ -105,7 +110,12 @@ def check_recording(
 
 
 def _check_config(
-    events: np.ndarray, name: str, config: TNTConfig, model: Model, prefixes: int | None, start_us: int | None
+    events: np.ndarray,
+    name: str,
+    config: TNTConfig,
+    model: Model,
+    prefixes: int | None,
+    start_us: int | None,
 ) -> list[Comparison]:
     """Promises (a) and (b) for one configuration."""
     from async_tnt.checking.reference import reference_landmark, reference_volume, reference_windows
@@ -138,7 +148,9 @@ def _check_config(
             reference = reference_volume(seen, config, start, ours if regressed else None)
             volumes.add(_difference(volume.array, reference))
             if find_landmark is not None:
-                theirs = find_landmark(reference_volume(seen, config.replace(transform="none"), start))
+                theirs = find_landmark(
+                    reference_volume(seen, config.replace(transform="none"), start)
+                )
                 landmarks.add(_distance(ours, theirs))
             elif transformed:
                 landmarks.add(_distance(ours, reference_landmark(seen, config, start)))
@@ -146,8 +158,11 @@ def _check_config(
     return [packets, windows, volumes, *[landmarks] * transformed]
 
 
-def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None) -> list[Comparison]:
-    """Promises (c) and (d): a decision after each event, in packets, compared where prefixes end."""
+def _check_network(
+    events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None
+) -> list[Comparison]:
+    """Promises (c) and (d): a decision after each event, in packets, compared where prefixes
+    end."""
     from async_tnt.checking.reference import reference_pipeline, reference_windows
 
     repeated = Comparison("bits that depend on earlier decisions", "the model", 0.0)
@@ -155,7 +170,8 @@ def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start
     config, dense, pipeline = model.config, CompiledClassifier(model), reference_pipeline(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
     incremental = CompiledClassifier(model)  # through all windows
-    # with a landmark that is found at each read, a decision after each event is as slow as the window is long
+    # with a landmark that is found at each read, a decision after each event is as slow as the
+    # window is long
     every = None if config.needs_replay else 1
     for start, inside, ends in _prefixes(reference_windows(events, config, start_us), prefixes):
         if config.window_events is None:
@@ -163,7 +179,11 @@ def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start
         else:  # a full window would be closed, and could not be read
             first_us, still_open = None, config.replace(window_events=inside.size + 1)
         processor = Processor(
-            still_open, classifier=incremental, regressor=regressor, start_us=first_us, every_events=every
+            still_open,
+            classifier=incremental,
+            regressor=regressor,
+            start_us=first_us,
+            every_events=every,
         )
         for before, n in pairwise([0, *ends]):
             decisions = processor.push(inside[before:n])
@@ -186,10 +206,14 @@ def _distance(landmark: tuple[float, float], reference: tuple[float, float]) -> 
 
 
 def _closed_windows(
-    events: np.ndarray, config: TNTConfig, packet_size: int, start_us: int | None, regressor: Regressor | None = None
+    events: np.ndarray,
+    config: TNTConfig,
+    packet_size: int,
+    start_us: int | None,
+    regressor: Regressor | None = None,
 ) -> list[tuple[int, bytes]]:
-    """The start of each window with events, and the digest of its volume; streamed in packets of a size (0: all at
-    once; 1: event by event as Python's own integers)."""
+    """The start of each window with events, and the digest of its volume; streamed in packets of a
+    size (0: all at once; 1: event by event as Python's own integers)."""
     digests: list[bytes] = []
 
     def keep(volume: np.ndarray) -> list[float]:
@@ -198,9 +222,18 @@ def _closed_windows(
 
     processor = Processor(config, classifier=keep, regressor=regressor, start_us=start_us)
     size = packet_size or max(1, events.size)
-    packets = events.tolist() if packet_size == 1 else [events[k : k + size] for k in range(0, events.size, size)]
-    decisions = [decision for packet in packets for decision in processor.push(packet)] + processor.finish()
-    return [(decision.window_start_us, digest) for decision, digest in zip(decisions, digests, strict=True)]
+    packets = (
+        events.tolist()
+        if packet_size == 1
+        else [events[k : k + size] for k in range(0, events.size, size)]
+    )
+    decisions = [
+        decision for packet in packets for decision in processor.push(packet)
+    ] + processor.finish()
+    return [
+        (decision.window_start_us, digest)
+        for decision, digest in zip(decisions, digests, strict=True)
+    ]
 
 
 def _digest(volume: np.ndarray) -> bytes:

@@ -15,7 +15,16 @@ from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 
 Landmark = tuple[float, float]
 
-PIPELINE_SETTINGS = ("sensor", "grid", "bins", "t_max", "polarity", "transform", "remove_flow", "representation")
+PIPELINE_SETTINGS = (
+    "sensor",
+    "grid",
+    "bins",
+    "t_max",
+    "polarity",
+    "transform",
+    "remove_flow",
+    "representation",
+)
 
 
 def reference_volume(
@@ -25,12 +34,15 @@ def reference_volume(
 
     Parameters
     ----------
-    landmark : (x, y) in grid pixels instead of the configuration's; with landmark "regressor" it is needed.
+    landmark : (x, y) in grid pixels instead of the configuration's; with landmark "regressor" it is
+        needed.
     """
     columns = [events[field] for field in "txyp"]
     settings: dict[str, Any] = {**_window(events, config, start_us), "polarity": config.polarity}
     if config.representation in TIME_IMAGES:
-        return tnt_reference.time_image(*columns, **settings, representation=config.representation).numpy()
+        return tnt_reference.time_image(
+            *columns, **settings, representation=config.representation
+        ).numpy()
     settings["bins"] = config.bins
     if config.transform == "none":
         return tnt_reference.event_volume(*columns, **settings).numpy()
@@ -42,7 +54,9 @@ def reference_volume(
 def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> Landmark:
     """The landmark of the newest event, in grid pixels; not for landmark "regressor"."""
     columns = (events[field] for field in "txy")
-    x, y = tnt_reference.landmark(config.landmark, *columns, **_window(events, config, start_us))[-1].tolist()
+    x, y = tnt_reference.landmark(config.landmark, *columns, **_window(events, config, start_us))[
+        -1
+    ].tolist()
     return x, y
 
 
@@ -64,8 +78,11 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
     return forward
 
 
-def reference_windows(events: np.ndarray, config: TNTConfig, start_us: int | None) -> list[tuple[int, np.ndarray]]:
-    """The start and the events of each window that holds events, for a stream from `start_us`, or the first event, on.
+def reference_windows(
+    events: np.ndarray, config: TNTConfig, start_us: int | None
+) -> list[tuple[int, np.ndarray]]:
+    """The start and the events of each window that holds events, for a stream from `start_us`, or
+    the first event, on.
 
     An event that comes after its window has closed is late, and belongs to none.
     """
@@ -84,4 +101,9 @@ def reference_windows(events: np.ndarray, config: TNTConfig, start_us: int | Non
 def _window(events: np.ndarray, config: TNTConfig, start_us: int) -> dict[str, Any]:
     by_time = config.window_events is None
     window_us = config.window_us if by_time else tnt_reference.until_newest(events["t"], start_us)
-    return {"start_us": start_us, "window_us": window_us, "sensor": config.sensor, "grid": config.grid}
+    return {
+        "start_us": start_us,
+        "window_us": window_us,
+        "sensor": config.sensor,
+        "grid": config.grid,
+    }

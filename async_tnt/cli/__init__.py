@@ -1,4 +1,5 @@
-"""The entry of the program `async-tnt`. It imports fast and handles signals from its first line; see `program.py`."""
+"""The entry of the program `async-tnt`. It imports fast and handles signals from its first line;
+see `program.py`."""
 
 from __future__ import annotations
 
@@ -11,17 +12,20 @@ from collections.abc import Callable
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the program. Returns its exit code: 0 success, 1 the answer is no, 2 bad usage or bad input.
+    """Run the program. Returns its exit code: 0 success, 1 the answer is no, 2 bad usage or bad
+    input.
 
     Parameters
     ----------
-    argv : the arguments. None: those of the command line, and the process belongs to the program. Before and after
-        a command, a signal then ends the process at once; stderr may be closed or full.
+    argv : the arguments. None: those of the command line, and the process belongs to the program.
+        Before and after a command, a signal then ends the process at once; stderr may be closed or
+        full.
     """
     if argv is None:
         _at_signals(_end)
         _open_streams()
-    gc.disable()  # until the command begins: imports make no garbage, and to look for it takes a tenth of a start
+    # until the command begins: imports make no garbage, and to look for it takes a tenth of a start
+    gc.disable()
     try:
         # imports NumPy and Numba, whose C code may turn a KeyboardInterrupt into any other error
         from async_tnt.cli.program import run
@@ -30,7 +34,8 @@ def main(argv: list[str] | None = None) -> int:
     finally:
         gc.enable()
         if argv is None:
-            _at_signals(_signal.SIG_DFL)  # an interpreter that ends takes a signal and calls no handler
+            # an interpreter that ends takes a signal and calls no handler
+            _at_signals(_signal.SIG_DFL)
 
 
 def _at_signals(handler: Callable[[int, object], None] | int) -> None:
@@ -43,18 +48,23 @@ def _at_signals(handler: Callable[[int, object], None] | int) -> None:
 
 def _end(number: int, frame: object) -> None:
     try:
-        os.write(2, b"async-tnt: interrupted\n" if number == _signal.SIGINT else b"async-tnt: terminated\n")
+        os.write(
+            2,
+            b"async-tnt: interrupted\n" if number == _signal.SIGINT else b"async-tnt: terminated\n",
+        )
     finally:  # also if stderr is closed or full
         os._exit(128 + number)
 
 
 def _open_streams() -> None:
-    """Open closed standard streams as /dev/null: else a file opened later would get their number and output."""
+    """Open closed standard streams as /dev/null: else a file opened later would get their number
+    and output."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115 (it stays open)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # the encoding of a file on Windows lacks characters
+        # the encoding of a file on Windows lacks characters
+        sys.stdout.reconfigure(errors="backslashreplace")
     if os.name == "posix":  # the Windows console is not a file
         raw = _Stderr(sys.stderr.fileno(), "w", closefd=False)
         sys.stderr = io.TextIOWrapper(

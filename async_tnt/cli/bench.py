@@ -36,14 +36,20 @@ the bundled recordings, spread over the model's sensor if that is another. A qui
 """
 NEW_EVENTS = (1, 100, 1300)
 PACKET = 1000  # events
-ROUNDS, MOMENTS, N_EVENTS = (50, 3), (50, 5), (2000, 300)  # in full, with --quick; the last two of each recording
+# in full, with --quick; the last two of each recording
+ROUNDS, MOMENTS, N_EVENTS = (50, 3), (50, 5), (2000, 300)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--model", metavar="NAME|FILE", default="digits", help="a bundled model or a file (default: %(default)s)"
+        "--model",
+        metavar="NAME|FILE",
+        default="digits",
+        help="a bundled model or a file (default: %(default)s)",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer repetitions: seconds, wider quartiles")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer repetitions: seconds, wider quartiles"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -58,13 +64,19 @@ def main(args: argparse.Namespace) -> int:
         bar.update(title="decisions")
         report["us_a_decision"] = {}
         for n_new in NEW_EVENTS:
-            report["us_a_decision"][str(n_new)] = _spread(_decision_us(model, recordings, n_new, moments))
+            report["us_a_decision"][str(n_new)] = _spread(
+                _decision_us(model, recordings, n_new, moments)
+            )
             bar.update()
         rates = _decisions_a_second(model, [events[:n_events] for events in recordings])
         report["decisions_a_second"] = _spread(rates)
     report |= {
         "machine": machine(),
-        "model": {"name": args.model, "config": model.config.to_dict(), "classes": len(model.classes)},
+        "model": {
+            "name": args.model,
+            "config": model.config.to_dict(),
+            "classes": len(model.classes),
+        },
         "events_from": origin,
     }
     say(*([json.dumps(report)] if args.json else _lines(report)))
@@ -72,7 +84,8 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
-    """Events of the bundled samples, spread over the sensor if that is another; and which of both."""
+    """Events of the bundled samples, spread over the sensor if that is another; and which of
+    both."""
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     if sensor == SAMPLE_SENSOR:
         return recordings, "bundled samples"
@@ -87,9 +100,12 @@ def _packets(events: np.ndarray) -> list[np.ndarray]:
 
 
 def _volume_ns(model: Model, recordings: list[np.ndarray], rounds: int) -> Iterator[float]:
-    """Nanoseconds an event, over the first windows of all recordings. Opening a window is not timed."""
+    """Nanoseconds an event, over the first windows of all recordings. Opening a window is not
+    timed."""
     config = model.config
-    volume = TNTVolume(config, regressor=CompiledRegressor(model) if config.needs_regressor else None)
+    volume = TNTVolume(
+        config, regressor=CompiledRegressor(model) if config.needs_regressor else None
+    )
     windows = []
     for events in recordings:
         in_window = events["t"] < events["t"][0] + config.window_us
@@ -105,8 +121,11 @@ def _volume_ns(model: Model, recordings: list[np.ndarray], rounds: int) -> Itera
         yield 1e9 * taken_s / sum(packet.size for window in windows for packet in window)
 
 
-def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int, moments: int) -> Iterator[float]:
-    """Microseconds of `fire`, `n_new` events after a decision, at moments spread over each recording."""
+def _decision_us(
+    model: Model, recordings: list[np.ndarray], n_new: int, moments: int
+) -> Iterator[float]:
+    """Microseconds of `fire`, `n_new` events after a decision, at moments spread over each
+    recording."""
     processor = Processor(model)
     for events in recordings:
         processor.reset()
@@ -158,16 +177,22 @@ def _cpu_name() -> str:
     """The processor's model as the system calls it."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
-            fields = {k.strip(): v.strip() for k, v in (line.split(":", 1) for line in file if line.count(":") == 1)}
+            fields = {
+                k.strip(): v.strip()
+                for k, v in (line.split(":", 1) for line in file if line.count(":") == 1)
+            }
     except OSError:
         return platform.processor() or platform.machine()
-    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still identify it
+    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still
+    # identify it
     return f"{fields.get('model name', '?')} (family {fields.get('cpu family', '?')}, model {fields.get('model', '?')})"
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
     about, config = report["machine"], report["model"]["config"]
-    versions = ", ".join(f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba"))
+    versions = ", ".join(
+        f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba")
+    )
     yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}"
     sensor, landmark = "{} x {}".format(*config["sensor"]), config["landmark"]
     yield f"model {report['model']['name']}: {sensor} pixels, landmark {landmark}; {report['events_from']}"

@@ -8,7 +8,15 @@ from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import add_files, add_reading, add_start, model_of, paths_of, positive_int, reading_of
+from async_tnt.cli.options import (
+    add_files,
+    add_reading,
+    add_start,
+    model_of,
+    paths_of,
+    positive_int,
+    reading_of,
+)
 from async_tnt.cli.output import note, say
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.progress import progress
@@ -50,17 +58,29 @@ def main(args: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     model = model_of(args.model)
     paths = paths_of(args)
-    fill_cache(model=model, first=lambda: [open_recording(path, sensor=model.config.sensor) for path in paths])
+    fill_cache(
+        model=model,
+        first=lambda: [open_recording(path, sensor=model.config.sensor) for path in paths],
+    )
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:
             recording = open_recording(path, sensor=model.config.sensor, **reading_of(args))
-            check_sensor(path, recording.sensor, model.config.sensor, advice="; --model FILE names one for this sensor")
+            check_sensor(
+                path,
+                recording.sensor,
+                model.config.sensor,
+                advice="; --model FILE names one for this sensor",
+            )
             events = recording.read()
             if (events["t"] < (args.start_us or 0)).all():  # also if there are none
                 raise ValueError(f"{recording.path}: no events to check")
             results[recording.path] = check_recording(
-                events, model, prefixes=args.prefixes, start_us=args.start_us, on_progress=bar.update
+                events,
+                model,
+                prefixes=args.prefixes,
+                start_us=args.start_us,
+                on_progress=bar.update,
             )
     failed = [c for comparisons in results.values() for c in comparisons if not c.holds]
     if args.json:
@@ -71,7 +91,8 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
-    """A line for each comparison, the worst over all recordings; then the recordings that fail one."""
+    """A line for each comparison, the worst over all recordings; then the recordings that fail
+    one."""
     merged: dict[tuple[str, str], Comparison] = {}
     for c in (c for comparisons in results.values() for c in comparisons):
         merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound)).include(c)
@@ -86,12 +107,15 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     say(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 
-def _as_json(results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool) -> dict[str, object]:
+def _as_json(
+    results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool
+) -> dict[str, object]:
     return {
         "equal": equal,
         "prefixes": "all" if prefixes is None else prefixes,
         "packet_sizes": [size or "all" for size in PACKET_SIZES],
         "recordings": {
-            str(path): [vars(c) | {"holds": c.holds} for c in comparisons] for path, comparisons in results.items()
+            str(path): [vars(c) | {"holds": c.holds} for c in comparisons]
+            for path, comparisons in results.items()
         },
     }

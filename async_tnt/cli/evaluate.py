@@ -61,7 +61,9 @@ Exit code 0, also if recordings were skipped (2 with --strict); 2 for bad usage,
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help=MODELS)
-    parser.add_argument("dataset", type=user_path, metavar="DATASET", help="folder with <class name>/<recordings>")
+    parser.add_argument(
+        "dataset", type=user_path, metavar="DATASET", help="folder with <class name>/<recordings>"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
     add_pixels(parser)
     add_reading(parser, single=False)
@@ -73,7 +75,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "command resumes",
     )
     parser.add_argument(
-        "--workers", type=positive_int, metavar="N", help="processes that stream recordings (default: 1)"
+        "--workers",
+        type=positive_int,
+        metavar="N",
+        help="processes that stream recordings (default: 1)",
     )
     parser.add_argument(
         "--dask",
@@ -81,9 +86,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stream on the workers of a Dask cluster with its scheduler at this address (extra `cluster`)",
     )
     parser.add_argument(
-        "--restart", action="store_true", help="with --out: discard the results of an earlier run and start over"
+        "--restart",
+        action="store_true",
+        help="with --out: discard the results of an earlier run and start over",
     )
-    parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
+    parser.add_argument(
+        "--strict", action="store_true", help="exit code 2 if any recording was skipped"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -94,9 +103,17 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(selection_of(args), model)
     found = labelled_recordings(args.dataset, model)
     fill_cache()
-    job = job_of(args.model, model, pixels.selection, ReadOptions(columns=args.columns, topic=args.topic))
+    job = job_of(
+        args.model, model, pixels.selection, ReadOptions(columns=args.columns, topic=args.topic)
+    )
     tasks = [
-        task_of(one.name_as(one.path.relative_to(args.dataset).as_posix()), one.path, job, name, one.between_us)
+        task_of(
+            one.name_as(one.path.relative_to(args.dataset).as_posix()),
+            one.path,
+            job,
+            name,
+            one.between_us,
+        )
         for name, recordings in found.items()
         for one in recordings
     ]
@@ -105,7 +122,9 @@ def main(args: argparse.Namespace) -> int:
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:
-        raise ValueError(f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}")
+        raise ValueError(
+            f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}"
+        )
     report = report_of(model, good, skipped)
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
@@ -113,14 +132,17 @@ def main(args: argparse.Namespace) -> int:
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
     if report["off_sensor"]:
-        complain(f"{args.dataset}: {report['off_sensor']:,} events lie off the sensor and were left out")
+        complain(
+            f"{args.dataset}: {report['off_sensor']:,} events lie off the sensor and were left out"
+        )
     for line in skipped:
         complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0
 
 
 def _how_to_run(args: argparse.Namespace) -> Run:
-    """Where to stream; checks, before any work, that the options agree and that --out can be written.
+    """Where to stream; checks, before any work, that the options agree and that --out can be
+    written.
 
     Raises
     ------
@@ -140,7 +162,8 @@ def _how_to_run(args: argparse.Namespace) -> Run:
 def _stream(
     args: argparse.Namespace, tasks: Sequence[Task], run: Run, check: Callable[[Record], object]
 ) -> list[Record]:
-    """All records in order of the recordings' names, with a progress bar; written to the file of --out, if given.
+    """All records in order of the recordings' names, with a progress bar; written to the file of
+    --out, if given.
 
     Raises
     ------
@@ -148,7 +171,9 @@ def _stream(
     """
     try:
         with contextlib.ExitStack() as stack:
-            out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")
+            out = args.out or Path(
+                stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl"
+            )
             return collect(
                 evaluate_recording,
                 tasks,
@@ -217,14 +242,19 @@ def lines_of(report: dict[str, Any]) -> list[str]:
     if report["accuracy_against_time"]:
         lines += ["", f"{'ms into the window':<24} {'accuracy':>8} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:
-        lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>8.3f} {moment['decided']:>11.3f}")
+        lines.append(
+            f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>8.3f} {moment['decided']:>11.3f}"
+        )
     if report["confidence"]:
         head = f"{'first decision at':<24} {'accuracy':>8} {'decided':>11} {'all windows':>12}"
         lines += ["", f"{head}  ms: median, 90 %"]
     for level in report["confidence"]:
         right, ms = "-", ""
         if level["accuracy"] is not None:
-            right, ms = f"{level['accuracy']:.3f}", f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
+            right, ms = (
+                f"{level['accuracy']:.3f}",
+                f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}",
+            )
         shares = f"{right:>8} {level['decided']:>11.3f} {level['window_accuracy']:>12.3f}"
         lines.append(f"{level['level']:<24} {shares}  {ms}".rstrip())
     if report["calibration_error"] is not None:

@@ -32,7 +32,9 @@ written, 2 for bad usage or bad input.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help=MODELS)
-    parser.add_argument("--out", required=True, type=user_path, metavar="FILE.onnx", help="replaced if it exists")
+    parser.add_argument(
+        "--out", required=True, type=user_path, metavar="FILE.onnx", help="replaced if it exists"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object")
 
 
@@ -44,7 +46,8 @@ def main(args: argparse.Namespace) -> int:
     model = model_of(args.model)
     if model.config.needs_regressor:
         raise ValueError(
-            f"{args.model} has a landmark network, which has no ONNX form; its classifier alone runs by onnxruntime: "
+            f"{args.model} has a landmark network, which has no ONNX form; its classifier alone "
+            "runs by onnxruntime: "
             "Processor(model, classifier=OnnxClassifier(to_onnx(model)))"
         )
     version = import_onnxruntime().__version__  # now, so that a missing one shows before any work
@@ -53,17 +56,28 @@ def main(args: argparse.Namespace) -> int:
     try:
         with replacing(args.out) as part:
             part.write_bytes(content)
-            compare(OnnxClassifier(part), compiled, compiled.shape)  # read back: what is checked is what is kept
+            # read back: what is checked is what is kept
+            compare(OnnxClassifier(part), compiled, compiled.shape)
     except ValueError as error:
         difference = one_line(error)
     agrees = difference is None
     if args.json:
         files = {str(args.out): len(content)} if agrees else {}
-        say(json.dumps({"agrees": agrees, "difference": difference, "files": files, "onnxruntime": version}))
+        say(
+            json.dumps(
+                {"agrees": agrees, "difference": difference, "files": files, "onnxruntime": version}
+            )
+        )
     elif agrees:
         logits = (len(model.classes),) if model.places is None else model.logits_shape
-        say(f"{args.out} ({len(content) / 1e3:.0f} kB): volume {(1, *compiled.shape)} -> logits {(1, *logits)}")
+        say(
+            f"{args.out} ({len(content) / 1e3:.0f} kB): volume {(1, *compiled.shape)} -> logits "
+            f"{(1, *logits)}"
+        )
         say(f"onnxruntime {version} agrees with the compiled network")
     else:
-        say(f"onnxruntime {version} does NOT agree with the compiled network, nothing is written: {difference}")
+        say(
+            f"onnxruntime {version} does NOT agree with the compiled network, nothing is written: "
+            f"{difference}"
+        )
     return 0 if agrees else 1

@@ -47,7 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"({', '.join(bundled_models())})",
     )
     parser.add_argument(
-        "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where a recording does not state them"
+        "--sensor",
+        type=size_of,
+        metavar="WxH",
+        help="the camera's pixels, where a recording does not state them",
     )
     add_reading(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object for each, a line each")
@@ -105,7 +108,9 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
         yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
     most = max(found.events_a_second)
     bars = BARS if can_print(BARS, sys.stdout) else ASCII_BARS
-    heights = (max(int(rate > 0), round(rate / most * (len(BARS) - 1))) for rate in found.events_a_second)
+    heights = (
+        max(int(rate > 0), round(rate / most * (len(BARS) - 1))) for rate in found.events_a_second
+    )
     yield f"  rate       {''.join(bars[height] for height in heights)} up to {most:,.0f} a second"
     if found.hot_pixels:
         share = sum(pixel["events"] for pixel in found.hot_pixels) / found.events
@@ -133,7 +138,11 @@ def _of_folder(folder: Path, reading: Mapping[str, Any]) -> tuple[dict[str, Any]
                 reports.append({"recording": str(path), "error": str(error)})
                 lines.append(with_options(f"{name} cannot be read: {error}", OPTIONS))
             bar.update()
-    counts = ", ".join(f"{name} {n}" for name, n in folders.items()) if {*folders} != {"."} else "no folders in it"
+    counts = (
+        ", ".join(f"{name} {n}" for name, n in folders.items())
+        if {*folders} != {"."}
+        else "no folders in it"
+    )
     head = f"{folder}: {len(paths)} recordings, {n_events:,} events; {counts}"
     return {"folder": str(folder), "folders": folders, "recordings": reports}, [head, *lines]
 
@@ -143,7 +152,9 @@ def _of_model(model: Model) -> dict[str, Any]:
         "classes": model.classes,
         "config": model.config.to_dict(),
         "volume": model.config.shape,
-        "layers": {name: [layer["op"] for layer in layers] for name, layers in model.network.items()},
+        "layers": {
+            name: [layer["op"] for layer in layers] for name, layers in model.network.items()
+        },
         "weights": sum(weights.size for weights in model.weights.values()),
         "multiplications": model.multiplications,
         "map": None if model.places is None else model.logits_shape[1:],
@@ -160,9 +171,15 @@ def _model_lines(name: str, model: Model) -> Iterator[str]:
         for key, value in config.to_dict().items()
         if value and key not in ("sensor", "grid", "window_us", "window_events")
     }
-    long = f"{config.window_us:,} us" if config.window_events is None else f"{config.window_events:,} events"
+    long = (
+        f"{config.window_us:,} us"
+        if config.window_events is None
+        else f"{config.window_events:,} events"
+    )
     yield f"  sensor     {grid}, windows of {long}"
-    yield f"  volume     {'x'.join(map(str, config.shape))}: " + ", ".join(f"{key} {told[key]}" for key in told)
+    yield f"  volume     {'x'.join(map(str, config.shape))}: " + ", ".join(
+        f"{key} {told[key]}" for key in told
+    )
     layers = "; ".join(f"{part}: {', '.join(ops)}" for part, ops in found["layers"].items())
     yield f"  network    {layers}"
     yield f"  cost       {found['weights']:,} weights, {found['multiplications']:,} multiplications a complete window"

@@ -45,7 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"recordings ({READABLE}), or digits of bundled ones",
     )
     parser.add_argument(
-        "--out", type=user_path, metavar="FILE", required=True, help="the mask, a .npy file, overwritten if it exists"
+        "--out",
+        type=user_path,
+        metavar="FILE",
+        required=True,
+        help="the mask, a .npy file, overwritten if it exists",
     )
     parser.add_argument(
         "--sensor",
@@ -54,7 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless given here",
     )
     add_reading(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object: the pixels and their events")
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object: the pixels and their events"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -64,15 +70,20 @@ def main(args: argparse.Namespace) -> int:
     counts = _count([sample_or_path(path) for path in args.files], args.sensor, reading_of(args))
     n_events = int(counts.sum())
     if n_events == 0:
-        raise ValueError(f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found")
+        raise ValueError(
+            f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found"
+        )
     hot = hot_pixels(counts)
     save_mask(args.out, hot)
     _report(counts, hot, args)
     return 0
 
 
-def _count(paths: list[Path], sensor: tuple[int, int] | None, reading: Mapping[str, Any]) -> np.ndarray:
-    """Events of each pixel over all recordings, int64 of shape (H, W); `reading`: see `reading_of`."""
+def _count(
+    paths: list[Path], sensor: tuple[int, int] | None, reading: Mapping[str, Any]
+) -> np.ndarray:
+    """Events of each pixel over all recordings, int64 of shape (H, W); `reading`: see
+    `reading_of`."""
     counts = np.zeros((), np.int64)
     given = sensor
     with progress(len(paths), "counting events") as bar:
@@ -80,13 +91,17 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None, reading: Mapping[s
             recording = open_recording(path, sensor=given, **reading)
             recording.sensor = recording.sensor or sensor  # or an earlier recording's
             if recording.sensor is None:
-                raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
+                raise ValueError(
+                    f"{path}: the file does not state the camera's sensor; give --sensor WxH"
+                )
             sensor = sensor or recording.sensor
             check_sensor(path, recording.sensor, sensor, "--sensor or an earlier recording has")
             try:
                 counts = counts + count_pixels(recording, sensor)
             except ValueError as error:
-                raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+                raise ValueError(
+                    str(error) if str(path) in str(error) else f"{path}: {error}"
+                ) from None
             bar.update()
     return counts
 
@@ -96,15 +111,26 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
     n_events, share = int(counts.sum()), float(counts[hot].sum() / counts.sum())
     height, width = counts.shape
     if args.json:
-        result = {"sensor": [width, height], "events": n_events, "hot_pixels": found, "share": share}
+        result = {
+            "sensor": [width, height],
+            "events": n_events,
+            "hot_pixels": found,
+            "share": share,
+        }
         say(json.dumps(result | {"out": str(args.out)}))
         return
     size = format_size((width, height))
     if not found:
-        say(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, which masks nothing")
+        say(
+            f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, "
+            "which masks nothing"
+        )
         return
     for pixel in found[:10]:
-        say(f"x {pixel['x']:>5}  y {pixel['y']:>5}  {pixel['events']:>9} events  {pixel['events'] / n_events:6.2%}")
+        say(
+            f"x {pixel['x']:>5}  y {pixel['y']:>5}  {pixel['events']:>9} events  "
+            f"{pixel['events'] / n_events:6.2%}"
+        )
     if len(found) > 10:
         say(f"... and {len(found) - 10} more")
     pixels_word = "1 hot pixel" if len(found) == 1 else f"{len(found)} hot pixels"

@@ -33,7 +33,8 @@ MODELS = f"a bundled model ({', '.join(bundled_models())}) or a .safetensors fil
 
 
 def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool = False) -> None:
-    """FILEs, or `one`, and --model; with `live` also udp://... or a camera, a model in an .onnx file, and --config."""
+    """FILEs, or `one`, and --model; with `live` also udp://... or a camera, a model in an .onnx
+    file, and --config."""
     bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if live else ""
     onnx = ", or an .onnx file of `async-tnt export`" if live else ""
@@ -44,7 +45,12 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         type=(lambda text: text if is_live(text) else user_path(text)) if live else user_path,
         help=f"{sources}recordings ({READABLE}), or digits of bundled ones, such as 3; {bundled}",
     )
-    parser.add_argument("--model", default="digits", metavar="NAME|FILE", help=f"{MODELS}{onnx} (default: %(default)s)")
+    parser.add_argument(
+        "--model",
+        default="digits",
+        metavar="NAME|FILE",
+        help=f"{MODELS}{onnx} (default: %(default)s)",
+    )
     if live:
         parser.add_argument(
             "--config",
@@ -60,7 +66,8 @@ def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None
 
     Parameters
     ----------
-    single : also --between-us and --strict, which are for commands that take recordings one by one, not data sets.
+    single : also --between-us and --strict, which are for commands that take recordings one by one,
+        not data sets.
     """
     group = parser.add_argument_group("how recordings are read")
     group.add_argument(
@@ -68,7 +75,11 @@ def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None
         metavar="ORDER",
         help="the order of four columns, such as xypt, in text and NumPy files that do not name them",
     )
-    group.add_argument("--topic", metavar="NAME", help="the topic to read, of a ROS bag with several topics of events")
+    group.add_argument(
+        "--topic",
+        metavar="NAME",
+        help="the topic to read, of a ROS bag with several topics of events",
+    )
     if single:
         group.add_argument(
             "--between-us",
@@ -77,7 +88,9 @@ def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None
             help="only the events with START <= t < END, in microseconds of the recording",
         )
         group.add_argument(
-            "--strict", action="store_true", help="refuse a damaged recording, instead of reading it up to the damage"
+            "--strict",
+            action="store_true",
+            help="refuse a damaged recording, instead of reading it up to the damage",
         )
 
 
@@ -104,8 +117,12 @@ def add_start(parser: argparse.ArgumentParser) -> None:
 
 
 def add_triggers(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--every-us", type=positive_int, metavar="US", help="decide also every US microseconds")
-    parser.add_argument("--every-events", type=positive_int, metavar="N", help="decide also every N events")
+    parser.add_argument(
+        "--every-us", type=positive_int, metavar="US", help="decide also every US microseconds"
+    )
+    parser.add_argument(
+        "--every-events", type=positive_int, metavar="N", help="decide also every N events"
+    )
     parser.add_argument(
         "--confidence",
         type=_probability,
@@ -121,7 +138,8 @@ def triggers_of(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def paths_of(args: argparse.Namespace) -> list[Any]:
-    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file exists.
+    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file
+    exists.
 
     A digit names its bundled recording, see `sample_or_path`.
     """
@@ -139,25 +157,32 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
 
 
 def sample_or_path(name: str | Path) -> Path:
-    """The bundled recording of a digit, such as "3", unless a file has this name; else the path itself."""
+    """The bundled recording of a digit, such as "3", unless a file has this name; else the path
+    itself."""
     path = Path(name)
-    if path.exists() or str(path) not in (samples := {str(digit): file for digit, file in sample_recordings().items()}):
+    if path.exists() or str(path) not in (
+        samples := {str(digit): file for digit, file in sample_recordings().items()}
+    ):
         return path
     return samples[str(path)]
 
 
 def of_windows(model: Model, name: str | Path) -> Model:
-    """The model, if it has one answer for a window; a ValueError for a map model, whose answers are objects."""
+    """The model, if it has one answer for a window; a ValueError for a map model, whose answers are
+    objects."""
     if model.places is not None:
         raise ValueError(
-            f"{name} finds objects, not the class of a window; run, view, plot, evaluate, check, bench, export take it"
+            f"{name} finds objects, not the class of a window; run, view, plot, evaluate, check, "
+            "bench, export take it"
         )
     return model
 
 
 def model_of(name: str) -> Model:
     if Path(name).suffix.lower() == ".onnx":
-        raise ValueError(f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed")
+        raise ValueError(
+            f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed"
+        )
     return load_model(name)
 
 
@@ -166,7 +191,8 @@ def _times(text: str) -> tuple[int, int]:
     start, _, end = text.partition(",")
     if not (start.isdecimal() and end.isdecimal() and len(text) < 40 and int(start) < int(end)):
         raise argparse.ArgumentTypeError(
-            f"must be START,END in whole microseconds, START before END, such as 0,500000, got {short(text)}"
+            f"must be START,END in whole microseconds, START before END, such as 0,500000, got "
+            f"{short(text)}"
         )
     return int(start), int(end)
 
@@ -178,8 +204,11 @@ def positive_int(text: str) -> int:
 
 def whole_number(text: str, least: int = 0) -> int:
     """An argparse type: a whole number of at least `least`."""
-    if not text.isdecimal() or len(text) > 4300 or int(text) < least:  # Python does not read longer ones
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least {least}, got {short(text)}")
+    # Python does not read longer ones
+    if not text.isdecimal() or len(text) > 4300 or int(text) < least:
+        raise argparse.ArgumentTypeError(
+            f"must be a whole number of at least {least}, got {short(text)}"
+        )
     return int(text)
 
 
@@ -204,10 +233,14 @@ def size_of(text: str) -> tuple[int, int]:
     """An argparse type: `346x260` as two numbers."""
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
-        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT in pixels, such as 346x260, got {short(text)}")
+        raise argparse.ArgumentTypeError(
+            f"must be WIDTHxHEIGHT in pixels, such as 346x260, got {short(text)}"
+        )
     size = int(width), int(height)
     if not all(1 <= side <= MAX_SIDE for side in size):
-        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT with sides in [1, {MAX_SIDE}] pixels, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"must be WIDTHxHEIGHT with sides in [1, {MAX_SIDE}] pixels, got {text!r}"
+        )
     return size
 
 
@@ -218,7 +251,8 @@ def add_volume(parser: argparse._ActionsContainer, default: str) -> None:
         type=_volume_text,
         metavar="NAME=VALUE,...",
         help=f"representation ({', '.join(REPRESENTATIONS)}), transform ({', '.join(TRANSFORMS)}), landmark "
-        f"({', '.join(LANDMARKS)}), polarity ({', '.join(POLARITIES)}), bins, t_max, remove_flow=yes; landmark and "
+        f"({', '.join(LANDMARKS)}), polarity ({', '.join(POLARITIES)}), bins, t_max, "
+        "remove_flow=yes; landmark and "
         f"t_max need transform=tnt (default: {default})",
     )
 
@@ -230,7 +264,8 @@ def volume_of(text: str | None) -> dict[str, Any]:
         name, _, value = part.partition("=")
         if name not in FIELDS or name in volume:
             raise argparse.ArgumentTypeError(
-                f"must be NAME=VALUE,... with each of {', '.join(FIELDS)} at most once, got {short(part)}"
+                f"must be NAME=VALUE,... with each of {', '.join(FIELDS)} at most once, got "
+                f"{short(part)}"
             )
         try:
             volume[name] = FIELDS[name](value)

@@ -24,14 +24,17 @@ def add_keep_up(parser: argparse.ArgumentParser) -> None:
         type=positive_int,
         metavar="MS",
         help="camera or network: where decisions are slower than events, decide less often (--every-us, "
-        "--every-events), then skip and count packets, so that none but the newest is more than MS milliseconds old",
+        "--every-events), then skip and count packets, so that none but the newest is more than MS "
+        "milliseconds old",
     )
 
 
 def check_keep_up(args: argparse.Namespace) -> None:
     """Refuse --keep-up where all sources are recordings."""
     if args.keep_up is not None and all(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--keep-up belongs to a camera or the network; a recording is never skipped")
+        raise ValueError(
+            "--keep-up belongs to a camera or the network; a recording is never skipped"
+        )
 
 
 def find_sources(paths: Sequence[Path | str], pixels: PixelSelector) -> None:
@@ -67,14 +70,17 @@ def follow(
     take: Callable[[Iterable[Any], KeepUp | None], object],
     end: Callable[[KeepUp | None], str] = lambda reader: "",
 ) -> bool:
-    """Let `take` read a source until that ends or Ctrl-C; then print its counts. Returns whether Ctrl-C ended it.
+    """Let `take` read a source until that ends or Ctrl-C; then print its counts. Returns whether
+    Ctrl-C ended it.
 
     Parameters
     ----------
     name : of the source, as `open_source` knows it.
     processor : gets the packets.
-    keep_up_ms : as --keep-up has it; None: nothing is skipped here, but the source's own buffer may overflow.
-    take : gets the packets without the pixels to leave out, and the queue in which they wait, if they do.
+    keep_up_ms : as --keep-up has it; None: nothing is skipped here, but the source's own buffer may
+        overflow.
+    take : gets the packets without the pixels to leave out, and the queue in which they wait, if
+        they do.
     end : gets that queue, too; what it returns is printed behind the counts.
     """
     with contextlib.ExitStack() as stack:
@@ -100,7 +106,9 @@ def follow(
                 reader.close()  # what still waits is skipped
                 found = reader.counters
                 waited_ms = found.longest_wait_us / 1e3
-                counts += f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
+                counts += (
+                    f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
+                )
                 if reader.slowest > 1:
                     counts += f", decisions up to {reader.slowest} times rarer"
             complain(f"{source.name}: {counts}{end(reader)}")

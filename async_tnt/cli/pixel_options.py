@@ -41,7 +41,10 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
         help="with --roi: the region becomes the sensor, so that a large camera fits a model for W x H pixels",
     )
     parser.add_argument(
-        "--mask", type=user_path, metavar="FILE", help="leave out hot pixels, found by `async-tnt mask`"
+        "--mask",
+        type=user_path,
+        metavar="FILE",
+        help="leave out hot pixels, found by `async-tnt mask`",
     )
 
 
@@ -62,20 +65,23 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
 
     Raises
     ------
-    ValueError, OSError : options that exclude each other; a mask file that is missing, damaged or not a mask.
+    ValueError, OSError : options that exclude each other; a mask file that is missing, damaged or
+        not a mask.
     """
     mask = None if args.mask is None else PackedMask.of(load_mask(args.mask), str(args.mask))
     return PixelSelection(args.roi, args.crop, mask, args.sensor)
 
 
 def sensor_to_read(selection: PixelSelection, args: argparse.Namespace) -> Sensor | None:
-    """The pixels that a map model is to read: of a region with --crop, of --sensor, of the mask, or of the first file,
-    if it states them."""
+    """The pixels that a map model is to read: of a region with --crop, of --sensor, of the mask, or
+    of the first file, if it states them."""
     if (given := selection.region or selection.camera) is not None:
         return given
     for path in paths_of(args)[:1]:
         with contextlib.suppress(OSError, ValueError, ImportError):  # which is told when it is read
-            return None if isinstance(path, str) else open_recording(path, **reading_of(args)).sensor
+            return (
+                None if isinstance(path, str) else open_recording(path, **reading_of(args)).sensor
+            )
     return None
 
 

@@ -62,18 +62,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{', '.join(FORMATS)} (default: <recording>.png in the current folder)",
     )
     parser.add_argument(
-        "--model", metavar="NAME|FILE", help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)"
+        "--model",
+        metavar="NAME|FILE",
+        help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)",
     )
     add_reading(parser)
     what = parser.add_argument_group("what is drawn")
     what.add_argument(
-        "--window", type=positive_int, default=1, metavar="K", help="the window, counted from 1 (default: 1)"
+        "--window",
+        type=positive_int,
+        default=1,
+        metavar="K",
+        help="the window, counted from 1 (default: 1)",
     )
-    what.add_argument("--start-us", type=int, metavar="US", help="start of the first window (default: the first event)")
+    what.add_argument(
+        "--start-us",
+        type=int,
+        metavar="US",
+        help="start of the first window (default: the first event)",
+    )
     volume = parser.add_argument_group("the volume, if other than the model's")
-    add_volume(volume, "the model's; volume and count are drawn, and without the transform in any case")
-    volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
-    volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file")
+    add_volume(
+        volume, "the model's; volume and count are drawn, and without the transform in any case"
+    )
+    volume.add_argument(
+        "--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds"
+    )
+    volume.add_argument(
+        "--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -90,7 +107,9 @@ def main(args: argparse.Namespace) -> int:
             save(draw_overview(subject, args.window), out, DPI)
     if subject.model is None:
         sensor = format_size(subject.config.sensor)
-        complain(f"{path}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
+        complain(
+            f"{path}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)"
+        )
     say(f"{out} ({out.stat().st_size / 1e3:.0f} kB)")
     return 0
 
@@ -100,7 +119,8 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
 
     Raises
     ------
-    ValueError : empty or damaged, of another sensor, or options that do not fit each other or the model.
+    ValueError : empty or damaged, of another sensor, or options that do not fit each other or the
+        model.
     OSError : a file is missing or not readable.
     """
     recording = open_recording(path, sensor=args.sensor, **reading_of(args))
@@ -114,7 +134,8 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     if trained.places is not None:
         if args.volume is not None or args.window_us is not None:
             raise ValueError(
-                f"{name} finds objects, in its own volume: --volume and --window-us cannot be used with it"
+                f"{name} finds objects, in its own volume: --volume and --window-us cannot be used "
+                "with it"
             )
         model = trained.for_sensor(sensor)
         return Subject(path.name, recording.read(), model.config, model, name, args.start_us)
@@ -124,7 +145,9 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
         if args.model is not None:
             check_sensor(path, sensor, config.sensor)
         decides, config = None, config.replace(sensor=sensor, grid=sensor)
-    return Subject(path.name, recording.read(), _configured(config, args), decides, name, args.start_us)
+    return Subject(
+        path.name, recording.read(), _configured(config, args), decides, name, args.start_us
+    )
 
 
 def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
@@ -135,7 +158,12 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
         changes.setdefault("remove_flow", False)
     if (kind := changes.get("representation", config.representation)) in TIME_IMAGES:
-        raise ValueError(f"event volumes and counts can be drawn, but not {kind} (`model`, `volume`)")
+        raise ValueError(
+            f"event volumes and counts can be drawn, but not {kind} (`model`, `volume`)"
+        )
     if changes.setdefault("transform", "tnt") != "tnt":
-        raise ValueError("--volume transform=none: the volume without the transform is drawn anyway, beside the other")
+        raise ValueError(
+            "--volume transform=none: the volume without the transform is drawn anyway, beside the "
+            "other"
+        )
     return config.replace(**changes)

@@ -22,11 +22,16 @@ from async_tnt.checks import printable
 from async_tnt.cli.output import OPTIONS, complain
 from async_tnt.package import __version__
 
-# Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes), which Windows does not have
-ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+# Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes), which Windows does not
+# have
+ENDING = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
 REPEATED_S = 1.0
 """Seconds within which a second signal is the same request to end."""
-COMMANDS = {  # name of a module beside this one, with DESCRIPTION, add_arguments(parser) and main(args): a line of help
+# name of a module beside this one, with DESCRIPTION, add_arguments(parser) and main(args): a line
+# of help
+COMMANDS = {
     "run": "stream recordings through a model and print its decisions",
     "record": "record a camera or a network stream into class folders",
     "info": "describe recordings, folders of recordings, and models",
@@ -54,7 +59,9 @@ def build_parser(argv: Sequence[str]) -> _Parser:
     wanted = next((word for word in argv if word in COMMANDS), None)
     _refuse_dashes(f"async-tnt {wanted or ''}".strip(), argv)
     for name, help_line in COMMANDS.items():
-        subparser = subparsers.add_parser(name, help=help_line, formatter_class=argparse.RawDescriptionHelpFormatter)
+        subparser = subparsers.add_parser(
+            name, help=help_line, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
         parser.commands[name] = subparser
         if name == wanted:
             module = importlib.import_module(f"async_tnt.cli.{name}")
@@ -70,11 +77,16 @@ def _refuse_dashes(prog: str, argv: Sequence[str]) -> None:
     """Refuse --option=--, for which argparse gives a command an empty list instead of text."""
     for word in itertools.takewhile(lambda word: word != "--", argv):
         if word.startswith("-") and word.endswith("=--"):
-            _Parser(prog=prog).error(f"argument {word.removesuffix('=--')}: expected a value, got '--'")
+            _Parser(prog=prog).error(
+                f"argument {word.removesuffix('=--')}: expected a value, got '--'"
+            )
 
 
-def mistyped(words: Sequence[str], options: Sequence[str], commands: Sequence[str] = ()) -> tuple[str, str] | None:
-    """The first word that is no option, or no command where there are some, and what it was probably meant to be.
+def mistyped(
+    words: Sequence[str], options: Sequence[str], commands: Sequence[str] = ()
+) -> tuple[str, str] | None:
+    """The first word that is no option, or no command where there are some, and what it was
+    probably meant to be.
 
     Parameters
     ----------
@@ -97,7 +109,9 @@ def mistyped(words: Sequence[str], options: Sequence[str], commands: Sequence[st
         else:
             known, alike = commands, 0.6
             is_known = word in commands
-        meant = [] if is_known else difflib.get_close_matches(name.lower(), known, n=1, cutoff=alike)
+        meant = (
+            [] if is_known else difflib.get_close_matches(name.lower(), known, n=1, cutoff=alike)
+        )
         if meant:
             return name, meant[0]
         if known is commands and commands:
@@ -139,7 +153,8 @@ class _Signals:
         raise KeyboardInterrupt
 
     def report(self, dropped: sys.UnraisableHookArgs) -> None:
-        """Python drops what is raised in a `__del__` or in a callback of C code: a signal there ends the process."""
+        """Python drops what is raised in a `__del__` or in a callback of C code: a signal there
+        ends the process."""
         if not self.received or not isinstance(dropped.exc_value, KeyboardInterrupt):
             self.hook(dropped)
         elif callable(self.before[self.received[-1]]):
@@ -183,13 +198,15 @@ def _run(argv: Sequence[str]) -> int:
 def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dict[int, Any]]:
     """Call `handler` for these signals within the block; yields the previous handlers.
 
-    Ignored signals stay ignored: Ctrl-C in a background job, SIGHUP under nohup. Outside the main thread nothing
-    changes, as Python can set handlers only there.
+    Ignored signals stay ignored: Ctrl-C in a background job, SIGHUP under nohup. Outside the main
+    thread nothing changes, as Python can set handlers only there.
     """
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.getsignal(number) for number in ENDING}
-        before = {number: known for number, known in before.items() if known not in (signal.SIG_IGN, None)}
+        before = {
+            number: known for number, known in before.items() if known not in (signal.SIG_IGN, None)
+        }
     for number in before:
         signal.signal(number, handler)
     try:
@@ -200,14 +217,16 @@ def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dic
 
 
 def _code_after_signal(number: int, code: int, told: str) -> int:
-    """The exit code where a signal came, which is told unless the command has failed and said so itself."""
+    """The exit code where a signal came, which is told unless the command has failed and said so
+    itself."""
     if code < 2:
         complain(told or ("interrupted" if number == signal.SIGINT else "terminated"))
     return 128 + number
 
 
 def _flushed(code: int) -> int:
-    """Flush stdout and return the exit code; if the interpreter's own flush failed, it would be 120."""
+    """Flush stdout and return the exit code; if the interpreter's own flush failed, it would be
+    120."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -240,18 +259,24 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         if self.mistyped is not None:
             word, meant = self.mistyped
-            message += f"; did you mean {meant}?" if word in message else f"; {word}: did you mean {meant}?"
+            message += (
+                f"; did you mean {meant}?"
+                if word in message
+                else f"; {word}: did you mean {meant}?"
+            )
         self.exit(2, f"{self.prog}: {printable(message)} ({self.prog} --help)\n")
 
 
 def _in_import_or_compilation(frame: FrameType | None) -> bool:
     """Whether an import or a compilation is running.
 
-    Their C code prints a KeyboardInterrupt and continues, turns it into another error, or crashes: LLVM calls back for
-    each kernel that it loads from the cache.
+    Their C code prints a KeyboardInterrupt and continues, turns it into another error, or crashes:
+    LLVM calls back for each kernel that it loads from the cache.
     """
     while frame is not None:
-        if str(frame.f_globals.get("__name__")).startswith(("importlib._bootstrap", "llvmlite.", "numba.")):
+        if str(frame.f_globals.get("__name__")).startswith(
+            ("importlib._bootstrap", "llvmlite.", "numba.")
+        ):
             return True
         frame = frame.f_back
     return False

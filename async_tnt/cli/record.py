@@ -59,7 +59,9 @@ ASCII_BLOCKS = " '.#"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SOURCE", help="camera[:KIND[:SERIAL]] or udp://HOST:PORT")
+    parser.add_argument(
+        "source", metavar="SOURCE", help="camera[:KIND[:SERIAL]] or udp://HOST:PORT"
+    )
     parser.add_argument(
         "--class",
         dest="label",
@@ -68,9 +70,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="what is shown: a folder of --out",
     )
-    parser.add_argument("--out", type=_folder, metavar="FOLDER", required=True, help="the data set; made if missing")
-    parser.add_argument("--seconds", type=float, metavar="S", help="how long to record (default: until Ctrl-C)")
-    parser.add_argument("--sensor", type=size_of, metavar="WxH", help="the sender's pixels, of a network stream")
+    parser.add_argument(
+        "--out", type=_folder, metavar="FOLDER", required=True, help="the data set; made if missing"
+    )
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="how long to record (default: until Ctrl-C)"
+    )
+    parser.add_argument(
+        "--sensor", type=size_of, metavar="WxH", help="the sender's pixels, of a network stream"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -88,13 +96,15 @@ def main(args: argparse.Namespace) -> int:
             raise ValueError(f"{source.name} does not state its sensor; give --sensor WxH")
         if max(source.sensor) > DAT_SIDE:
             raise ValueError(
-                f"{source.name}: DAT files hold {DAT_SIDE} pixels a side, got {format_size(source.sensor)}"
+                f"{source.name}: DAT files hold {DAT_SIDE} pixels a side, got "
+                f"{format_size(source.sensor)}"
             )
         folder.mkdir(parents=True, exist_ok=True)
         return _record(source, args.label, folder, args.seconds)
     finally:
         source.close()
-        with contextlib.suppress(OSError):  # a class without recordings would be an error of `train`
+        # a class without recordings would be an error of `train`
+        with contextlib.suppress(OSError):
             folder.rmdir()
 
 
@@ -103,7 +113,8 @@ def _class_name(text: str) -> str:
     is_name = Path(text).name == text == text.strip() and not text.startswith(".")
     if not text or not is_name or not text.isprintable() or len(text.encode()) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
-            f"must be the name of a folder: printable, of at most {LONGEST_NAME} bytes, without slashes, and with no "
+            f"must be the name of a folder: printable, of at most {LONGEST_NAME} bytes, without "
+            "slashes, and with no "
             f"dot or blank before it; got {short(text)}"
         )
     return text
@@ -137,9 +148,14 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
             "settings": getattr(source, "settings", {}),
             "async_tnt": __version__,
         }
-        lines.append(f"{file.path}: {file.events:,} events, {file.on / file.events:.0%} ON; {source.summary()}")
+        lines.append(
+            f"{file.path}: {file.events:,} events, {file.on / file.events:.0%} ON; "
+            f"{source.summary()}"
+        )
         try:
-            write_text(file.path.with_suffix(".json"), json.dumps(about, indent=1, default=str) + "\n")
+            write_text(
+                file.path.with_suffix(".json"), json.dumps(about, indent=1, default=str) + "\n"
+            )
         except OSError as error:  # the recording goes on
             problems.append(error)
 
@@ -183,7 +199,8 @@ def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
         signals.append(number)
         asked.put(number)
 
-    # a thread closes it: a signal handler might run in the middle of a read, which `close` waits for
+    # a thread closes it: a signal handler might run in the middle of a read, which `close` waits
+    # for
     closing = threading.Thread(target=close_when_asked, name="async_tnt.record", daemon=True)
     closing.start()
     try:
@@ -216,7 +233,10 @@ class _Picture:
         self._sensor, self._label = sensor, label
         self._blocks = BLOCKS if can_print(BLOCKS, sys.stderr) else ASCII_BLOCKS
         size = shutil.get_terminal_size()
-        self._columns, self._rows = min(COLUMNS, size.columns - 1), max(0, min(ROWS, size.lines - 2))
+        self._columns, self._rows = (
+            min(COLUMNS, size.columns - 1),
+            max(0, min(ROWS, size.lines - 2)),
+        )
         self._counts = np.zeros((2 * self._rows, self._columns), np.int64)
         self._is_shown = sys.stderr.isatty() and self._columns > 8 and self._rows > 4
         self._drawn = False
@@ -237,8 +257,13 @@ class _Picture:
         blocks = lit[::2] + 2 * lit[1::2]  # the upper and the lower pixel of a character
         lines = ["".join(self._blocks[block] for block in row) for row in blocks.tolist()]
         rate = self._n_events / (now - self._before)
-        lines.append(f"{self._label}: {now - self._started:.1f} s, {rate:,.0f} events a second".ljust(self._columns))
-        with contextlib.suppress(OSError, ValueError):  # the recording goes on if the terminal is gone
+        lines.append(
+            f"{self._label}: {now - self._started:.1f} s, {rate:,.0f} events a second".ljust(
+                self._columns
+            )
+        )
+        # the recording goes on if the terminal is gone
+        with contextlib.suppress(OSError, ValueError):
             up = f"\x1b[{len(lines)}A" if self._drawn else ""
             sys.stderr.write(up + "".join(f"\r{line}\n" for line in lines))
             sys.stderr.flush()

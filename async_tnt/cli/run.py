@@ -72,7 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pixels(parser)
     add_reading(parser)
     add_keep_up(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object a line for each decision"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -82,8 +84,15 @@ def main(args: argparse.Namespace) -> int:
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
     pixels = selector_of(selection, engine.model)
     fill_cache(model=engine.model, first=lambda: find_sources(paths_of(args), pixels))
-    settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
-    processor = Processor(engine.model, classes=engine.classes, classifier=engine.classifier, **settings)
+    settings = {
+        "start_us": args.start_us,
+        "hop_us": args.hop_us,
+        "late": args.late,
+        **triggers_of(args),
+    }
+    processor = Processor(
+        engine.model, classes=engine.classes, classifier=engine.classifier, **settings
+    )
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
     failed = stopped = False
@@ -98,11 +107,20 @@ def main(args: argparse.Namespace) -> int:
             recording, select = pixels.open(path, **reading_of(args))
             if headers:
                 say(headers.pop())
-            print_decisions(recording, map(select, recording), processor, engine, pixels, line, summary=not args.json)
+            print_decisions(
+                recording,
+                map(select, recording),
+                processor,
+                engine,
+                pixels,
+                line,
+                summary=not args.json,
+            )
         except BrokenPipeError:
             raise
         except (OSError, ValueError, ImportError) as error:
-            if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output, not of a recording
+            # of our output, not of a recording
+            if isinstance(error, OSError) and error.errno == errno.ENOSPC:
                 raise
             complain(error if str(path) in str(error) else f"{path}: {error}")
             failed = True
@@ -121,7 +139,8 @@ def print_decisions(
     *,
     summary: bool,
 ) -> None:
-    """A line for each decision and, with `summary`, one for the recording: the best mean probability of its windows.
+    """A line for each decision and, with `summary`, one for the recording: the best mean
+    probability of its windows.
 
     Raises
     ------
@@ -143,11 +162,16 @@ def print_decisions(
         raise ValueError(f"{recording.path}: {why}")
 
 
-def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
-    """Each decision, and its latency in microseconds, from the call with the event that caused it."""
+def timed_decisions(
+    packets: Iterable[Any], processor: Processor
+) -> Iterator[tuple[Decision, float]]:
+    """Each decision, and its latency in microseconds, from the call with the event that caused
+    it."""
     clock, time_unit = time.perf_counter_ns, TimeUnitCheck(processor.config)
     for packet in packets:
-        for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
+        for t, x, y, p in zip(
+            *(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True
+        ):
             handed_over = clock()
             decisions = processor.push_one(t, x, y, p)
             if decisions:
@@ -161,8 +185,11 @@ def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tu
         yield decision, latency_us
 
 
-def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Line, keep_up_ms: int | None) -> bool:
-    """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
+def run_source(
+    name: str, processor: Processor, pixels: PixelSelector, line: Line, keep_up_ms: int | None
+) -> bool:
+    """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether
+    Ctrl-C ended it.
 
     Parameters
     ----------
@@ -182,13 +209,16 @@ def run_source(name: str, processor: Processor, pixels: PixelSelector, line: Lin
         moved_off = counts.dropped_outside + counts.dropped_tau_zero
         return (
             f"; {counts.kept:,} kept, {moved_off:,} moved off the grid by the transform, "
-            f"{counts.dropped_late:,} too late for their window, {counts.dropped_decided:,} after it was decided"
+            f"{counts.dropped_late:,} too late for their window, {counts.dropped_decided:,} after "
+            "it was decided"
         )
 
     return follow(name, pixels, processor, keep_up_ms, print_all, end)
 
 
-def _timed_packets(packets: Iterable[np.ndarray], processor: Processor) -> Iterator[tuple[Decision, float]]:
+def _timed_packets(
+    packets: Iterable[np.ndarray], processor: Processor
+) -> Iterator[tuple[Decision, float]]:
     """Each decision, and the microseconds that the decisions of its packet took."""
     time_unit = TimeUnitCheck(processor.config)
     for packet in packets:

@@ -39,7 +39,11 @@ FEW_PATHS = 0.2
 """Share of windows whose motion is found, below which there is a warning."""
 FEW = 20
 """Held-out recordings of a class below which its windows are reported, too."""
-TITLES = {"validation": "held out", "validation_motions": "held out, in other motions", "test": "Test"}
+TITLES = {
+    "validation": "held out",
+    "validation_motions": "held out, in other motions",
+    "test": "Test",
+}
 
 
 def main(args: argparse.Namespace) -> int:
@@ -50,7 +54,8 @@ def main(args: argparse.Namespace) -> int:
     from async_tnt.training.run_folder import CHECKPOINT, RUN_FILES
 
     run_folder = args.out.parent / "runs" / args.out.stem
-    check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
+    # q.pt and q.safetensors would share a run folder and q.json
+    check_writable(args.out, (".safetensors",))
     beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, CURVES)]
     check_ours([*beside, args.out], ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
@@ -63,7 +68,9 @@ def main(args: argparse.Namespace) -> int:
             return _train(args, run_folder)
     except KeyboardInterrupt:
         if args.restart:
-            raise KeyboardInterrupt(f"interrupted before anything learned in {run_folder} was discarded") from None
+            raise KeyboardInterrupt(
+                f"interrupted before anything learned in {run_folder} was discarded"
+            ) from None
         again = f"again{', without --restart,' * restart} to resume"
         kept = f"what is finished is kept in {run_folder}. Give the same command {again}."
         raise KeyboardInterrupt(f"interrupted; {kept}") from None
@@ -75,23 +82,43 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
 
     if args.everywhere and (args.teacher or args.motions != "recorded"):
         name = "--teacher" if args.teacher else "--motions"
-        raise ValueError(f"{name} must come without --everywhere, which learns scenes from the beginning")
+        raise ValueError(
+            f"{name} must come without --everywhere, which learns scenes from the beginning"
+        )
     if args.motions == "resynthesized" and args.roi and not args.crop:
-        raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
+        raise ValueError(
+            "--roi must come with --crop where motions are re-synthesized: objects leave the region"
+        )
     if find_pictures(args.dataset):
         if args.motions == "resynthesized":
-            raise ValueError("--motions resynthesized is for recordings: pictures are recorded in all motions anyway")
+            raise ValueError(
+                "--motions resynthesized is for recordings: pictures are recorded in all motions "
+                "anyway"
+            )
         if args.mask or (args.roi and not args.crop):
-            raise ValueError("--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too")
+            raise ValueError(
+                "--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too"
+            )
         if args.test and (args.dataset / "Test").is_dir() and find_pictures(args.dataset / "Test"):
-            raise ValueError("--test needs recordings of a camera in DATASET/Test; pictures there are not recorded")
+            raise ValueError(
+                "--test needs recordings of a camera in DATASET/Test; pictures there are not "
+                "recorded"
+            )
     elif args.camera or args.follow or args.light != "both" or args.size != SceneSettings.size:
-        raise ValueError("--camera, --follow, --light and --size are for pictures; DATASET holds none")
+        raise ValueError(
+            "--camera, --follow, --light and --size are for pictures; DATASET holds none"
+        )
     if args.test and not has_test(args.dataset):
-        raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")
-    parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
+        raise FileNotFoundError(
+            f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither"
+        )
+    parts = [
+        args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()
+    ] or [args.dataset]
     if any(run_folder.resolve().is_relative_to(part.resolve()) for part in parts):
-        raise ValueError(f"--out must lie outside of {parts[0]}, in which a folder is a class; got {args.out}")
+        raise ValueError(
+            f"--out must lie outside of {parts[0]}, in which a folder is a class; got {args.out}"
+        )
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
@@ -124,15 +151,21 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     n_epochs, n_done = settings.n_epochs(len(data.training)), len(fitted.history)
     if n_done < n_epochs:
         note(
-            f"ended after {n_done} of {n_epochs} epochs: all that is held out was right in the last "
+            f"ended after {n_done} of {n_epochs} epochs: all that is held out was right in the "
+            "last "
             f"{PATIENCE + COOLING}, and its loss fell no more; --epochs N makes N"
         )
 
     def save() -> list[Path]:
         """The model with its record so far, and the numbers beside it."""
-        about = {"held_out": list(data.held_out), "summary": fitted.model.record, "history": fitted.history}
+        about = {
+            "held_out": list(data.held_out),
+            "summary": fitted.model.record,
+            "history": fitted.history,
+        }
         numbers = args.out.with_suffix(NUMBERS)
-        write_text(numbers, json.dumps((fitted.scores or {}) | about, indent=1))  # first: it tells whose the model is
+        # first: it tells whose the model is
+        write_text(numbers, json.dumps((fitted.scores or {}) | about, indent=1))
         return [fitted.model.save(args.out), numbers]
 
     written = save()  # before Test, which may take long; once more with its accuracy
@@ -150,10 +183,13 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> tuple[TrainingData, TrainSettings]:
+def _read(
+    args: argparse.Namespace, teachers: list[Model], run_folder: Path
+) -> tuple[TrainingData, TrainSettings]:
     """The windows of DATASET, and how to train on them.
 
-    What the options rule out, and a run with another volume, network or seed, is refused before any recording is read.
+    What the options rule out, and a run with another volume, network or seed, is refused before any
+    recording is read.
     """
     from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.data import dataset_data
@@ -168,10 +204,15 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     pixels = selection_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
-            "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
+            "--roi with --crop: the region is the model's sensor and must have sides of at least 2 "
+            "pixels, "
             f"got {format_size(pixels.region)}"
         )
-    given = {name: getattr(args, name) for name in ("grid", "window_us") if getattr(args, name) is not None}
+    given = {
+        name: getattr(args, name)
+        for name in ("grid", "window_us")
+        if getattr(args, name) is not None
+    }
     named = volume_of(args.volume)
     config = default_config(**given, **named)
     if config.transform == "none" and not {"landmark", "t_max"}.isdisjoint(named):
@@ -181,7 +222,11 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     BatchVolumes(config)
     augmentation = {"mirror": args.mirror, **(OF_PICTURES if find_pictures(args.dataset) else {})}
     wanted = {"seed": args.seed, "everywhere": args.everywhere, "augmentation": augmentation}
-    wanted |= {name: getattr(args, name) for name in ("epochs", "network") if getattr(args, name) is not None}
+    wanted |= {
+        name: getattr(args, name)
+        for name in ("epochs", "network")
+        if getattr(args, name) is not None
+    }
     settings = settings_for(config, 1, **wanted)
 
     def seen(config: TNTConfig) -> TNTConfig:
@@ -195,15 +240,20 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
     kinds = {(teacher.config.sensor, teacher.classes) for teacher in teachers}
     sensor = pixels.region or pixels.sensor
     if len(kinds) > 1 or (kinds and sensor not in (None, teachers[0].config.sensor)):
-        raise ValueError("--teacher: all must have the same classes, in the same order, and this training's sensor")
+        raise ValueError(
+            "--teacher: all must have the same classes, in the same order, and this training's "
+            "sensor"
+        )
     camera = None
     if args.camera is not None:
         if pixels.sensor is None:
             raise ValueError("--camera needs --sensor WxH, the camera's pixels")
         camera = measure_camera(args.camera, config.window_us, pixels.sensor, **reading_of(args))
         note(
-            f"{args.camera.name}: thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, after-pulses "
-            f"{camera.after_share:.0%}, noise {camera.noise_hz:.2g} events a pixel and second, refractory time up to "
+            f"{args.camera.name}: thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, "
+            "after-pulses "
+            f"{camera.after_share:.0%}, noise {camera.noise_hz:.2g} events a pixel and second, "
+            "refractory time up to "
             f"{camera.refractory_us:.0f} us (0 of these two: not known)"
         )
     fitted = {"grid", "window_us"} - given.keys()
@@ -232,14 +282,21 @@ def _read(args: argparse.Namespace, teachers: list[Model], run_folder: Path) -> 
         workers=available_cores(),
         progress=progress,
     )
-    check_network(settings.network, seen(data.config), len(data.classes), everywhere=args.everywhere)
+    check_network(
+        settings.network, seen(data.config), len(data.classes), everywhere=args.everywhere
+    )
     return data, settings_for(data.config, len(data.training), **wanted)
 
 
 def _other_motions(
-    args: argparse.Namespace, data: TrainingData, settings: TrainSettings, teachers: list[Model], run_folder: Path
+    args: argparse.Namespace,
+    data: TrainingData,
+    settings: TrainSettings,
+    teachers: list[Model],
+    run_folder: Path,
 ) -> Motions | None:
-    """The windows under other motions, made in the run folder or found there; None with --motions recorded."""
+    """The windows under other motions, made in the run folder or found there; None with --motions
+    recorded."""
     from async_tnt.resynthesis.calibration import side_by_side, unlike
     from async_tnt.training.moved_windows import MotionSettings
     from async_tnt.training.resynthesis import resynthesize
@@ -247,10 +304,14 @@ def _other_motions(
 
     if args.motions == "recorded":
         return None
-    motion_settings = MotionSettings(seed=args.seed).for_epochs(settings.n_epochs(len(data.training)))
+    motion_settings = MotionSettings(seed=args.seed).for_epochs(
+        settings.n_epochs(len(data.training))
+    )
     # refuses another run before the work
     windows = data.training, data.validation
-    identity = identity_of(data.config, settings, *windows, None, data.classes, motion_settings, teachers)
+    identity = identity_of(
+        data.config, settings, *windows, None, data.classes, motion_settings, teachers
+    )
     load_checkpoint(run_folder, identity)
     motions = resynthesize(
         data.training,
@@ -266,7 +327,11 @@ def _other_motions(
     without = ", ".join(f"{reason} {n}" for reason, n in record["without_path"].items())
     note(
         f"motion found in {record['with_path']} of {record['windows']} windows"
-        + (f", in {record['with_neighbours']} only with those beside them" if record["with_neighbours"] else "")
+        + (
+            f", in {record['with_neighbours']} only with those beside them"
+            if record["with_neighbours"]
+            else ""
+        )
         + "; the others are used as recorded only"
         + (f" ({without})" if without else ""),
         "recorded windows, and the same motion simulated again:",
@@ -274,18 +339,24 @@ def _other_motions(
     )
     if record["with_path"] < FEW_PATHS * record["windows"]:
         note(
-            "warning: so few motions hardly change what is learned. Re-synthesis needs windows in which one object "
-            "moves as a whole by two pixels and more, with a few hundred events: try another --window-us, or --roi "
+            "warning: so few motions hardly change what is learned. Re-synthesis needs windows in "
+            "which one object "
+            "moves as a whole by two pixels and more, with a few hundred events: try another "
+            "--window-us, or --roi "
             "with --crop"
         )
     if names := unlike(record["match"]):
-        note(f"warning: recorded and simulated windows differ in {', '.join(names)}: compare motions.png, and held out")
+        note(
+            f"warning: recorded and simulated windows differ in {', '.join(names)}: compare "
+            "motions.png, and held out"
+        )
     draw_motions(motions, data, run_folder / "motions" / "motions.png")
     return motions
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
-    """Prints a line after an epoch, at most one a second: hundreds of short epochs need no line each."""
+    """Prints a line after an epoch, at most one a second: hundreds of short epochs need no line
+    each."""
     printed_at = -1.0
 
     def report(row: dict[str, float]) -> None:
@@ -306,7 +377,10 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
 
 
 def _print_summary(
-    summary: Mapping[str, Any], numbers: Mapping[str, Any], args: argparse.Namespace, written: list[Path]
+    summary: Mapping[str, Any],
+    numbers: Mapping[str, Any],
+    args: argparse.Namespace,
+    written: list[Path],
 ) -> None:
     if args.json:
         say(json.dumps({"out": str(args.out), **summary}))
@@ -315,21 +389,37 @@ def _print_summary(
         if name in summary:
             found = summary[name]
             if "f1" in found:
-                early = ", ".join(f"{f1:.4f} after {ms} ms" for ms, f1 in found["f1_against_time_ms"].items())
-                say(f"{title}: F1 {found['f1']:.4f} of {found['objects']} objects in scenes ({early})")
+                early = ", ".join(
+                    f"{f1:.4f} after {ms} ms" for ms, f1 in found["f1_against_time_ms"].items()
+                )
+                say(
+                    f"{title}: F1 {found['f1']:.4f} of {found['objects']} objects in scenes "
+                    f"({early})"
+                )
                 continue
             by_recording = ""
             if "recordings" in found:
                 by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"
             if name == "validation" and (pictures := summary["data"].get("pictures")):
                 by_recording += f" (simulated ones: of {pictures['held_out']} pictures)"
-            say(f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} right")
-    network = f"{summary['network']}, {summary['multiplications']:,} multiplications a complete window"
+            say(
+                f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} "
+                "right"
+            )
+    network = (
+        f"{summary['network']}, {summary['multiplications']:,} multiplications a complete window"
+    )
     say(f"network {network}; temperature {summary.get('temperature', 1):.3f}")
     if numbers and max(map(sum, numbers["confusion"])) < FEW:
         for k, name in enumerate(numbers["classes"]):
             windows, n_recordings = numbers["window_confusion"][k], sum(numbers["confusion"][k])
-            say(f"  {name}: {windows[k]} of {sum(windows)} windows of {n_recordings} held-out recordings right")
+            say(
+                f"  {name}: {windows[k]} of {sum(windows)} windows of {n_recordings} held-out "
+                "recordings right"
+            )
     if "held_out_in_time" in summary["data"]:
-        say("held out in time: of the sessions that were learned from; only another session tells how well it works")
+        say(
+            "held out in time: of the sessions that were learned from; only another session tells "
+            "how well it works"
+        )
     say(f"wrote {', '.join(map(str, written))}")

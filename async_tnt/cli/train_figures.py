@@ -28,7 +28,8 @@ def draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
 
 
 def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> None:
-    """Draw some pictures and recordings of them, where there are any and matplotlib is installed."""
+    """Draw some pictures and recordings of them, where there are any and matplotlib is
+    installed."""
     from async_tnt.simulation.measured_pixels import MeasuredPixels
     from async_tnt.simulation.picture_scene import SceneSettings
     from async_tnt.training.simulated_pictures import example_recordings, find_pictures
@@ -39,7 +40,14 @@ def draw_pictures(args: argparse.Namespace, data: TrainingData, path: Path) -> N
         return
     about = data.record["pictures"]["settings"]
     camera = about["camera"] and MeasuredPixels(**about["camera"])
-    settings = SceneSettings(**{**about, "sensor": data.config.sensor, "size": args.size, "camera": camera})
+    settings = SceneSettings(
+        **{**about, "sensor": data.config.sensor, "size": args.size, "camera": camera}
+    )
     with styled():
-        save(draw_recorded_pictures(example_recordings(found, settings, args.seed), data.config.sensor), path)
+        save(
+            draw_recorded_pictures(
+                example_recordings(found, settings, args.seed), data.config.sensor
+            ),
+            path,
+        )
     note(f"some recordings of pictures: {path}")

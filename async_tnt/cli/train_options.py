@@ -5,7 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import add_reading, add_volume, number, positive_int, size_of, whole_number
+from async_tnt.cli.options import (
+    add_reading,
+    add_volume,
+    number,
+    positive_int,
+    size_of,
+    whole_number,
+)
 from async_tnt.cli.pixel_options import add_selection
 from async_tnt.files import user_path
 from async_tnt.simulation.picture_scene import LIGHTS, SceneSettings
@@ -37,7 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DATASET",
         help="<class name>/<recordings or pictures>, or Train/<class name>/... (and Test/...)",
     )
-    parser.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's, where recordings do not state it")
+    parser.add_argument(
+        "--sensor",
+        type=size_of,
+        metavar="WxH",
+        help="the camera's, where recordings do not state it",
+    )
     add_reading(parser, single=False)
     parser.add_argument(
         "--out",
@@ -61,10 +73,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=r"a regular expression, such as 'user\d+': files in whose names it finds the same text stay together "
         "(default: the last of each class by number, or at random)",
     )
-    held_out.add_argument("--test", action="store_true", help="at the end, classify the folder Test")
+    held_out.add_argument(
+        "--test", action="store_true", help="at the end, classify the folder Test"
+    )
     seen = parser.add_argument_group("what is learned from")
     add_selection(seen)
-    seen.add_argument("--mirror", action="store_true", help="mirror half of the windows, if that keeps the class")
+    seen.add_argument(
+        "--mirror", action="store_true", help="mirror half of the windows, if that keeps the class"
+    )
     seen.add_argument(
         "--motions",
         choices=("recorded", "resynthesized"),
@@ -80,19 +96,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="longer side / sensor's shorter side (default: 0.4-0.8)",
     )
     pictures.add_argument(
-        "--light", choices=LIGHTS, default="both", metavar="LIGHT", help="positive, negative, or both (default)"
+        "--light",
+        choices=LIGHTS,
+        default="both",
+        metavar="LIGHT",
+        help="positive, negative, or both (default)",
     )
     pictures.add_argument(
-        "--camera", type=user_path, metavar="RECORDING", help="a minute of anything from your camera, to measure it"
+        "--camera",
+        type=user_path,
+        metavar="RECORDING",
+        help="a minute of anything from your camera, to measure it",
     )
     pictures.add_argument("--follow", action="store_true", help="as crops that follow the object")
     network = parser.add_argument_group("volume and network")
     network.add_argument(
-        "--window-us", type=positive_int, metavar="US", help="length (default: 105000, or the longest recording)"
+        "--window-us",
+        type=positive_int,
+        metavar="US",
+        help="length (default: 105000, or the longest recording)",
     )
-    network.add_argument("--grid", type=size_of, metavar="WxH", help="of the volume (default: at most 120 pixels long)")
+    network.add_argument(
+        "--grid",
+        type=size_of,
+        metavar="WxH",
+        help="of the volume (default: at most 120 pixels long)",
+    )
     add_volume(network, "ON and OFF counts, or 5 bins, by the data")
-    network.add_argument("--everywhere", action="store_true", help="find objects anywhere: learn from scenes")
+    network.add_argument(
+        "--everywhere", action="store_true", help="find objects anywhere: learn from scenes"
+    )
     network.add_argument(
         "--network",
         metavar="NAME",
@@ -100,7 +133,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "own, of channels, (width, height), n_classes",
     )
     network.add_argument(
-        "--teacher", nargs="+", default=[], metavar="MODEL", help="half of the target is what these models say"
+        "--teacher",
+        nargs="+",
+        default=[],
+        metavar="MODEL",
+        help="half of the target is what these models say",
     )
     network.add_argument(
         "--epochs",
@@ -110,9 +147,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "is held out stays right and its loss falls no more)",
     )
     network.add_argument(
-        "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"
+        "--seed",
+        type=whole_number,
+        default=0,
+        metavar="N",
+        help="of weights, order and held-out groups (default: 0)",
     )
-    network.add_argument("--restart", action="store_true", help="begin again, instead of resuming what is there")
+    network.add_argument(
+        "--restart", action="store_true", help="begin again, instead of resuming what is there"
+    )
 
 
 def _range(text: str) -> tuple[float, float]:
@@ -122,7 +165,9 @@ def _range(text: str) -> tuple[float, float]:
     except ValueError:
         least, most = 0.0, 0.0
     if not 0 < least <= most <= 1:
-        raise argparse.ArgumentTypeError(f"expected a range such as 0.4-0.8, within 0 and 1, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"expected a range such as 0.4-0.8, within 0 and 1, got {text!r}"
+        )
     return least, most
 
 

@@ -56,8 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pixels(parser)
     add_reading(parser)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--out", type=user_path, metavar="FILE.rrd", help="write a file for the viewer instead")
-    where.add_argument("--connect", metavar="URL", help="show it in a running viewer: rerun+http://HOST:9876/proxy")
+    where.add_argument(
+        "--out", type=user_path, metavar="FILE.rrd", help="write a file for the viewer instead"
+    )
+    where.add_argument(
+        "--connect", metavar="URL", help="show it in a running viewer: rerun+http://HOST:9876/proxy"
+    )
     parser.add_argument(
         "--speed",
         type=positive_number,
@@ -81,7 +85,9 @@ def main(args: argparse.Namespace) -> int:
     path = paths_of(args)[0]
     live = isinstance(path, str)
     if args.speed is not None and live:
-        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
+        raise ValueError(
+            "--speed belongs to recordings; a camera or the network has a pace of its own"
+        )
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
@@ -106,20 +112,31 @@ def main(args: argparse.Namespace) -> int:
     stopped = False
     with view:
         if opened is None:
-            stopped = follow(path, pixels, view.processor, args.keep_up, lambda packets, _: _push_all(packets, view))
+            stopped = follow(
+                path,
+                pixels,
+                view.processor,
+                args.keep_up,
+                lambda packets, _: _push_all(packets, view),
+            )
         else:
             _show(*opened, view, speed)
     n_events = view.processor.counts.received
     if not n_events and not stopped:
         raise ValueError(f"{path}: {pixels.nothing}, nothing to show")
     if args.out is not None and n_events:  # a file without any is not written
-        say(f"{args.out}: {n_events:,} events, {view.log.n_pictures:,} pictures; open it with: rerun {args.out}")
+        say(
+            f"{args.out}: {n_events:,} events, {view.log.n_pictures:,} pictures; open it with: "
+            f"rerun {args.out}"
+        )
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 130 if stopped else 0
 
 
-def _show(recording: Recording, select: Callable[[Any], Any], view: RerunView, speed: float) -> None:
+def _show(
+    recording: Recording, select: Callable[[Any], Any], view: RerunView, speed: float
+) -> None:
     with progress(recording.n_events, printable(recording.path.name)) as bar:
         for packet in replay(map(select, recording), speed):
             view.push(packet)
@@ -135,4 +152,6 @@ def _push_all(packets: Iterable[Any], view: RerunView) -> None:
 
 def _milliseconds(text: str) -> int:
     """Milliseconds, as microseconds."""
-    return round(1000 * number(text, lambda value: 0.001 <= value < 1e9, "a number from 0.001 to 1e9"))
+    return round(
+        1000 * number(text, lambda value: 0.001 <= value < 1e9, "a number from 0.001 to 1e9")
+    )

@@ -30,7 +30,8 @@ class Job:
     model_sha256 : of the model's content, without its training record.
     version : of this package.
     reading : how files are read that do not say it themselves; its sensor is that of `pixels`.
-    pixels : what the model sees of a recording; with the mask itself, so that workers need no file of it.
+    pixels : what the model sees of a recording; with the mask itself, so that workers need no file
+        of it.
     """
 
     model: str
@@ -43,7 +44,12 @@ class Job:
     def id(self) -> str:
         """12 hexadecimal digits that stand for everything that the records depend on."""
         reading = {name: value for name, value in asdict(self.reading).items() if value is not None}
-        about = {"version": self.version, **self.pixels.about, **reading, "model_sha256": self.model_sha256}
+        about = {
+            "version": self.version,
+            **self.pixels.about,
+            **reading,
+            "model_sha256": self.model_sha256,
+        }
         return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -70,17 +76,28 @@ class Task:
     between_us: tuple[int, int] | None = None
 
 
-def job_of(name_or_path: str, model: Model, pixels: PixelSelection, reading: ReadOptions | None = None) -> Job:
+def job_of(
+    name_or_path: str, model: Model, pixels: PixelSelection, reading: ReadOptions | None = None
+) -> Job:
     """The job of a model that `load_model` has loaded under this name."""
-    where = name_or_path if name_or_path in bundled_models() else os.path.abspath(user_path(name_or_path))
+    where = (
+        name_or_path
+        if name_or_path in bundled_models()
+        else os.path.abspath(user_path(name_or_path))
+    )
     return Job(where, sha256_of(model), pixels=pixels, reading=reading or ReadOptions())
 
 
 def task_of(
-    recording: str, path: Path, job: Job, label: str | None = None, between_us: tuple[int, int] | None = None
+    recording: str,
+    path: Path,
+    job: Job,
+    label: str | None = None,
+    between_us: tuple[int, int] | None = None,
 ) -> Task:
     """The task of a file, or a part of it, with its current size and time."""
-    name = recording.encode("utf-8", "backslashreplace").decode()  # file names need not be valid text
+    # file names need not be valid text
+    name = recording.encode("utf-8", "backslashreplace").decode()
     absolute = Path(os.path.abspath(path))
     try:
         status = path.stat()

@@ -1,4 +1,5 @@
-"""How many of the objects that are there a map model finds, and how many of those that it finds are there."""
+"""How many of the objects that are there a map model finds, and how many of those that it finds are
+there."""
 
 from __future__ import annotations
 
@@ -22,14 +23,17 @@ SHARES = 0.3, 0.5, 1.0
 
 @dataclass(frozen=True)
 class ObjectScores:
-    """Counts by class, int64, (K,): objects that are there, that were found, and that were found rightly."""
+    """Counts by class, int64, (K,): objects that are there, that were found, and that were found
+    rightly."""
 
     there: np.ndarray
     found: np.ndarray
     right: np.ndarray
 
     def __add__(self, other: ObjectScores) -> ObjectScores:
-        return ObjectScores(self.there + other.there, self.found + other.found, self.right + other.right)
+        return ObjectScores(
+            self.there + other.there, self.found + other.found, self.right + other.right
+        )
 
     @property
     def f1(self) -> float:
@@ -39,7 +43,9 @@ class ObjectScores:
     def to_dict(self, classes: Sequence[str]) -> dict[str, Any]:
         """Plain values, for JSON."""
         there, found, right = (int(of.sum()) for of in (self.there, self.found, self.right))
-        rows = zip(classes, self.there.tolist(), self.found.tolist(), self.right.tolist(), strict=True)
+        rows = zip(
+            classes, self.there.tolist(), self.found.tolist(), self.right.tolist(), strict=True
+        )
         return {
             "f1": round(self.f1, 5),
             "precision": round(right / max(1, found), 5),
@@ -47,7 +53,12 @@ class ObjectScores:
             "objects": there,
             "found": found,
             "per_class": {
-                name: {"f1": round(self._f1(*row), 5), "objects": row[0], "found": row[1], "right": row[2]}
+                name: {
+                    "f1": round(self._f1(*row), 5),
+                    "objects": row[0],
+                    "found": row[1],
+                    "right": row[2],
+                }
                 for name, *row in rows
             },
         }
@@ -58,18 +69,23 @@ class ObjectScores:
 
 
 def score_objects(
-    found: np.ndarray, labels: np.ndarray, middles: np.ndarray, reach: np.ndarray | float, n_classes: int
+    found: np.ndarray,
+    labels: np.ndarray,
+    middles: np.ndarray,
+    reach: np.ndarray | float,
+    n_classes: int,
 ) -> ObjectScores:
     """Match what was found with what is there.
 
-    An object is right if its class is that of one that is there, near enough, and matched with no other: the likeliest
-    takes the nearest one, then the next object. (x, y) is near the middle (u, v) if ((x - u) / a)^2 + ((y - v) / b)^2
-    <= 1, with its reach (a, b).
+    An object is right if its class is that of one that is there, near enough, and matched with no
+    other: the likeliest takes the nearest one, then the next object. (x, y) is near the middle (u,
+    v) if ((x - u) / a)^2 + ((y - v) / b)^2 <= 1, with its reach (a, b).
 
     Parameters
     ----------
     found : float64, (M, FOUND_SIZE), the likeliest first, see `kernels.objects`.
-    labels : int64, (N,): the classes of what is there. middles : float64, (N, 2): (x, y), in sensor pixels.
+    labels : int64, (N,): the classes of what is there. middles : float64, (N, 2): (x, y), in sensor
+        pixels.
     reach : float64, (N, 2), in pixels; or one number for all.
 
     Examples
@@ -85,14 +101,20 @@ def score_objects(
         away[~free | (labels != row[CLASS])] = np.inf
         if len(away) and away.min() <= 1:
             free[away.argmin()] = False
-    count = [np.bincount(of.astype(np.int64), minlength=n_classes) for of in (labels, found[:, CLASS], labels[~free])]
+    count = [
+        np.bincount(of.astype(np.int64), minlength=n_classes)
+        for of in (labels, found[:, CLASS], labels[~free])
+    ]
     return ObjectScores(*count)
 
 
-def score_recording(model: Model, recording: Recording, table: ObjectTable) -> dict[float, ObjectScores]:
+def score_recording(
+    model: Model, recording: Recording, table: ObjectTable
+) -> dict[float, ObjectScores]:
     """Of a window that ends at each moment of the table, after each of `SHARES` of it.
 
-    The scores depend neither on the order of the events nor on packets: the recording is read twice.
+    The scores depend neither on the order of the events nor on packets: the recording is read
+    twice.
 
     Parameters
     ----------
@@ -100,7 +122,8 @@ def score_recording(model: Model, recording: Recording, table: ObjectTable) -> d
 
     Raises
     ------
-    ValueError, OSError : the recording is damaged, or has no events before the moments of the table.
+    ValueError, OSError : the recording is damaged, or has no events before the moments of the
+        table.
     """
     window_us, n_classes = model.config.window_us, len(model.classes)
     processor = Processor(model, start_us=0)
@@ -115,15 +138,24 @@ def score_recording(model: Model, recording: Recording, table: ObjectTable) -> d
         for share, part in zip(SHARES, parts[:-1], strict=True):
             processor.push(part)
             objects = processor.fire().objects or ()
-            found = np.array([(o.x, o.y, o.probability, o.index, o.id) for o in objects], float).reshape(-1, 5)
-            scores[share] += score_objects(found, table.label[rows], table.middle[rows], table.reach[rows], n_classes)
+            found = np.array(
+                [(o.x, o.y, o.probability, o.index, o.id) for o in objects], float
+            ).reshape(-1, 5)
+            scores[share] += score_objects(
+                found, table.label[rows], table.middle[rows], table.reach[rows], n_classes
+            )
     if n_events == 0:
         times = f"{times_us[0]} to {times_us[-1]}"
-        raise ValueError(f"{recording.path}: no event in the {window_us} us before any time in its table, {times}")
+        raise ValueError(
+            f"{recording.path}: no event in the {window_us} us before any time in its table, "
+            f"{times}"
+        )
     return scores
 
 
-def _windows(packets: Iterable[np.ndarray], ends_us: Sequence[int], window_us: int) -> Iterator[np.ndarray]:
+def _windows(
+    packets: Iterable[np.ndarray], ends_us: Sequence[int], window_us: int
+) -> Iterator[np.ndarray]:
     """The events of a window before each of these times, sorted, from time 0 on.
 
     They depend neither on the order of the events nor on packets. What is kept in memory is what
@@ -153,8 +185,11 @@ def _windows(packets: Iterable[np.ndarray], ends_us: Sequence[int], window_us: i
         yield events[np.argsort(events["t"], kind="stable")]
 
 
-def _packets_needed(packets: Iterable[np.ndarray], ends_us: np.ndarray, window_us: int) -> np.ndarray:
-    """How many packets, from the first on, have all events of the window before each of these times."""
+def _packets_needed(
+    packets: Iterable[np.ndarray], ends_us: np.ndarray, window_us: int
+) -> np.ndarray:
+    """How many packets, from the first on, have all events of the window before each of these
+    times."""
     n_needed = np.zeros(len(ends_us), np.int64)
     for n, packet in enumerate(packets, 1):
         if not len(packet):

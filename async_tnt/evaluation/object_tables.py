@@ -1,9 +1,10 @@
 """Recordings with a table of the objects that they show.
 
-NAME_objects.csv  a row for each object at a moment: t, in microseconds, class, and x, y, its middle; or x, y, w, h, a
-                  box whose upper left corner is (x, y)
-NAME_bbox.npy     Prophesee's boxes: t (or ts), x, y, w, h, class_id; of NAME.* or NAME_td.*. Names of the classes
-                  are those of `label_map_dictionary.json` beside it or, without that, those of the model, in order
+NAME_objects.csv  a row for each object at a moment: t, in microseconds, class, and x, y, its
+                  middle; or x, y, w, h, a box whose upper left corner is (x, y)
+NAME_bbox.npy     Prophesee's boxes: t (or ts), x, y, w, h, class_id; of NAME.* or NAME_td.*. Names
+                  of the classes are those of `label_map_dictionary.json` beside it or, without
+                  that, those of the model, in order
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from async_tnt.sources.labelled_recordings import check_once, is_recording
 CSV, BOXES, OF_BOXES = "_objects.csv", "_bbox.npy", "_td"
 NAMES_FILE = "label_map_dictionary.json"
 WITHIN_PX = 5.0
-"""An object is found within so many pixels of a point, or within a box: in the ellipse that touches its sides."""
+"""An object is found within so many pixels of a point, or within a box: in the ellipse that touches
+its sides."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class ObjectTable:
     Parameters
     ----------
     t : int64, (N,), in order, in microseconds. label : int64, (N,): a class of the model.
-    middle, reach : float64, (N, 2): (x, y) of its middle, in sensor pixels, and how near it counts as found.
+    middle, reach : float64, (N, 2): (x, y) of its middle, in sensor pixels, and how near it counts
+        as found.
     unknown : class -> rows that are left out, as the model does not know it.
     """
 
@@ -63,13 +66,20 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
     folder = folder / "Test" if (folder / "Test").is_dir() else folder
     found = []
     for path in sorted(folder.iterdir()):
-        tables = path.with_name(path.stem + CSV), path.with_name(path.stem.removesuffix(OF_BOXES) + BOXES)
+        tables = (
+            path.with_name(path.stem + CSV),
+            path.with_name(path.stem.removesuffix(OF_BOXES) + BOXES),
+        )
         if is_recording(path) and not path.name.endswith((CSV, BOXES)):
             found += [(path, table) for table in tables if table.is_file()][:1]
     if len({table for _, table in found}) < len(found):
-        raise ValueError(f"{folder}: recordings that differ in their endings share a table of objects; keep one")
+        raise ValueError(
+            f"{folder}: recordings that differ in their endings share a table of objects; keep one"
+        )
     if not found:
-        raise ValueError(f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}")
+        raise ValueError(
+            f"{folder}: no recordings NAME.* with a table of objects, NAME{CSV} or NAME{BOXES}"
+        )
     return found
 
 
@@ -80,14 +90,21 @@ def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
     ------
     ValueError : it is damaged, lacks a column, or has no row of these classes.
     """
-    names, t, corner, size = _read_boxes(path, classes) if path.suffix == ".npy" else _read_csv(path)
+    names, t, corner, size = (
+        _read_boxes(path, classes) if path.suffix == ".npy" else _read_csv(path)
+    )
     known = {name: k for k, name in enumerate(classes)}
     label = np.array([known.get(name, -1) for name in names], np.int64)
-    unknown = {str(name): int(n) for name, n in zip(*np.unique(names[label < 0], return_counts=True), strict=True)}
+    unknown = {
+        str(name): int(n)
+        for name, n in zip(*np.unique(names[label < 0], return_counts=True), strict=True)
+    }
     kept = np.flatnonzero(label >= 0)
     if not len(kept):
         raise ValueError(f"{path}: no object of the model's classes, {', '.join(classes)}")
-    if not (np.isfinite([corner[kept], size[kept]]).all() and min(size[kept].min(), t[kept].min()) >= 0):
+    if not (
+        np.isfinite([corner[kept], size[kept]]).all() and min(size[kept].min(), t[kept].min()) >= 0
+    ):
         raise ValueError(f"{path}: x, y, w and h must be finite, w, h and t at least 0")
     kept = kept[np.argsort(t[kept], kind="stable")]
     is_point = size[kept] == 0
@@ -102,12 +119,24 @@ def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
             reader = csv.DictReader(file, skipinitialspace=True)
             columns, rows = reader.fieldnames or (), list(reader)
     except (ValueError, csv.Error) as error:
-        raise ValueError(f"{path}: not a table of comma-separated values: {one_line(error)}") from None
+        raise ValueError(
+            f"{path}: not a table of comma-separated values: {one_line(error)}"
+        ) from None
     of_boxes = {"w", "h", "width", "height"}.intersection(name.strip().lower() for name in columns)
-    if missing := [name for name in ("t", "class", "x", "y", *("wh" if of_boxes else "")) if name not in columns]:
-        raise ValueError(f"{path}: needs the columns t, class, x, y (and w, h of boxes), lacks {', '.join(missing)}")
+    if missing := [
+        name
+        for name in ("t", "class", "x", "y", *("wh" if of_boxes else ""))
+        if name not in columns
+    ]:
+        raise ValueError(
+            f"{path}: needs the columns t, class, x, y (and w, h of boxes), lacks "
+            f"{', '.join(missing)}"
+        )
     check_once(path, ("t", "class", "x", "y", "w", "h"), columns)
-    cells = {name: [row[name] for row in rows] for name in ("t", "class", "x", "y", *("wh" if of_boxes else ""))}
+    cells = {
+        name: [row[name] for row in rows]
+        for name in ("t", "class", "x", "y", *("wh" if of_boxes else ""))
+    }
     for name, column in cells.items():
         convert = CSV_TYPES[name]
         for k, text in enumerate(column):
@@ -156,7 +185,9 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
         size = np.stack([boxes["w"], boxes["h"]], axis=-1).astype(np.float64)
     except (ValueError, IndexError, TypeError, AttributeError, EOFError, OverflowError) as error:
         why = one_line(error)
-        raise ValueError(f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {why}") from None
+        raise ValueError(
+            f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {why}"
+        ) from None
     named: Mapping[str, str] = dict(zip(map(str, range(len(classes))), classes, strict=True))
     if (names := path.parent / NAMES_FILE).is_file():
         try:
@@ -172,12 +203,17 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
 
 
 def _whole(column: np.ndarray) -> np.ndarray:
-    """A column of whole numbers as int64; a ValueError for others, which a conversion would change silently."""
+    """A column of whole numbers as int64; a ValueError for others, which a conversion would change
+    silently."""
     if column.ndim != 1 or column.dtype.kind not in "iuf":
-        raise ValueError(f"t and class_id must be whole numbers, got {column.dtype} in shape {column.shape}")
+        raise ValueError(
+            f"t and class_id must be whole numbers, got {column.dtype} in shape {column.shape}"
+        )
     with np.errstate(invalid="ignore"):  # of values that are not finite
         whole = column.astype(np.int64)
     fits = whole == column
     if not fits.all():
-        raise ValueError(f"t and class_id must be whole numbers in int64, got {column[np.argmin(fits)]}")
+        raise ValueError(
+            f"t and class_id must be whole numbers in int64, got {column[np.argmin(fits)]}"
+        )
     return whole

@@ -1,4 +1,5 @@
-"""Run a function over many tasks, in worker processes of this machine or on the machines of a Dask cluster."""
+"""Run a function over many tasks, in worker processes of this machine or on the machines of a Dask
+cluster."""
 
 from __future__ import annotations
 
@@ -28,10 +29,12 @@ def run_all(
     workers: int,
     lost: Callable[[Task], Result] | None = None,
 ) -> Generator[Result]:
-    """Yield `function(task)` of each task as it is done, from this many processes; 1: from this one.
+    """Yield `function(task)` of each task as it is done, from this many processes; 1: from this
+    one.
 
-    A worker that ends without an answer is replaced, and `lost` makes the result of its task (None: WorkerEnded). An
-    error of a task is raised. That, Ctrl-C and closing the generator end all workers in the middle of their tasks.
+    A worker that ends without an answer is replaced, and `lost` makes the result of its task (None:
+    WorkerEnded). An error of a task is raised. That, Ctrl-C and closing the generator end all
+    workers in the middle of their tasks.
     """
     if workers == 1:
         yield from map(function, tasks)
@@ -67,7 +70,9 @@ def run_all(
             worker.end()
 
 
-def run_counted(function: Callable[[Task], int], tasks: Sequence[Task], workers: int, bar: Bar) -> None:
+def run_counted(
+    function: Callable[[Task], int], tasks: Sequence[Task], workers: int, bar: Bar
+) -> None:
     """`run_all` of a function that returns by how much a progress bar advances."""
     with bar, contextlib.closing(run_all(function, tasks, workers)) as amounts:
         for n in amounts:
@@ -75,13 +80,17 @@ def run_counted(function: Callable[[Task], int], tasks: Sequence[Task], workers:
 
 
 def run_on_dask(
-    function: Callable[[Task], Result], tasks: Sequence[Task], address: str, lost: Callable[[Task], Result]
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    address: str,
+    lost: Callable[[Task], Result],
 ) -> Generator[Result]:
     """As `run_all`, on the workers of the cluster whose scheduler has this address.
 
     Dask replaces a worker that ends, and repeats its tasks. It gives up a task that has ended
-    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or was waiting on them. Such tasks are repeated
-    at the end, one at a time: `lost` makes the result of one that is given up alone.
+    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or was waiting on them.
+    Such tasks are repeated at the end, one at a time: `lost` makes the result of one that is given
+    up alone.
 
     Raises
     ------
@@ -97,7 +106,8 @@ def run_on_dask(
             client.wait_for_workers(1, timeout=WORKERS_S)
         except TimeoutError:
             raise ConnectionError(
-                f"the Dask cluster at {address} has no workers: start some, with one thread each: dask worker {address}"
+                f"the Dask cluster at {address} has no workers: start some, with one thread each: "
+                f"dask worker {address}"
             ) from None
         waiting = iter(tasks)
         task_of: dict[str, Task] = {}
@@ -129,7 +139,9 @@ def _result(future: Any, address: str) -> Any:
     try:
         return future.result()
     except CancelledError:
-        raise ConnectionError(f"the Dask scheduler at {address} is gone, or has cancelled the work") from None
+        raise ConnectionError(
+            f"the Dask scheduler at {address} is gone, or has cancelled the work"
+        ) from None
 
 
 @contextlib.contextmanager
@@ -137,14 +149,17 @@ def _connected(address: str) -> Iterator[Any]:
     with needs_extra("cluster", "a cluster needs Dask"):
         from distributed import Client
         from distributed.comm.addressing import get_address_host_port
-    logging.disable()  # errors become a one-line message; Dask would log them too, with their tracebacks
+    # errors become a one-line message; Dask would log them too, with their tracebacks
+    logging.disable()
     try:
         try:
-            get_address_host_port(address)  # first: a client that cannot read it says so once more when Python ends
+            # first: a client that cannot read it says so once more when Python ends
+            get_address_host_port(address)
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
         except Exception as error:  # of many types, depending on what is wrong with the address
             raise ConnectionError(
-                f"no Dask scheduler answers at {address!r}; expected the address that `dask scheduler` prints, such as "
+                f"no Dask scheduler answers at {address!r}; expected the address that `dask "
+                "scheduler` prints, such as "
                 f"tcp://10.0.0.1:8786 ({one_line(error)})"
             ) from None
         with contextlib.closing(client):

@@ -23,14 +23,23 @@ from async_tnt.sources.pixel_selection import PixelSelector
 Record = dict[str, Any]
 
 FIELDS = (
-    *("recording", "class", "label", "probabilities", "window_start_us", "window_probabilities", *EARLY),
+    *(
+        "recording",
+        "class",
+        "label",
+        "probabilities",
+        "window_start_us",
+        "window_probabilities",
+        *EARLY,
+    ),
     *("decisions", "events", "late", "off_sensor", "error", "bytes", "modified_ns", "settings"),
 )
 """Of a record. With an `error`, only `recording`, `class` and the last four have values."""
 
 
 def evaluate_recording(task: Task) -> Record:
-    """What is decided in each window of one labelled recording, early and at its end, and the class of the mean.
+    """What is decided in each window of one labelled recording, early and at its end, and the class
+    of the mean.
 
     Whatever is wrong with the file becomes the record's `error`.
 
@@ -55,7 +64,8 @@ def evaluate_recording(task: Task) -> Record:
         )
         for decision in _decisions(map(select, recording), processor, pixels):
             window.append(decision)
-            if decision.trigger in ("window", "end"):  # keep what is needed of it: a long recording has many
+            # keep what is needed of it: a long recording has many
+            if decision.trigger in ("window", "end"):
                 fields["window_start_us"].append(decision.window_start_us)
                 fields["window_probabilities"].append(decision.probabilities.tolist())
                 for name, value in early_fields(window, processor.config).items():
@@ -66,7 +76,11 @@ def evaluate_recording(task: Task) -> Record:
         return failed(task, _error_line(error, task))
     mean = np.mean(fields["window_probabilities"], axis=0)
     assert processor.classes is not None
-    fields |= {"label": processor.classes[int(mean.argmax())], "probabilities": mean.tolist(), "decisions": n_decisions}
+    fields |= {
+        "label": processor.classes[int(mean.argmax())],
+        "probabilities": mean.tolist(),
+        "decisions": n_decisions,
+    }
     counts = {
         "events": processor.counts.received,
         "late": processor.counts.dropped_late,
@@ -76,7 +90,8 @@ def evaluate_recording(task: Task) -> Record:
 
 
 def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> None:
-    """Refuse a record that `evaluate_recording` cannot have made with a model of these classes and configuration.
+    """Refuse a record that `evaluate_recording` cannot have made with a model of these classes and
+    configuration.
 
     Raises
     ------
@@ -89,7 +104,9 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
         raise ValueError(f"`window_start_us` must be a list of one time or more, got {short(rows)}")
     for name in ("label", "class"):
         if record[name] not in classes:
-            raise ValueError(f"`{name}` must be one of the model's classes, got {short(record[name])}")
+            raise ValueError(
+                f"`{name}` must be one of the model's classes, got {short(record[name])}"
+            )
     for name in ("decisions", "events", "late", "off_sensor"):
         _check_numbers(name, [record[name]], (1,), int, (0, MAX_TIME_US))
     _check_numbers("probabilities", record["probabilities"], (n_classes,), float, (0, 1))
@@ -104,18 +121,26 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
         _check_numbers(name, record[name], (n_windows, n), kind, limits)
 
 
-def _check_numbers(name: str, values: Any, shape: tuple[int, ...], kind: type, limits: tuple[int, int]) -> None:
-    """Refuse anything but nested lists of this shape of numbers of this kind within `limits`, both included."""
+def _check_numbers(
+    name: str, values: Any, shape: tuple[int, ...], kind: type, limits: tuple[int, int]
+) -> None:
+    """Refuse anything but nested lists of this shape of numbers of this kind within `limits`, both
+    included."""
     flat = [values]
     for n in shape:
         if not all(type(some) is list and len(some) == n for some in flat):
-            raise ValueError(f"`{name}` must hold {' x '.join(map(str, shape))} numbers, got {short(values)}")
+            raise ValueError(
+                f"`{name}` must hold {' x '.join(map(str, shape))} numbers, got {short(values)}"
+            )
         flat = [value for some in flat for value in some]
     low, high = limits
     allowed = (int, float) if kind is float else (int,)
     for value in flat:
         if type(value) not in allowed or not low <= value <= high:
-            raise ValueError(f"`{name}` must be numbers of type {kind.__name__} in [{low}, {high}], got {short(value)}")
+            raise ValueError(
+                f"`{name}` must be numbers of type {kind.__name__} in [{low}, {high}], got "
+                f"{short(value)}"
+            )
 
 
 def failed(task: Task, error: str) -> Record:
@@ -125,7 +150,10 @@ def failed(task: Task, error: str) -> Record:
 
 def lost(task: Task) -> Record:
     """The record of a recording that ended its worker."""
-    return failed(task, f"{task.recording}: its worker ended: killed, out of memory, or crashed by the recording")
+    return failed(
+        task,
+        f"{task.recording}: its worker ended: killed, out of memory, or crashed by the recording",
+    )
 
 
 def _record(task: Task, fields: Record, error: str | None) -> Record:
@@ -134,28 +162,33 @@ def _record(task: Task, fields: Record, error: str | None) -> Record:
     return record | fields | {"error": error} | about_file
 
 
-_kept = threading.local()  # a Processor has one stream; workers of a cluster may have several threads
+# a Processor has one stream; workers of a cluster may have several threads
+_kept = threading.local()
 
 
 def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
-    """The Processor of a job, reset, and its selector of pixels: the same for all recordings of a thread.
+    """The Processor of a job, reset, and its selector of pixels: the same for all recordings of a
+    thread.
 
     It decides as often as `early.every_us` says. The selector is not reset: its counts go on.
 
     Raises
     ------
-    ValueError : the model or this package are not those that the job was made for, or its pixels do not fit the model.
+    ValueError : the model or this package are not those that the job was made for, or its pixels do
+        not fit the model.
     """
     kept: tuple[Job, Processor, PixelSelector] | None = getattr(_kept, "of_job", None)
     if kept is None or kept[0] != job:
         if job.version != __version__:
             raise ValueError(
-                f"a worker has async_tnt {__version__}, but this program is {job.version}: install the same"
+                f"a worker has async_tnt {__version__}, but this program is {job.version}: install "
+                "the same"
             )
         model = load_model(job.model)
         if sha256_of(model) != job.model_sha256:
             raise ValueError(
-                f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"
+                f"{job.model}: not the model that the job was made for; it has changed, or a "
+                "worker reads another file"
             )
         processor = Processor(model, every_us=every_us(model.config))
         kept = _kept.of_job = job, processor, PixelSelector(job.pixels, model.config.sensor)
@@ -164,13 +197,15 @@ def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
     return processor, pixels
 
 
-def _decisions(packets: Iterable[Any], processor: Processor, pixels: PixelSelector) -> Iterator[Decision]:
+def _decisions(
+    packets: Iterable[Any], processor: Processor, pixels: PixelSelector
+) -> Iterator[Decision]:
     """All decisions of one recording's packets, as they are made.
 
     Raises
     ------
-    ValueError, TypeError, OSError : the recording is damaged, anywhere, or in a part's case before its end; of another
-        sensor; or without events.
+    ValueError, TypeError, OSError : the recording is damaged, anywhere, or in a part's case before
+        its end; of another sensor; or without events.
     """
     for packet in packets:
         yield from processor.push(packet)

@@ -1,8 +1,9 @@
-"""Collect the records of many recordings in a result file: a line of JSON per recording, in order of their names.
+"""Collect the records of many recordings in a result file: a line of JSON per recording, in order
+of their names.
 
-Until it is complete, it is its own journal: records are appended in the order they are done, by one process, which
-holds a lock on the file. A killed process leaves at most half a line, which the next one cuts off. When all recordings
-are done, their sorted lines replace the file.
+Until it is complete, it is its own journal: records are appended in the order they are done, by one
+process, which holds a lock on the file. A killed process leaves at most half a line, which the next
+one cuts off. When all recordings are done, their sorted lines replace the file.
 """
 
 from __future__ import annotations
@@ -36,22 +37,25 @@ def collect(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[str], object] = lambda line: None,
 ) -> list[Record]:
-    """Do what is not done yet, write the result file, and return its records in order of the recordings' names.
+    """Do what is not done yet, write the result file, and return its records in order of the
+    recordings' names.
 
-    A recording is done again if its record has an error, or if its size, time of change or class differs.
+    A recording is done again if its record has an error, or if its size, time of change or class
+    differs.
 
     Parameters
     ----------
     tasks : at least one, all of one job, no two of one recording.
     restart : True discards the results of an earlier run.
-    check : raises a ValueError for a record without an error that cannot be one of these tasks, such as `check_record`.
+    check : raises a ValueError for a record without an error that cannot be one of these tasks,
+        such as `check_record`.
     progress : makes the progress bar, which counts recordings.
     report : called with a line on what is kept of an earlier run, and what is left out.
 
     Raises
     ------
-    ValueError : this program has not written the file, or with other settings; it is damaged; or it holds only other
-        recordings.
+    ValueError : this program has not written the file, or with other settings; it is damaged; or it
+        holds only other recordings.
     OSError : another program is writing it, or it cannot be written.
     KeyboardInterrupt : with how many are done.
     """
@@ -65,15 +69,24 @@ def collect(
                 check(record)
             except ValueError as error:
                 raise ValueError(
-                    f"{out} is damaged: the record of {short(name)}: {one_line(error)}; restore the file, name another "
+                    f"{out} is damaged: the record of {short(name)}: {one_line(error)}; restore "
+                    "the file, name another "
                     "one, or discard it by a restart"
                 ) from None
-        of_file = {name: (good[name]["bytes"], good[name]["modified_ns"], good[name]["class"]) for name in good}
-        to_do = [task for task in tasks if of_file.get(task.recording) != (task.bytes, task.modified_ns, task.label)]
+        of_file = {
+            name: (good[name]["bytes"], good[name]["modified_ns"], good[name]["class"])
+            for name in good
+        }
+        to_do = [
+            task
+            for task in tasks
+            if of_file.get(task.recording) != (task.bytes, task.modified_ns, task.label)
+        ]
         n_gone = len(file.records.keys() - wanted.keys())
         if good and len(to_do) == len(wanted):
             raise ValueError(
-                f"{out} holds results ({len(good):,}), but none of a recording as it is here: of another folder? "
+                f"{out} holds results ({len(good):,}), but none of a recording as it is here: of "
+                "another folder? "
                 "Name another file, or discard it by a restart"
             )
         n_all, n_kept = len(wanted), len(wanted) - len(to_do)
@@ -110,7 +123,8 @@ class ResultFile:
 
     Raises
     ------
-    ValueError : the file there was not written by this program, or with other settings; or it is damaged.
+    ValueError : the file there was not written by this program, or with other settings; or it is
+        damaged.
     OSError : another program is writing it, or it cannot be written.
     """
 
@@ -118,7 +132,9 @@ class ResultFile:
         self.records: dict[str, Record] = {}
         self._out, self._job, self._is_new = out, job, not out.exists()
         self._names: list[str] = []  # of all lines
-        self._file = open_locked(out, f"{out}: another program is writing it; wait for that one, or name another file")
+        self._file = open_locked(
+            out, f"{out}: another program is writing it; wait for that one, or name another file"
+        )
         self._restarts = restart
         try:
             self._load()
@@ -137,7 +153,8 @@ class ResultFile:
         self._add(record)
 
     def finish(self, names: Collection[str]) -> None:
-        """Let it hold the records of these recordings and no others, in order; it is not written if it does."""
+        """Let it hold the records of these recordings and no others, in order; it is not written if
+        it does."""
         if self._names == sorted(names):
             return
         with replacing(self._out) as part:
@@ -166,7 +183,8 @@ class ResultFile:
         self._file.seek(0)
         while line := self._file.readline():
             if not line.endswith(b"\n"):
-                self._file.truncate(self._file.tell() - len(line))  # half a line, which a killed process has left
+                # half a line, which a killed process has left
+                self._file.truncate(self._file.tell() - len(line))
                 return
             self._add(_record_of(line, self._job, self._out))
 
@@ -184,11 +202,16 @@ def _record_of(line: bytes, job: Job, out: Path) -> Record:
         record = parse_json(line)
     except ValueError:
         record = None
-    if not isinstance(record, dict) or record.keys() != set(FIELDS) or not isinstance(record["recording"], str):
+    if (
+        not isinstance(record, dict)
+        or record.keys() != set(FIELDS)
+        or not isinstance(record["recording"], str)
+    ):
         raise ValueError(f"{_not_ours(out)}, or damaged")
     if record["settings"] != job.id:
         raise ValueError(
-            f"{out} was made with another model, version or selection of pixels, settings {short(record['settings'])} "
+            f"{out} was made with another model, version or selection of pixels, settings "
+            f"{short(record['settings'])} "
             f"(now {job.id}): give the same again, name another file, or discard it by a restart"
         )
     return record

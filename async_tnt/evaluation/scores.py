@@ -1,4 +1,5 @@
-"""How many windows and recordings are classified right, and how far probabilities can be believed."""
+"""How many windows and recordings are classified right, and how far probabilities can be
+believed."""
 
 from __future__ import annotations
 
@@ -11,21 +12,24 @@ N_BINS = 10
 """Of probability, for the calibration."""
 
 
-def scores_of(classes: Sequence[str], confusion: np.ndarray, window_confusion: np.ndarray) -> dict[str, Any]:
+def scores_of(
+    classes: Sequence[str], confusion: np.ndarray, window_confusion: np.ndarray
+) -> dict[str, Any]:
     """What is read from confusion matrices, as plain values for JSON.
 
     Parameters
     ----------
     classes : K names.
-    confusion : int64, shape (K, K), recordings by true class (row) and decided class (column). A recording is decided
-        by the mean of its windows' probabilities.
+    confusion : int64, shape (K, K), recordings by true class (row) and decided class (column). A
+        recording is decided by the mean of its windows' probabilities.
     window_confusion : the same of windows, each by itself.
 
     Returns
     -------
     accuracy, window_accuracy : shares of recordings, and of windows, decided right.
     per_class : class name -> share of its recordings decided right; None where it has none.
-    balanced_accuracy : mean of `per_class`: a model that always answers the most frequent class scores low.
+    balanced_accuracy : mean of `per_class`: a model that always answers the most frequent class
+        scores low.
     recordings, windows : how many. And what was given.
     """
     per_class = {
@@ -35,7 +39,9 @@ def scores_of(classes: Sequence[str], confusion: np.ndarray, window_confusion: n
     return {
         "accuracy": share_right(confusion),
         "window_accuracy": share_right(window_confusion),
-        "balanced_accuracy": float(np.mean([share for share in per_class.values() if share is not None])),
+        "balanced_accuracy": float(
+            np.mean([share for share in per_class.values() if share is not None])
+        ),
         "recordings": int(confusion.sum()),
         "windows": int(window_confusion.sum()),
         "classes": list(classes),
@@ -76,7 +82,9 @@ def share_right(confusion: np.ndarray) -> float:
     return float(np.trace(confusion) / confusion.sum())
 
 
-def calibration_of(probability: np.ndarray, right: np.ndarray) -> tuple[list[dict[str, Any]], float]:
+def calibration_of(
+    probability: np.ndarray, right: np.ndarray
+) -> tuple[list[dict[str, Any]], float]:
     """Decisions in `N_BINS` of probability, without empty ones, and the expected calibration error.
 
     Parameters

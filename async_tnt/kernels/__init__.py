@@ -1,1 +1,2 @@
-"""Compiled kernels: arrays in, arrays out. They import nothing of the package outside this folder."""
+"""Compiled kernels: arrays in, arrays out. They import nothing of the package outside this
+folder."""

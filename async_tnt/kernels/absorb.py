@@ -4,19 +4,26 @@ A packet is processed in blocks, each in four passes over arrays that stay in th
 
     count  ->  displacement from the landmark  ->  place in the volume  ->  splat
 
-The second and third run in vector registers. One event takes the same steps in scalars. Both call the same
-formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no contraction), so how a
-stream is cut cannot matter.
+The second and third run in vector registers. One event takes the same steps in scalars. Both call
+the same formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no
+contraction), so how a stream is cut cannot matter.
 
-Where the landmark or the duration is known only when the volume is read, events are stored, and replayed
-at that time.
+Where the landmark or the duration is known only when the volume is read, events are stored, and
+replayed at that time.
 """
 
 import numpy as np
 
 from . import state as S
 from .jit import compiled, inlined
-from .landmark import block_of, displace, displace_fixed, displace_line, displace_raw, displace_running
+from .landmark import (
+    block_of,
+    displace,
+    displace_fixed,
+    displace_line,
+    displace_raw,
+    displace_running,
+)
 from .lock import LARGE, release_gil, take_gil
 from .records import MAX_TIME_US
 from .splat import add_event, combine_time, grid_of, place_event
@@ -32,8 +39,9 @@ def absorb(buffer, t, x, y, p, first, last):
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
-    t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not checked here. Another
-        thread may change them meanwhile: no number that was tested is read a second time to find a cell.
+    t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not
+        checked here. Another thread may change them meanwhile: no number that was tested is read a
+        second time to find a cell.
 
     Returns
     -------
@@ -61,7 +69,9 @@ def absorb(buffer, t, x, y, p, first, last):
                 if time >= ints[S.LIMIT_US]:
                     last = first
                     break
-                _absorb_event(buffer, ints, time, np.int64(x[first]), np.int64(y[first]), np.int64(p[first]))
+                _absorb_event(
+                    buffer, ints, time, np.int64(x[first]), np.int64(y[first]), np.int64(p[first])
+                )
                 first += 1
     take_gil(lock)
     return first
@@ -69,8 +79,8 @@ def absorb(buffer, t, x, y, p, first, last):
 
 @compiled
 def absorb_one(buffer, t, x, y, p):
-    """Check and add one event: ABSORBED; LATE, counted alone; AT_LIMIT or REFUSED (it breaks a rule), with nothing
-    changed."""
+    """Check and add one event: ABSORBED; LATE, counted alone; AT_LIMIT or REFUSED (it breaks a
+    rule), with nothing changed."""
     ints = buffer.view(np.int64)
     if (t < 0) | (t >= MAX_TIME_US) | (p < -1) | (p > 1):
         return REFUSED
@@ -83,13 +93,15 @@ def absorb_one(buffer, t, x, y, p):
 
 @compiled
 def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_most):
-    """`absorb` for a volume that can be made only when it is read: count, sum, and store the events.
+    """`absorb` for a volume that can be made only when it is read: count, sum, and store the
+    events.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place, except for its cells.
     t, x, y, p, first, last : as for `absorb`.
-    stored_t, stored_x, stored_y, stored_p : columns, with room for them. Updated in place, behind the window's events.
+    stored_t, stored_x, stored_y, stored_p : columns, with room for them. Updated in place, behind
+        the window's events.
     n_most : int. Events that the window holds at most.
 
     Returns
@@ -138,7 +150,9 @@ def _absorb_event(buffer, ints, t, x, y, p):
             buffer, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
         )
     grid = grid_of(buffer, ints)
-    corner, y_frac, x_frac, lower, upper, keep = place_event(grid, np.float64(dt), p > 0, num_x, num_y, den)
+    corner, y_frac, x_frac, lower, upper, keep = place_event(
+        grid, np.float64(dt), p > 0, num_x, num_y, den
+    )
     ints[S.KEPT] += keep
     ints[S.TAU_ZERO] += den == 0.0
     _note_changed_bins(ints, grid, dt, dt)
@@ -164,13 +178,15 @@ def _count_event(ints, t, x, y):
 
 @inlined
 def _count_late(ints, t):
-    """Count an event before the open window: as DECIDED if all windows from its own on were closed early."""
+    """Count an event before the open window: as DECIDED if all windows from its own on were closed
+    early."""
     ints[S.DECIDED if t >= ints[S.DECIDED_FROM_US] else S.LATE] += 1
 
 
 @compiled
 def _load_times(buffer, t, start_us, m):
-    """The times of a block since the window's start into DT. Returns the oldest and the newest of them."""
+    """The times of a block since the window's start into DT. Returns the oldest and the newest of
+    them."""
     dts = block_of(buffer, S.DT)
     oldest_us = t[0]
     newest_us = oldest_us
@@ -198,14 +214,19 @@ def _count_block(buffer, ints, t, m, oldest_us, newest_us):
 @compiled
 def _place(buffer, ints, p, m):
     """Each event's place and weights (see `splat`) into CORNER, Y_FRAC, X_FRAC, LOWER, UPPER."""
-    num_x, num_y, den = block_of(buffer, S.NUM_X), block_of(buffer, S.NUM_Y), block_of(buffer, S.DEN)
+    num_x, num_y, den = (
+        block_of(buffer, S.NUM_X),
+        block_of(buffer, S.NUM_Y),
+        block_of(buffer, S.DEN),
+    )
     y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
     lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
     corners = block_of(ints, S.CORNER)
     grid = grid_of(buffer, ints)
     n_kept = 0
     for i in range(m):
-        dt = lowers[i]  # DT, by the name under which it is overwritten: a second slice would prevent vectorization
+        # DT, by the name under which it is overwritten: a second slice would prevent vectorization
+        dt = lowers[i]
         corners[i], y_fracs[i], x_fracs[i], lowers[i], uppers[i], keep = place_event(
             grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
         )
@@ -229,7 +250,9 @@ def _splat(buffer, ints, m):
     lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
     row, second = np.uint64(ints[S.ROW]), np.uint64(ints[S.SECOND])
     for i in range(m):
-        add_event(buffer, np.uint64(corners[i]), row, second, y_fracs[i], x_fracs[i], lowers[i], uppers[i])
+        add_event(
+            buffer, np.uint64(corners[i]), row, second, y_fracs[i], x_fracs[i], lowers[i], uppers[i]
+        )
 
 
 @compiled

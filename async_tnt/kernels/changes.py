@@ -1,8 +1,8 @@
 """Which places of a map have changed, a bit each, and which places of another map depend on them.
 
-For places, maps and programs see `program`. A row of places is a row of whole uint64 words, so that 64 places are
-looked at together. A program's record of a map's changes has four slots: where in `bits` they lie, the first and the
-last row that may have any, the words in a row.
+For places, maps and programs see `program`. A row of places is a row of whole uint64 words, so that
+64 places are looked at together. A program's record of a map's changes has four slots: where in
+`bits` they lie, the first and the last row that may have any, the words in a row.
 """
 
 import numpy as np
@@ -73,13 +73,13 @@ def note_changes(bits, row, column, changed):
 
 @inlined
 def seen_from(bits, row, word, n_taps, stride, padding, dilation):
-    """Of the 64 columns of a word, those that depend on a changed one: on x stride - padding + j dilation for a
-    tap j < n_taps.
+    """Of the 64 columns of a word, those that depend on a changed one: on x stride - padding + j
+    dilation for a tap j < n_taps.
 
     Parameters
     ----------
-    bits, row : where in `bits` the row that is seen lies, in a frame of zeros as wide as a tap can see, and a word
-        more.
+    bits, row : where in `bits` the row that is seen lies, in a frame of zeros as wide as a tap can
+        see, and a word more.
 
     Returns
     -------
@@ -102,7 +102,9 @@ def seen_from(bits, row, word, n_taps, stride, padding, dilation):
             seen |= _even_bits(changed) << np.uint64(32 * part)
         else:
             for bit in range(-64 * part % stride, 64, stride):
-                seen |= (changed >> np.uint64(bit) & np.uint64(1)) << np.uint64((64 * part + bit) // stride)
+                seen |= (changed >> np.uint64(bit) & np.uint64(1)) << np.uint64(
+                    (64 * part + bit) // stride
+                )
     return seen
 
 
@@ -147,7 +149,8 @@ def _even_bits(word):
 
 @inlined
 def list_places(seen, n_columns, row, word, places, end):
-    """Append to a list, row << 16 | column, the places of a word of a row whose bits are set in `seen`.
+    """Append to a list, row << 16 | column, the places of a word of a row whose bits are set in
+    `seen`.
 
     Parameters
     ----------

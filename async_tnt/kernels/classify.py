@@ -18,7 +18,8 @@ DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, c
 
 @compiled
 def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
-    """Logits and probabilities of a volume's `state`; only what has changed since the last call is computed.
+    """Logits and probabilities of a volume's `state`; only what has changed since the last call is
+    computed.
 
     Returns
     -------
@@ -40,7 +41,21 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
 
 @compiled_without_gil
 def absorb_and_decide(
-    buffer, t, x, y, p, first, last, trigger, program, weights, maps, places, logits, probabilities, notes
+    buffer,
+    t,
+    x,
+    y,
+    p,
+    first,
+    last,
+    trigger,
+    program,
+    weights,
+    maps,
+    places,
+    logits,
+    probabilities,
+    notes,
 ):
     """Absorb events of the only open window, and decide where a trigger makes a decision due.
 
@@ -50,15 +65,16 @@ def absorb_and_decide(
     t, x, y, p, first, last : as for `absorb`.
     trigger : float64, see `trigger`. Updated in place.
     program, weights, maps, places : the classifier's, see `program`. Updated in place.
-    logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, DECISION_FIELDS). Overwritten, one
-        row per decision.
+    logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, DECISION_FIELDS).
+        Overwritten, one row per decision.
 
     Returns
     -------
     first : int. The first event not absorbed.
     n : int. Decisions.
-    end : DONE, up to `last` or to the window's end; FULL: no room for more decisions; CLOSE: the last decision
-        reached the confidence level; NOT_FINITE: the logits in row n are not all finite.
+    end : DONE, up to `last` or to the window's end; FULL: no room for more decisions; CLOSE: the
+        last decision reached the confidence level; NOT_FINITE: the logits in row n are not all
+        finite.
     """
     n, end = 0, DONE
     ints, times = buffer.view(np.int64), trigger.view(np.int64)
@@ -79,7 +95,9 @@ def absorb_and_decide(
             first = absorb(buffer, t, x, y, p, first, stop)
             why = T.why_due(trigger, n_before, ints[S.N])
         if why != T.NOT_DUE:
-            best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n])
+            best = classify_cells(
+                buffer, program, weights, maps, places, logits[n], probabilities[n]
+            )
             if best < 0:
                 end = NOT_FINITE
                 break

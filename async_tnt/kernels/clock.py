@@ -1,4 +1,5 @@
-"""Repair the times of a stream of packets. The rule, with an example, is in `async_tnt.sources.clock`."""
+"""Repair the times of a stream of packets. The rule, with an example, is in
+`async_tnt.sources.clock`."""
 
 import numpy as np
 from numba import int64, uint8
@@ -6,19 +7,24 @@ from numba import int64, uint8
 from .jit import compiled
 from .records import MAX_TIME_US, load, store
 
-NEWEST, NEWEST_ARRIVAL, OFFSET, CANDIDATE, CANDIDATE_ARRIVAL, VOTES, JUMPED, LATE, RESTARTS = range(9)
+NEWEST, NEWEST_ARRIVAL, OFFSET, CANDIDATE, CANDIDATE_ARRIVAL, VOTES, JUMPED, LATE, RESTARTS = range(
+    9
+)
 INITIAL = (-1, 0, 0, 0, 0, 0, 0, 0, 0)
 AGREEING_PACKETS = 8
 BACK_US = 1_000_000  # further back, a time is a jump rather than out of order
-REORDERED_US = 20_000  # the same after a pause, to tell a restarted sender from a network that reorders
-LATEST_START_US = 4_102_444_800_000_000  # the year 2100 on a clock that counts from 1970: a stream starts before that
+# the same after a pause, to tell a restarted sender from a network that reorders
+REORDERED_US = 20_000
+# the year 2100 on a clock that counts from 1970: a stream starts before that
+LATEST_START_US = 4_102_444_800_000_000
 NO_LIMIT = -1
 ARGUMENTS = (uint8[::1], int64, int64, int64, int64, int64, int64, int64[::1])
 
 
 @compiled
 def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):  # noqa: C901 (one loop: a call for each element would cost more than its work)
-    """Drop the events of one packet whose time jumps, and shift the others' times by the clock's offset.
+    """Drop the events of one packet whose time jumps, and shift the others' times by the clock's
+    offset.
 
     Parameters
     ----------
@@ -27,8 +33,8 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):  #
     time_at : int. Offset of the time, int64 or uint64, within a record.
     arrival : int. Microseconds on the receiver's clock.
     max_jump : int. Microseconds, or NO_LIMIT: every time is accepted.
-    clock : int64, shape (9,). The state between packets; updated in place. Its times are the sender's, without the
-        offset.
+    clock : int64, shape (9,). The state between packets; updated in place. Its times are the
+        sender's, without the offset.
 
     Returns
     -------

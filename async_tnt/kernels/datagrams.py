@@ -1,4 +1,5 @@
-"""Bytes of datagrams to events: one pass that takes apart, checks and unwraps, and `clock.repair_times`."""
+"""Bytes of datagrams to events: one pass that takes apart, checks and unwraps, and
+`clock.repair_times`."""
 
 import numpy as np
 from numba import int64, uint8
@@ -9,15 +10,26 @@ from .records import RAW_TYPE, load, store
 
 T64, T32, SPIF, SPIF_T32 = range(4)
 RECORD_BYTES = 13  # of EVENT_DTYPE
-ARGUMENTS = (RAW_TYPE, int64, int64[::1], int64[::1], int64, int64, int64, int64, int64[::1], uint8[::1])
+ARGUMENTS = (
+    RAW_TYPE,
+    int64,
+    int64[::1],
+    int64[::1],
+    int64,
+    int64,
+    int64,
+    int64,
+    int64[::1],
+    uint8[::1],
+)
 
 
 @compiled
 def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_jump, clock, out):
     """The good events of some datagrams, in order.
 
-    Times of 32 bits: t = newest + the signed 32-bit difference of `time` and the low half of newest; the first one as
-    it is.
+    Times of 32 bits: t = newest + the signed 32-bit difference of `time` and the low half of
+    newest; the first one as it is.
 
     Parameters
     ----------
@@ -27,7 +39,8 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     arrivals : int64, as `ends`. When each came, microseconds on any clock.
     width, height : events at x >= width or y >= height are off the sensor.
     max_jump, clock : as for `repair_times`. `clock` is updated in place.
-    out : uint8, shape (at least 13 * ends[n_datagrams - 1],). Records of `EVENT_DTYPE`; updated in place.
+    out : uint8, shape (at least 13 * ends[n_datagrams - 1],). Records of `EVENT_DTYPE`; updated in
+        place.
 
     Returns
     -------
@@ -43,7 +56,10 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
             good = True
             if format == T64:
                 t = load(raw, at, np.int64)
-                x, y = np.int64(load(raw, at + 8, np.uint16)), np.int64(load(raw, at + 10, np.uint16))
+                x, y = (
+                    np.int64(load(raw, at + 8, np.uint16)),
+                    np.int64(load(raw, at + 10, np.uint16)),
+                )
                 p = np.int64(load(raw, at + 12, np.uint8))
                 good = p <= 1
             else:

@@ -1,7 +1,7 @@
 """What a network computes of an empty window: kept, and restored where a window has changed it.
 
-A new window begins with it, so it costs a copy of what the last one changed, and is computed only where its own events
-reach. The copies lie `EMPTY` numbers behind the maps, see `program`.
+A new window begins with it, so it costs a copy of what the last one changed, and is computed only
+where its own events reach. The copies lie `EMPTY` numbers behind the maps, see `program`.
 """
 
 import numpy as np
@@ -22,7 +22,8 @@ def begin_window(epoch, program, weights, maps, places):
     Parameters
     ----------
     epoch : int. The number of the window that is to be shown, see `state`.
-    program, weights, maps, places : the network's, see `program`. All but the weights are updated in place.
+    program, weights, maps, places : the network's, see `program`. All but the weights are updated
+        in place.
     """
     if program[P.EPOCH] == epoch:
         return
@@ -82,7 +83,11 @@ def _restore(program, at, maps, bits):
     """The empty window's numbers in all places of a step that may have others."""
     touched, changed = at + P.TOUCHED, at + P.CHANGED
     forget_changes(program, changed, bits)
-    first, last, words = program[touched + FIRST_ROW], program[touched + LAST_ROW], program[touched + WORDS]
+    first, last, words = (
+        program[touched + FIRST_ROW],
+        program[touched + LAST_ROW],
+        program[touched + WORDS],
+    )
     n_numbers = program[at + P.GROUPS] * program[at + P.OUT_CHANNELS]
     for y in range(first, last + 1):
         for word in range(words):

@@ -1,4 +1,5 @@
-"""The kernels that a stream calls from Python, with the types of their arguments: what can be compiled ahead."""
+"""The kernels that a stream calls from Python, with the types of their arguments: what can be
+compiled ahead."""
 
 from typing import Any
 
@@ -45,7 +46,10 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (locate_on_map, (float32[::1], *_OBJECTS, *_TRACKS)),
         (locate_cells, (_STATE, *_NETWORK, *_OBJECTS, *_TRACKS)),
         (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
-        (absorb_and_decide, (_STATE, *COLUMN_TYPES, int64, int64, _TRIGGER, *_NETWORK, *_DECISIONS)),
+        (
+            absorb_and_decide,
+            (_STATE, *COLUMN_TYPES, int64, int64, _TRIGGER, *_NETWORK, *_DECISIONS),
+        ),
     )
 }
 """Name -> (kernel, types of its arguments). What is built of others comes after them."""
@@ -54,4 +58,5 @@ PARTS = (
     (sync_input, (_STATE, int64[::1], float32[::1], uint32[::1])),
 )
 MAP_PARTS = ((list_objects, (float32[::1], *_OBJECTS, *_TRACKS)),)
-"""Of `classify_cells` and `locate_cells`, and of the latter alone: may be compiled elsewhere before they need them."""
+"""Of `classify_cells` and `locate_cells`, and of the latter alone: may be compiled elsewhere before
+they need them."""

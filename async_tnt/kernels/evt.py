@@ -1,10 +1,11 @@
 """Prophesee's EVT words to columns of events.
 
-Each kernel reads words from place `start` on for as long as there is room for all events of one more word, and
-returns (events written, words read). What later words depend on is in `state`; `INITIAL` is a file's start. Events
-before the first word with a time (in EVT3 also with their row), as at the start of a part cut from a longer file, have
-no known time or place: they are counted and skipped. A damaged vector of events may reach beyond the 2,048 columns that
-the formats can say, and so beyond every sensor.
+Each kernel reads words from place `start` on for as long as there is room for all events of one
+more word, and returns (events written, words read). What later words depend on is in `state`;
+`INITIAL` is a file's start. Events before the first word with a time (in EVT3 also with their row),
+as at the start of a part cut from a longer file, have no known time or place: they are counted and
+skipped. A damaged vector of events may reach beyond the 2,048 columns that the formats can say, and
+so beyond every sensor.
 
 References
 ----------
@@ -22,10 +23,11 @@ LAST_COLUMN = (1 << 16) - 1  # what a column of uint16 holds
 
 @compiled
 def next_time(time, raw, period):
-    """The unwrapped time of a clock with this period that shows `raw`: the one nearest to the time before.
+    """The unwrapped time of a clock with this period that shows `raw`: the one nearest to the time
+    before.
 
-    A step of up to half a period back is disorder or a flipped bit, and does not shift later times. A larger one is
-    a wrap. No time is negative: there was a long gap instead.
+    A step of up to half a period back is disorder or a flipped bit, and does not shift later times.
+    A larger one is a wrap. No time is negative: there was a long gap instead.
 
     Parameters
     ----------
@@ -72,7 +74,8 @@ def decode_evt2(words, start, state, t, x, y, p):
 
 @compiled
 def decode_evt21(words, start, state, t, x, y, p):
-    """Pairs of 32-bit words, upper half first: as EVT2's word, x in steps of 32; then a mask of 32 pixels."""
+    """Pairs of 32-bit words, upper half first: as EVT2's word, x in steps of 32; then a mask of 32
+    pixels."""
     n = 0
     i = start
     while i + 1 < words.size and n + 32 <= t.size:
@@ -96,7 +99,8 @@ def decode_evt21(words, start, state, t, x, y, p):
 
 @compiled
 def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901 (one loop: a call for each element would cost more than its work)
-    """16-bit words: type (4 bits) and what changed (12): the row, half of the time, one pixel, or a vector."""
+    """16-bit words: type (4 bits) and what changed (12): the row, half of the time, one pixel, or a
+    vector."""
     n = 0
     i = start
     while i < words.size and n + 12 <= t.size:

@@ -1,8 +1,8 @@
 """A network, step by step, where it is out of date.
 
-Each step lists the places that a change reaches, computes them, and notes, for the steps that read them, those whose
-bits differ. With everything out of date this is the plain forward pass. There is no second implementation
-of it, so an update and a whole pass cannot differ in a bit.
+Each step lists the places that a change reaches, computes them, and notes, for the steps that read
+them, those whose bits differ. With everything out of date this is the plain forward pass. There is
+no second implementation of it, so an update and a whole pass cannot differ in a bit.
 """
 
 import numpy as np
@@ -33,7 +33,8 @@ def forward(program, weights, maps, places):
 
     Parameters
     ----------
-    program, weights, maps, places : the network's, see `program`. All but the weights are updated in place.
+    program, weights, maps, places : the network's, see `program`. All but the weights are updated
+        in place.
     """
     bits = places.view(np.uint64)
     for step in range(program[P.N_STEPS]):
@@ -44,7 +45,9 @@ def forward(program, weights, maps, places):
         if n == 0:
             continue
         first, last = program[P.LIST], program[P.LIST] + n - 1
-        note_rows(program, at + P.CHANGED, np.int64(places[first]) >> 16, np.int64(places[last]) >> 16)
+        note_rows(
+            program, at + P.CHANGED, np.int64(places[first]) >> 16, np.int64(places[last]) >> 16
+        )
         if program[at + P.KIND] == P.MIX:
             mix(program, at, n, weights, maps, places, bits)
         elif program[at + P.KIND] == P.SPREAD:
@@ -61,7 +64,8 @@ def mix(program, at, n, weights, maps, places, bits):
     first_group, n_groups = program[at + P.WEIGHTS], program[at + P.GROUPS]
     channels, columns = program[at + P.OUT_CHANNELS], program[at + P.COLUMNS]
     n_products = program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]
-    places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]  # a tile may have one too many
+    # a tile may have one too many
+    places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]
     k = 0
     while k < n:
         listed = program[P.LIST] + k
@@ -79,7 +83,17 @@ def mix(program, at, n, weights, maps, places, bits):
                 output = program[at + P.OUT] + group * channels + f
                 n_filters = min(channels - f, 2 * LANES)
                 changed |= mix_tile(
-                    program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
+                    program,
+                    at,
+                    places,
+                    listed,
+                    n_places,
+                    maps,
+                    inputs,
+                    output,
+                    weights,
+                    block,
+                    n_filters,
                 )
                 block += (n_products + 2) * (2 * LANES if n_filters > LANES else LANES) + LANES
         _note_tile(program, at, places, bits, listed, min(n_places, n - k), changed)
@@ -116,9 +130,13 @@ def _spread(program, at, n, words_of_maps, places, bits):
         place = np.int64(places[np.uint64(listed)])
         row, column = place >> 16, place & 0xFFFF
         y, x = _quotient(row, block), _quotient(column, block)
-        source = program[program[at + P.RUNS]] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+        source = (
+            program[program[at + P.RUNS]] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+        )
         source += (row - y * block) * block + column - x * block
-        target = program[at + P.OUT] + row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
+        target = (
+            program[at + P.OUT] + row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
+        )
         changed = np.uint32(0)
         for c in range(channels):
             number = words_of_maps[np.uint64(source + c * block * block)]
@@ -132,7 +150,10 @@ def _spread(program, at, n, words_of_maps, places, bits):
 def _note_tile(program, at, places, bits, listed, n_places, changed):
     """Note which places of a tile have changed, a bit of `changed` each."""
     changed = np.uint64(changed)
-    first, last = np.int64(places[np.uint64(listed)]), np.int64(places[np.uint64(listed + n_places - 1)])
+    first, last = (
+        np.int64(places[np.uint64(listed)]),
+        np.int64(places[np.uint64(listed + n_places - 1)]),
+    )
     base, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
     if last - first == n_places - 1:  # side by side
         changed &= EVERY_BIT >> np.uint64(64 - n_places)
@@ -140,14 +161,20 @@ def _note_tile(program, at, places, bits, listed, n_places, changed):
     else:
         for p in range(n_places):
             place = np.int64(places[np.uint64(listed + p)])
-            note_changes(bits, base + (place >> 16) * words, place & 0xFFFF, changed >> np.uint64(p) & np.uint64(1))
+            note_changes(
+                bits,
+                base + (place >> 16) * words,
+                place & 0xFFFF,
+                changed >> np.uint64(p) & np.uint64(1),
+            )
 
 
 @compiled
 def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for each element would cost more than its work)
     """List the places of a step that a change of its sources reaches, row by row; returns how many.
 
-    They are those with y stride - padding + i dilation = y of the change for a tap i, and with the same in x.
+    They are those with y stride - padding + i dilation = y of the change for a tap i, and with the
+    same in x.
     """
     if program[P.STALE] != 0:
         return _list_all(program, at, places)
@@ -156,7 +183,10 @@ def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for 
     first_source, n_sources = program[at + P.SOURCES], program[at + P.N_SOURCES]
     top, bottom, n_words = np.int64(MAX_ROW), np.int64(-1), np.int64(0)
     for s in range(first_source, first_source + n_sources):
-        top, bottom = min(top, program[program[s] + FIRST_ROW]), max(bottom, program[program[s] + LAST_ROW])
+        top, bottom = (
+            min(top, program[program[s] + FIRST_ROW]),
+            max(bottom, program[program[s] + LAST_ROW]),
+        )
         n_words = max(n_words, program[program[s] + WORDS])
     if bottom < 0:
         return 0
@@ -164,7 +194,9 @@ def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for 
     stride_y, stride_x = program[at + P.STRIDE_Y], program[at + P.STRIDE_X]
     padding_y, padding_x = program[at + P.PAD_Y], program[at + P.PAD_X]
     dilation_y, dilation_x = program[at + P.DILATION_Y], program[at + P.DILATION_X]
-    first_row = _quotient(max(0, top + padding_y - (kernel_y - 1) * dilation_y + stride_y - 1), stride_y)
+    first_row = _quotient(
+        max(0, top + padding_y - (kernel_y - 1) * dilation_y + stride_y - 1), stride_y
+    )
     last_row = min(program[at + P.ROWS] - 1, _quotient(bottom + padding_y, stride_y))
     columns, scratch, end = program[at + P.COLUMNS], program[P.SCRATCH], program[P.LIST]
     for word in range(n_words, program[P.SCRATCH_WORDS]):
@@ -175,7 +207,11 @@ def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for 
             changed = np.uint64(0)
             for s in range(first_source, first_source + n_sources):
                 record = program[s]
-                first, last, words = program[record + FIRST_ROW], program[record + LAST_ROW], program[record + WORDS]
+                first, last, words = (
+                    program[record + FIRST_ROW],
+                    program[record + LAST_ROW],
+                    program[record + WORDS],
+                )
                 if word < words:
                     for tap in range(kernel_y):
                         y = row * stride_y - padding_y + tap * dilation_y

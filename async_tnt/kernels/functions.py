@@ -1,8 +1,9 @@
-"""Functions of one number that networks apply to each value, in float32: logarithm, sigmoid, GELU and their like.
+"""Functions of one number that networks apply to each value, in float32: logarithm, sigmoid, GELU
+and their like.
 
-They are written here, of additions, products, divisions and comparisons alone, each of which IEEE 754 rounds in one
-way: a library's own differ in their last bits from one machine to the next. Errors are at most a few units in the last
-place, but for results below 1e-37, and for Phi.
+They are written here, of additions, products, divisions and comparisons alone, each of which IEEE
+754 rounds in one way: a library's own differ in their last bits from one machine to the next.
+Errors are at most a few units in the last place, but for results below 1e-37, and for Phi.
 
     exp       e^x = 2^n e^r, n = round(x / log 2), |r| <= log 2 / 2; e^r by its series up to r^7 / 7!
     log1p     1 + x = 2^k m, m in [sqrt 1/2, sqrt 2); log m = 2 artanh s, s = (m - 1) / (m + 1), by its series up to s^9
@@ -30,13 +31,15 @@ from numba.extending import intrinsic
 ROUND = 1.5 * 2**23
 """x + ROUND - ROUND is x rounded to a whole number, which the lowest bits of x + ROUND hold."""
 LOG2 = math.log(2)
-LOG2_HIGH = float(np.floor(LOG2 * 2**12) / 2**12)  # few enough bits for exact products with whole numbers
+# few enough bits for exact products with whole numbers
+LOG2_HIGH = float(np.floor(LOG2 * 2**12) / 2**12)
 LOG2_LOW = LOG2 - LOG2_HIGH
 GELU_TANH = 2 * math.sqrt(2 / math.pi)
 
 
 class Arithmetic:
-    """Builds instructions on a float32 or on a vector of them; numbers in Python become constants."""
+    """Builds instructions on a float32 or on a vector of them; numbers in Python become
+    constants."""
 
     def __init__(self, builder: ir.IRBuilder, kind: Any) -> None:
         self._builder, self._kind = builder, kind
@@ -79,7 +82,8 @@ class Arithmetic:
         return total
 
     def where(self, a: Any, relation: str, b: Any, then: Any, otherwise: Any) -> ir.Value:
-        """then if a < b else otherwise; the second where either is nan. Likewise with other relations."""
+        """then if a < b else otherwise; the second where either is nan. Likewise with other
+        relations."""
         holds = self._builder.fcmp_ordered(relation, *self._floats(a, b))
         return self._builder.select(holds, *self._floats(then, otherwise))
 
@@ -95,7 +99,9 @@ class Arithmetic:
 
     def on_bits(self, operation: str, a: Any, b: Any) -> ir.Value:
         """An operation of the builder on whole numbers of 32 bits."""
-        return getattr(self._builder, operation)(self._value(a, self._bits), self._value(b, self._bits))
+        return getattr(self._builder, operation)(
+            self._value(a, self._bits), self._value(b, self._bits)
+        )
 
     def to_float(self, bits: ir.Value) -> ir.Value:
         return self._builder.sitofp(bits, self._kind)
@@ -114,7 +120,8 @@ def _exp(a: Arithmetic, x: ir.Value) -> ir.Value:
 def _log1p(a: Arithmetic, x: ir.Value) -> ir.Value:
     """-inf at -1, nan below."""
     u = a.add(x, 1.0)
-    lost = a.where(x, ">", 1.0, a.sub(1.0, a.sub(u, x)), a.sub(x, a.sub(u, 1.0)))  # of 1 + x, by the rounding
+    # of 1 + x, by the rounding
+    lost = a.where(x, ">", 1.0, a.sub(1.0, a.sub(u, x)), a.sub(x, a.sub(u, 1.0)))
     bits = a.bits(u)
     k = a.on_bits("ashr", a.on_bits("sub", bits, 0x3F3504F3), 23)  # the bits of sqrt 1/2
     exponent = a.on_bits("shl", k, 23)
@@ -180,8 +187,11 @@ FUNCTIONS: dict[str, Callable[[Arithmetic, ir.Value], ir.Value]] = {
 """Name -> instructions. A program holds their places in this table."""
 
 
-def choose(builder: ir.IRBuilder, which: ir.Value, cases: Mapping[int, Callable[[], ir.Value]]) -> ir.Value:
-    """The value of the case of this number, one of `cases`, each of which builds its instructions."""
+def choose(
+    builder: ir.IRBuilder, which: ir.Value, cases: Mapping[int, Callable[[], ir.Value]]
+) -> ir.Value:
+    """The value of the case of this number, one of `cases`, each of which builds its
+    instructions."""
     blocks = [builder.append_basic_block() for _ in cases]
     done = builder.append_basic_block()
     switch = builder.switch(which, blocks[0])
@@ -201,7 +211,9 @@ def choose(builder: ir.IRBuilder, which: ir.Value, cases: Mapping[int, Callable[
 def applied(builder: ir.IRBuilder, which: ir.Value, x: ir.Value) -> ir.Value:
     """Function number `which` of x, a float32 or a vector of them."""
     arithmetic = Arithmetic(builder, x.type)
-    return choose(builder, which, {k: partial(of, arithmetic, x) for k, of in enumerate(FUNCTIONS.values())})
+    return choose(
+        builder, which, {k: partial(of, arithmetic, x) for k, of in enumerate(FUNCTIONS.values())}
+    )
 
 
 @intrinsic
@@ -211,4 +223,6 @@ def apply_function(typingctx: Any, which: types.Type, x: types.Type) -> Any:
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
         return applied(builder, *args)
 
-    return (types.float32(which, x), codegen) if (which, x) == (types.int64, types.float32) else None
+    return (
+        (types.float32(which, x), codegen) if (which, x) == (types.int64, types.float32) else None
+    )

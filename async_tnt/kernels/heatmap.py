@@ -10,10 +10,11 @@ from .jit import compiled
 
 @compiled
 def centroid(exponent, pitch, width, height):
-    """The expectation (x, y) under a softmax over the heatmap's places; nan if an exponent is inf or nan.
+    """The expectation (x, y) under a softmax over the heatmap's places; nan if an exponent is inf
+    or nan.
 
-    A common factor does not move the centroid: cells are relative to the largest, so exp cannot overflow.
-    Distances are taken from the middle: a uniform heatmap gives it exactly.
+    A common factor does not move the centroid: cells are relative to the largest, so exp cannot
+    overflow. Distances are taken from the middle: a uniform heatmap gives it exactly.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""How the kernels are compiled: strictly, and cached on disk where a folder for that is writable."""
+"""How the kernels are compiled: strictly, and cached on disk where a folder for that is
+writable."""
 
 from __future__ import annotations
 
@@ -15,13 +16,18 @@ from numba import config, njit
 from numba.core.compiler_lock import global_compiler_lock
 
 if getattr(config, "DISABLE_JIT", 0):
-    raise ImportError("async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset it")
+    raise ImportError(
+        "async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset "
+        "it"
+    )
 
-BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))  # NUMBA_BOUNDSCHECK=1: Numba tests every index
+# NUMBA_BOUNDSCHECK=1: Numba tests every index
+BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))
 
-# error_model="numpy": 1 / 0 is inf, as in the equations. Python's model would raise, and the test for it
-# keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not change a bit.
-# no_cfunc_wrapper: nobody calls these through C pointers, and each wrapper takes time to compile.
+# error_model="numpy": 1 / 0 is inf, as in the equations. Python's model would raise, and the test
+# for it keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not
+# change a bit. no_cfunc_wrapper: nobody calls these through C pointers, and each wrapper takes time
+# to compile.
 _strict = partial(njit, error_model="numpy", no_cfunc_wrapper=True)
 # re-entrant: a signal handler that forks may run in the thread that compiles
 _compiling = threading.RLock()
@@ -34,15 +40,17 @@ _STAMP = tuple((file.st_mtime, file.st_size) for file in _files), BOUNDS_CHECKED
 def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """Compile at the first call, or load what an earlier process compiled.
 
-    Where neither the package's folder nor the user's cache folder is writable, Numba refuses to decorate a function
-    for its cache (NUMBA_CACHE_DIR names another folder); then every process compiles for itself.
+    Where neither the package's folder nor the user's cache folder is writable, Numba refuses to
+    decorate a function for its cache (NUMBA_CACHE_DIR names another folder); then every process
+    compiles for itself.
     """
     try:
         kernel = _strict(cache=True, **options)(function)
     except RuntimeError:
         return _strict(**options)(function)
-    # Numba looks only at the file of the function itself: after an edit of a formula that is compiled into it
-    # from another file, it would still serve the old code. So every cached kernel depends on all files here.
+    # Numba looks only at the file of the function itself: after an edit of a formula that is
+    # compiled into it from another file, it would still serve the old code. So every cached kernel
+    # depends on all files here.
     cache_file: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = (cache_file._source_stamp, _STAMP)
@@ -50,21 +58,23 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
 
 
 compiled_without_gil = partial(compiled, nogil=True)
-"""`compiled`, and other Python threads run meanwhile: for work that always takes longer than releasing the lock."""
+"""`compiled`, and other Python threads run meanwhile: for work that always takes longer than
+releasing the lock."""
 
 
 def compile_only(kernel: Any, *types: Any) -> None:
     """Compile a kernel for these argument types, and let a call with any others raise a TypeError.
 
-    The call itself then checks types, dimensions, layout and flags of the arrays it is given, which in Python would
-    cost more than the work; and no argument can cause another compilation.
+    The call itself then checks types, dimensions, layout and flags of the arrays it is given, which
+    in Python would cost more than the work; and no argument can cause another compilation.
     """
     compile_for_types(kernel, types)
     kernel.disable_compile()
 
 
 def compile_for_types(kernel: Any, types: tuple[Any, ...]) -> None:
-    """Compile a kernel for these argument types, unless that has been done, by `compile_only` perhaps."""
+    """Compile a kernel for these argument types, unless that has been done, by `compile_only`
+    perhaps."""
     with _compiling:
         if types not in kernel.overloads:
             kernel.compile(types)
@@ -93,7 +103,10 @@ if hasattr(os, "register_at_fork"):  # Windows has no `fork`
 def is_cached(kernel: Any, types: tuple[Any, ...]) -> bool:
     """Whether an earlier process left this kernel on disk, or this one has compiled it."""
     with global_compiler_lock:  # loading changes what another thread may be compiling with
-        return types in kernel.overloads or kernel._cache.load_overload(types, kernel.targetctx) is not None
+        return (
+            types in kernel.overloads
+            or kernel._cache.load_overload(types, kernel.targetctx) is not None
+        )
 
 
 def can_be_cached(kernel: Any) -> bool:
@@ -101,8 +114,10 @@ def can_be_cached(kernel: Any) -> bool:
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A formula that kernels share, or a part of one: compiled into each of them, never called on its own.
+    """A formula that kernels share, or a part of one: compiled into each of them, never called on
+    its own.
 
-    A part that is `compiled` instead is compiled once by itself, and again within each kernel around it.
+    A part that is `compiled` instead is compiled once by itself, and again within each kernel
+    around it.
     """
     return _strict(inline="always")(function)

@@ -1,7 +1,7 @@
 """Displacement: an event's position relative to its landmark, over its TNT time, in O(1) per event.
 
-Landmarks are kept in sensor pixels, where sums are sums of whole numbers and therefore exact; the map to the
-grid is linear, so it can follow later. The transform of one coordinate,
+Landmarks are kept in sensor pixels, where sums are sums of whole numbers and therefore exact; the
+map to the grid is linear, so it can follow later. The transform of one coordinate,
 
     u = (x_g - l_g) / tau + c       x_g = x (W - 1) / (Ws - 1)      tau = t_max dt / window_us
 
@@ -13,12 +13,14 @@ is evaluated with one division for both coordinates,
     running    numerator = n x - S_x      denominator = n dt        because x - S_x / n = (n x - S_x) / n
     line       numerator = x - l_x,i      denominator = dt
 
-where n, S_x, S_t are count and sums over the events so far, this one included. `n x - S_x` is a whole number:
-the running centroid itself costs no rounding. The formulas return (numerator_x, numerator_y, denominator)
-of an event at x, y and dt >= 0 microseconds after the window's start; the denominator is 0 where tau is.
+where n, S_x, S_t are count and sums over the events so far, this one included. `n x - S_x` is a
+whole number: the running centroid itself costs no rounding. The formulas return (numerator_x,
+numerator_y, denominator) of an event at x, y and dt >= 0 microseconds after the window's start; the
+denominator is 0 where tau is.
 
-`displace` applies them to a block of events. Each landmark has a loop of its own: Numba counts references to the
-slices unless a function is free of branches, and that would cost as much as the work.
+`displace` applies them to a block of events. Each landmark has a loop of its own: Numba counts
+references to the slices unless a function is free of branches, and that would cost as much as the
+work.
 """
 
 import numpy as np
@@ -58,8 +60,9 @@ def displace_running(x, y, dt, n, sum_x, sum_y):
 
 @inlined
 def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
-    """From the running line: ridge regression, with penalty 1, of x (and y) on the window fraction f = dt / window_us,
-    so that a few events give nearly their centroid. First adds the event to the line's centred sums.
+    """From the running line: ridge regression, with penalty 1, of x (and y) on the window fraction
+    f = dt / window_us, so that a few events give nearly their centroid. First adds the event to the
+    line's centred sums.
 
         m_x = C_xf / (C_ff + 1)         l_x = mean_x - m_x mean_f
 
@@ -68,7 +71,8 @@ def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
         C_xf,n = C_xf,n-1 + (x_n - mean_x,n) (f_n - mean_f,n) n / (n - 1) = C_xf,n-1 + d_x d_f / (n (n - 1))
 
     Plain sums of x f would be simpler, but lose nine digits to cancellation in a late burst. With
-    `remove_flow` the event is displaced from the line itself: x - l_x - m_x f = (d_x - m_x d_f) / n.
+    `remove_flow` the event is displaced from the line itself: x - l_x - m_x f = (d_x - m_x d_f) /
+    n.
     """
     window_us = buffer[S.WINDOW_US]
     count = np.float64(n)
@@ -111,7 +115,11 @@ def displace(buffer, ints, t, x, y, m):
 @compiled
 def _running_block(buffer, ints, t, x, y, m):
     sums = block_of(ints, S.PREFIX)
-    num_x, num_y, den = block_of(buffer, S.NUM_X), block_of(buffer, S.NUM_Y), block_of(buffer, S.DEN)
+    num_x, num_y, den = (
+        block_of(buffer, S.NUM_X),
+        block_of(buffer, S.NUM_Y),
+        block_of(buffer, S.DEN),
+    )
     start_us = ints[S.START_US]
     n = ints[S.N] - m
     # Both sums of a block, each far below 2**32, in one number: one addition and one store.
@@ -123,7 +131,12 @@ def _running_block(buffer, ints, t, x, y, m):
     sum_y = ints[S.SUM_Y]
     for i in range(m):
         num_x[i], num_y[i], den[i] = displace_running(
-            x[i], y[i], t[i] - start_us, n + i + 1, sum_x + (sums[i] & 0xFFFFFFFF), sum_y + (sums[i] >> 32)
+            x[i],
+            y[i],
+            t[i] - start_us,
+            n + i + 1,
+            sum_x + (sums[i] & 0xFFFFFFFF),
+            sum_y + (sums[i] >> 32),
         )
     ints[S.SUM_X] = sum_x + (both & 0xFFFFFFFF)
     ints[S.SUM_Y] = sum_y + (both >> 32)
@@ -131,7 +144,11 @@ def _running_block(buffer, ints, t, x, y, m):
 
 @compiled
 def _fixed_block(buffer, ints, t, x, y, m):
-    num_x, num_y, den = block_of(buffer, S.NUM_X), block_of(buffer, S.NUM_Y), block_of(buffer, S.DEN)
+    num_x, num_y, den = (
+        block_of(buffer, S.NUM_X),
+        block_of(buffer, S.NUM_Y),
+        block_of(buffer, S.DEN),
+    )
     start_us = ints[S.START_US]
     fixed_x = buffer[S.FIXED_X]
     fixed_y = buffer[S.FIXED_Y]
@@ -142,7 +159,11 @@ def _fixed_block(buffer, ints, t, x, y, m):
 
 @compiled
 def _raw_block(buffer, ints, x, y, m):
-    num_x, num_y, den = block_of(buffer, S.NUM_X), block_of(buffer, S.NUM_Y), block_of(buffer, S.DEN)
+    num_x, num_y, den = (
+        block_of(buffer, S.NUM_X),
+        block_of(buffer, S.NUM_Y),
+        block_of(buffer, S.DEN),
+    )
     for i in range(m):
         num_x[i], num_y[i], den[i] = displace_raw(x[i], y[i])
     _add_to_sums(ints, x, y, m)
@@ -150,7 +171,11 @@ def _raw_block(buffer, ints, x, y, m):
 
 @compiled
 def _line_block(buffer, ints, t, x, y, m, remove_flow):
-    num_x, num_y, den = block_of(buffer, S.NUM_X), block_of(buffer, S.NUM_Y), block_of(buffer, S.DEN)
+    num_x, num_y, den = (
+        block_of(buffer, S.NUM_X),
+        block_of(buffer, S.NUM_Y),
+        block_of(buffer, S.DEN),
+    )
     start_us = ints[S.START_US]
     n = ints[S.N] - m
     sum_x = ints[S.SUM_X]
@@ -161,7 +186,9 @@ def _line_block(buffer, ints, t, x, y, m, remove_flow):
         sum_x += x[i]
         sum_y += y[i]
         sum_t += dt
-        num_x[i], num_y[i], den[i] = displace_line(buffer, x[i], y[i], dt, n + i + 1, sum_x, sum_y, sum_t, remove_flow)
+        num_x[i], num_y[i], den[i] = displace_line(
+            buffer, x[i], y[i], dt, n + i + 1, sum_x, sum_y, sum_t, remove_flow
+        )
     ints[S.SUM_X] = sum_x
     ints[S.SUM_Y] = sum_y
     ints[S.SUM_T] = sum_t

@@ -1,6 +1,8 @@
-"""Release Python's lock inside a kernel, where there is much to compute: to wait for it afterwards also takes time.
+"""Release Python's lock inside a kernel, where there is much to compute: to wait for it afterwards
+also takes time.
 
-Other threads run until `take_gil`; no return, and nothing that raises, may stand before it. See WITHOUT_GIL in `state`.
+Other threads run until `take_gil`; no return, and nothing that raises, may stand before it. See
+WITHOUT_GIL in `state`.
 """
 
 from numba import types
@@ -14,7 +16,8 @@ LARGE = 4_000  # events: taking the lock back may wait until another thread has 
 
 @intrinsic
 def release_gil(typingctx, when):
-    """Release the lock if `when`; never where indices are checked, which may raise. Returns what `take_gil` needs."""
+    """Release the lock if `when`; never where indices are checked, which may raise. Returns what
+    `take_gil` needs."""
 
     def codegen(context, builder, signature, args):
         thread = cgutils.alloca_once_value(builder, cgutils.get_null_value(cgutils.voidptr_t))

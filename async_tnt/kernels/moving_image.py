@@ -1,4 +1,5 @@
-"""One image that moves over the sensor: how well a path explains the events of a window, and its picture elsewhere.
+"""One image that moves over the sensor: how well a path explains the events of a window, and its
+picture elsewhere.
 
 See `resynthesis.moving_image` for the model and its symbols.
 """
@@ -10,11 +11,13 @@ from .jit import compiled
 
 @compiled
 def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
-    """frames[k] = change of log luminance from the window's start to (k + 1) end_us / K, as the events tell it.
+    """frames[k] = change of log luminance from the window's start to (k + 1) end_us / K, as the
+    events tell it.
 
     Parameters
     ----------
-    t : int, (N,), in [0, end_us), in order: microseconds since the window's start. x, y : (N,). p : (N,), 0 or 1.
+    t : int, (N,), in [0, end_us), in order: microseconds since the window's start. x, y : (N,). p :
+        (N,), 0 or 1.
     end_us : the window's length.
     step_on, step_off : the thresholds, which an event is worth.
     cell : sensor pixels a side that each cell averages.
@@ -24,27 +27,34 @@ def contrast_frames(t, x, y, p, end_us, step_on, step_off, cell, frames):
     frames[:] = 0.0
     for i in range(len(t)):
         step = step_on if p[i] > 0 else -step_off
-        frames[np.int64(t[i]) * n_frames // end_us, y[i] // cell, x[i] // cell] += step / (cell * cell)
+        frames[np.int64(t[i]) * n_frames // end_us, y[i] // cell, x[i] // cell] += step / (
+            cell * cell
+        )
     for k in range(1, n_frames):
         frames[k] += frames[k - 1]
 
 
 @compiled
-def evidence_terms(spectra, path, frequencies_x, frequencies_y, weights, prior, whitening, gradient, moving):
+def evidence_terms(
+    spectra, path, frequencies_x, frequencies_y, weights, prior, whitening, gradient, moving
+):
     """The evidence of a path that N windows share, summed, and what its maximum is found by.
 
-    With the phase e_k = exp(-i q r_k), a = e - 1, whitened by W, and each window's posterior mean X = b / (h + Q):
+    With the phase e_k = exp(-i q r_k), a = e - 1, whitened by W, and each window's posterior mean X
+    = b / (h + Q):
 
         E = 1/2 sum |b|^2 / (h + Q) - log(1 + h / Q)          h = |W a|^2,  b = (W a)^* W c
         dE/dr_k = sum Re[i q conj(e_k) (W^T (W c conj(X) - (|X|^2 + 1 / (h + Q)) W a))_k]
 
-    where sums are over windows and over frequencies, those for which `frequencies_x` is positive twice.
+    where sums are over windows and over frequencies, those for which `frequencies_x` is positive
+    twice.
 
     Parameters
     ----------
     spectra : complex128, (N, F, K): W c of each window.
     path : float64, (K, 2): r.
-    frequencies_x, frequencies_y : float64, (nx,) and (ny,), in radians per cell; F = ny nx, x changes fastest.
+    frequencies_x, frequencies_y : float64, (nx,) and (ny,), in radians per cell; F = ny nx, x
+        changes fastest.
     weights : float64, (nx,): 1 or 2.
     prior : float64, (F,): Q.
     whitening : float64, (K, K), lower triangular: W.
@@ -112,15 +122,19 @@ def _around(i, n):
 
 @compiled
 def move_periodic(frames, image, places, first_row, origin, step):
-    """Pictures of a fine image that repeats itself, moved over the sensor, bilinear between its places.
+    """Pictures of a fine image that repeats itself, moved over the sensor, bilinear between its
+    places.
 
-    frames[k, y, x] = image at column (u - origin) step and row (v - origin) step,  (u, v) = places[k] @ (x, y, 1)
+    frames[k, y, x] = image at column (u - origin) step and row (v - origin) step,  (u, v) =
+                                                                                    places[k] @ (x,
+                                                                                    y, 1)
 
     Parameters
     ----------
     frames : float64, (K, H, W). Overwritten.
     image : float64, (h, w).
-    places : float64, (K, 2, 3), finite: which place of the image, in sensor pixels, each pixel sees.
+    places : float64, (K, 2, 3), finite: which place of the image, in sensor pixels, each pixel
+        sees.
     first_row : of the sensor, in `frames`.
     origin : where the image's first place is, in sensor pixels.
     step : places of the image in a sensor pixel.

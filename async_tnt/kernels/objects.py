@@ -1,20 +1,22 @@
-"""Objects on a map of logits: the places where some class is likelier than nothing, by more than anywhere near.
+"""Objects on a map of logits: the places where some class is likelier than nothing, by more than
+anywhere near.
 
     score[y, x] = max over classes k of map[k, y, x] - map[nothing, y, x]
     peak[y, x]  = score[y, x] > 0, and no score within NEAR rows and columns is larger; of equal ones the first, by rows
 
-Nothing is the map's last channel. Scores and peaks are kept: scores are computed where the map has changed, peaks
-within NEAR of that. Each peak is an object, of the likeliest class there. Its position is the mean of the places within
-one row and column of the peak, weighted by their scores where these are positive. Objects are listed from the likeliest
-on.
+Nothing is the map's last channel. Scores and peaks are kept: scores are computed where the map has
+changed, peaks within NEAR of that. Each peak is an object, of the likeliest class there. Its
+position is the mean of the places within one row and column of the peak, weighted by their scores
+where these are positive. Objects are listed from the likeliest on.
 
-An object has the number of an earlier one that is nearer than a given reach, or a new number: the likeliest object
-takes the nearest one, then the next object. Of equally near ones it takes the one seen last, and of those of one
-decision the likeliest.
+An object has the number of an earlier one that is nearer than a given reach, or a new number: the
+likeliest object takes the nearest one, then the next object. Of equally near ones it takes the one
+seen last, and of those of one decision the likeliest.
 
-What is remembered has limited room. The objects of a decision are remembered first, then those that were seen before
-and are not found now: where there is no room for all, those that were seen longest ago are forgotten.
-However many false objects come and go, an object that is found in each decision keeps its number.
+What is remembered has limited room. The objects of a decision are remembered first, then those that
+were seen before and are not found now: where there is no room for all, those that were seen longest
+ago are forgotten. However many false objects come and go, an object that is found in each decision
+keeps its number.
 """
 
 import numpy as np
@@ -41,23 +43,41 @@ ROWS = 4
 COLUMNS = 5
 CHANNELS = 6
 NOT_FINITE = 7  # places with a logit that is not finite
-N_SOURCES = 8  # and behind it, of each step that writes the map: where in the program the record of its changes begins
+# and behind it, of each step that writes the map: where in the program the record of its changes
+# begins
+N_SOURCES = 8
 ABOUT_SIZE = 9
 
 # `found`, float64: a row for each object
 X, Y, PROBABILITY, CLASS, NUMBER = range(5)  # x, y in sensor pixels
 FOUND_SIZE = 5
 
-# `tracks`, float64: rows of four; the first ones are headers, the others objects of earlier decisions
-N_KNOWN, NEXT_NUMBER, MEMORY_US = range(3)  # in the first row: how many, the next number, how long they are remembered
-X0, DX_PX, Y0, DY_PX = range(4)  # in the second: where on the sensor places lie, (x0 + dx column, y0 + dy row)
+# `tracks`, float64: rows of four; the first ones are headers, the others objects of earlier
+# decisions
+# in the first row: how many, the next number, how long they are remembered
+N_KNOWN, NEXT_NUMBER, MEMORY_US = range(3)
+# in the second: where on the sensor places lie, (x0 + dx column, y0 + dy row)
+X0, DX_PX, Y0, DY_PX = range(4)
 REACH_X, REACH_Y = range(2)  # in the third, in pixels
-KNOWN = 3  # the first of them: number, x, y, time. Those seen last come last; of one decision, the likeliest
+# the first of them: number, x, y, time. Those seen last come last; of one decision, the likeliest
+KNOWN = 3
 
 
 @compiled_without_gil
 def locate_cells(
-    buffer, program, weights, maps, places, about, scores, peaks, probabilities, found, tracks, time_us, keep
+    buffer,
+    program,
+    weights,
+    maps,
+    places,
+    about,
+    scores,
+    peaks,
+    probabilities,
+    found,
+    tracks,
+    time_us,
+    keep,
 ):
     """The objects of a volume's `state`; only what has changed since the last call is computed.
 
@@ -91,7 +111,8 @@ def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time
     about : int64, see above.
     scores : float64, (rows, columns). Overwritten.
     peaks : uint64, (rows, words): a bit for each place. Overwritten.
-    probabilities : float64, (n, channels). Overwritten, a row for each object: softmax of the logits at its peak.
+    probabilities : float64, (n, channels). Overwritten, a row for each object: softmax of the
+        logits at its peak.
     found : float64, (n, FOUND_SIZE). Overwritten, likewise.
     tracks : float64, (KNOWN + m, 4). Updated in place if `keep`: the m objects seen last.
     time_us : int. Of the decision.
@@ -134,7 +155,9 @@ def _follow_changes(program, bits, maps, about, scores, peaks):
         before, now = np.uint64(0), _changed(program, bits, sources, y - NEAR, y + NEAR, 0)
         for word in range(n_words):
             after = (
-                _changed(program, bits, sources, y - NEAR, y + NEAR, word + 1) if word + 1 < n_words else np.uint64(0)
+                _changed(program, bits, sources, y - NEAR, y + NEAR, word + 1)
+                if word + 1 < n_words
+                else np.uint64(0)
             )
             reached = now
             for k in range(1, NEAR + 1):
@@ -157,7 +180,8 @@ def _changed(program, bits, sources, first, last, word):
 
 @compiled
 def _score(maps, about, scores, y, x):
-    """The score of a place, nan where a logit is not finite. In float64, where no difference overflows."""
+    """The score of a place, nan where a logit is not finite. In float64, where no difference
+    overflows."""
     n_classes = about[CHANNELS] - 1
     at = about[FIRST] + y * about[DY] + x * about[DX]
     nothing = maps[np.uint64(at + n_classes * about[DK])]
@@ -298,21 +322,25 @@ def _number(found, n, tracks, time_us, keep):
 
 @compiled
 def _remember(found, n, tracks, taken, time_us):
-    """Keep in `tracks` the objects of this decision, and as many of the stale ones as there is room for.
+    """Keep in `tracks` the objects of this decision, and as many of the stale ones as there is room
+    for.
 
-    An object is stale if it was known and is not `taken` now. One that was last seen too long ago is forgotten.
+    An object is stale if it was known and is not `taken` now. One that was last seen too long ago
+    is forgotten.
     """
     n_present = min(n, MOST_TRACKED, len(tracks) - KNOWN)
     n_stale = 0
     for j in range(len(taken)):
         taken[j] |= time_us - tracks[KNOWN + j, 3] > tracks[0, MEMORY_US]
         n_stale += not taken[j]
-    n_left_out = max(0, n_stale + n_present - (len(tracks) - KNOWN))  # the oldest ones, which stand first
+    # the oldest ones, which stand first
+    n_left_out = max(0, n_stale + n_present - (len(tracks) - KNOWN))
     kept = -n_left_out
     for j in range(len(taken)):
         if not taken[j]:
             if kept >= 0:
-                for k in range(tracks.shape[1]):  # a slice would take seconds to compile: it may overlap
+                # a slice would take seconds to compile: it may overlap
+                for k in range(tracks.shape[1]):
                     tracks[KNOWN + kept, k] = tracks[KNOWN + j, k]
             kept += 1
     for i in range(n_present - 1, -1, -1):

@@ -1,7 +1,7 @@
 """Events by their pixels: filter them and count them.
 
-Columns are checked (int64, uint16, uint16, uint8) and on the sensor; their first n events are read. Another thread may
-change them meanwhile, so a pixel is read once, and never leads beyond an array.
+Columns are checked (int64, uint16, uint16, uint8) and on the sensor; their first n events are read.
+Another thread may change them meanwhile, so a pixel is read once, and never leads beyond an array.
 """
 
 import numpy as np
@@ -20,7 +20,8 @@ def keep_events(t, x, y, p, n, verdicts, left, top, records):
     ----------
     verdicts : uint8, shape (H, W). KEEP, MASKED or OUTSIDE.
     left, top : int. Subtracted from x and y; not more than those of any kept pixel.
-    records : uint8, shape (13 n,). Overwritten: t int64, x uint16, y uint16, p uint8 of each kept event.
+    records : uint8, shape (13 n,). Overwritten: t int64, x uint16, y uint16, p uint8 of each kept
+        event.
 
     Returns
     -------

@@ -1,12 +1,16 @@
-"""A network as numbers: four flat arrays, since each array that Python passes to a kernel costs 45 ns.
+"""A network as numbers: four flat arrays, since each array that Python passes to a kernel costs 45
+ns.
 
     program  int64    the header below, one record for each step, then tables of distances
     weights  float32  never changed
-    maps     float32  what the network has computed of its current input, and behind it of an empty one
-    places   uint32   as uint64: which places of each map have changed, see `changes`; a list of places
+    maps     float32  what the network has computed of its current input, and behind it of an empty
+                      one
+    places   uint32   as uint64: which places of each map have changed, see `changes`; a list of
+                      places
 
-A map is stored as (row, column, channel), within a frame that stands for the padding of the convolutions that read it.
-A place is one number, row << 16 | column. A step computes one map, of one of these:
+A map is stored as (row, column, channel), within a frame that stands for the padding of the
+convolutions that read it. A place is one number, row << 16 | column. A step computes one map, of
+one of these:
 
     MIX      out[f] = bias[f] + sum over runs r, numbers k of w[r, k, f] in[runs[r] + k]         convolution
     SUM      out[c] = bias[c] + sum over taps r of w[r, c] in[taps[r] + c]                       each channel by itself
@@ -14,16 +18,17 @@ A place is one number, row << 16 | column. A step computes one map, of one of th
     FUNCTION out[c] = f(in[taps[0] + c]), f of `functions`                                       likewise
     SPREAD   a block of places, out[c] = in[taps[0] + c block^2 + (row, column in the block)]     each as it is
 
-and then of its activation, clip(out < 0 ? slope out : out, low, high). A convolution's runs are the rows of its kernel,
-or its taps; its groups are computed one after another. SUM is average pooling, addition, normalization, a depthwise
-convolution, and the second half of a dense layer, whose first half is a MIX with weights of its own at each place: a
-sum over many places is kept in parts, by place and by row, so that an update costs little and gives the bits of a sum
-from scratch.
+and then of its activation, clip(out < 0 ? slope out : out, low, high). A convolution's runs are the
+rows of its kernel, or its taps; its groups are computed one after another. SUM is average pooling,
+addition, normalization, a depthwise convolution, and the second half of a dense layer, whose first
+half is a MIX with weights of its own at each place: a sum over many places is kept in parts, by
+place and by row, so that an update costs little and gives the bits of a sum from scratch.
 
-Weights of a MIX, for each group (for each place, where they differ), are blocks of at most two registers of filters,
-each padded with zeros to whole registers: (K, n) weights, (n,) biases, (n,) slopes, low, high, and zeros up to a
-register. Those of the others: (taps, C) weights, of a SUM only (for each place, where they differ), (C,) biases, (C,)
-slopes, low and high likewise, with C padded to whole registers.
+Weights of a MIX, for each group (for each place, where they differ), are blocks of at most two
+registers of filters, each padded with zeros to whole registers: (K, n) weights, (n,) biases, (n,)
+slopes, low, high, and zeros up to a register. Those of the others: (taps, C) weights, of a SUM only
+(for each place, where they differ), (C,) biases, (C,) slopes, low and high likewise, with C padded
+to whole registers.
 """
 
 # header

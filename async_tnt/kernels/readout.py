@@ -1,4 +1,5 @@
-"""What happens to a volume's cells between events: emptied for a window, and rounded to the array that users read."""
+"""What happens to a volume's cells between events: emptied for a window, and rounded to the array
+that users read."""
 
 import numpy as np
 
@@ -73,7 +74,8 @@ def cells_to_float32(buffer, array):
 
 @inlined
 def cell_at(ints, corner):
-    """Plane, row and column of the cell at this index, the `corner` of an event: the inverse of `splat.place_event`."""
+    """Plane, row and column of the cell at this index, the `corner` of an event: the inverse of
+    `splat.place_event`."""
     row, plane = ints[S.ROW], ints[S.PLANE]
     place = corner - S.CELLS
     b = place // plane

@@ -1,7 +1,7 @@
 """Events from a packed record array into four checked columns, in one pass per column.
 
-Every camera library packs its records differently, often unaligned, and Numba would compile these loops again for
-each. So they read raw bytes: one compiled version serves every layout.
+Every camera library packs its records differently, often unaligned, and Numba would compile these
+loops again for each. So they read raw bytes: one compiled version serves every layout.
 """
 
 import numpy as np
@@ -13,7 +13,17 @@ from .lock import LARGE, release_gil, take_gil
 
 # how a number is stored (rows of a layout: offset, kind for t, x, y, p)
 I8, U8, I16, U16, I32, U32, I64 = range(7)
-KIND = {"i1": I8, "u1": U8, "b1": U8, "i2": I16, "u2": U16, "i4": I32, "u4": U32, "i8": I64, "u8": I64}
+KIND = {
+    "i1": I8,
+    "u1": U8,
+    "b1": U8,
+    "i2": I16,
+    "u2": U16,
+    "i4": I32,
+    "u4": U32,
+    "i8": I64,
+    "u8": I64,
+}
 MAX_TIME_US = 1 << 62  # so that start + window never overflows
 BAD = -1  # instead of a time
 RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)  # writeable ones pass for read-only
@@ -25,7 +35,8 @@ LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES)
 
 @intrinsic
 def load(typingctx, raw, offset, number):
-    """The number of type `number` that starts at byte `offset` of `raw`, at any alignment, little-endian."""
+    """The number of type `number` that starts at byte `offset` of `raw`, at any alignment,
+    little-endian."""
     value_type = number.instance_type
 
     def codegen(context, builder, signature, args):
@@ -40,7 +51,8 @@ def load(typingctx, raw, offset, number):
 
 @intrinsic
 def store(typingctx, raw, offset, value, number):
-    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on, at any alignment."""
+    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on, at any
+    alignment."""
     value_type = number.instance_type
 
     def codegen(context, builder, signature, args):
@@ -54,7 +66,9 @@ def store(typingctx, raw, offset, value, number):
 def _pointer(context, builder, signature, args, value_type):
     """To the number of this type at byte args[1] of the array args[0]."""
     array = context.make_array(signature.args[0])(context, builder, args[0])
-    return builder.bitcast(builder.gep(array.data, [args[1]]), context.get_value_type(value_type).as_pointer())
+    return builder.bitcast(
+        builder.gep(array.data, [args[1]]), context.get_value_type(value_type).as_pointer()
+    )
 
 
 @inlined
@@ -86,7 +100,8 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
     Returns
     -------
-    int : the time of the first event, or BAD if any number breaks its rule (the caller finds out which).
+    int : the time of the first event, or BAD if any number breaks its rule (the caller finds out
+        which).
     """
     if raw.size != n * layout[8]:  # more than one dimension
         return BAD
@@ -102,9 +117,14 @@ def _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     """The columns, unchecked; False if a number does not fit its column."""
     size = layout[8]
     kind_t, kind_x, kind_y, kind_p = layout[1], layout[3], layout[5], layout[7]
-    if kind_t == I64 and kind_x in (U16, I16) and kind_y in (U16, I16) and kind_p in (U8, I8, U16, I16):
-        # What most libraries deliver, without branches inside the loops. Read as unsigned, a negative pixel is
-        # too large (sensors end at 2**15), and polarity -1 is 255.
+    if (
+        kind_t == I64
+        and kind_x in (U16, I16)
+        and kind_y in (U16, I16)
+        and kind_p in (U8, I8, U16, I16)
+    ):
+        # What most libraries deliver, without branches inside the loops. Read as unsigned, a
+        # negative pixel is too large (sensors end at 2**15), and polarity -1 is 255.
         at_t, at_x, at_y, at_p = layout[0], layout[2], layout[4], layout[6]
         if kind_p in (U8, I8):
             for i in range(n):
@@ -121,13 +141,18 @@ def _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
 @inlined
 def _load_time_and_place(raw, record, at_t, at_x, at_y):
-    return load(raw, record + at_t, np.int64), load(raw, record + at_x, np.uint16), load(raw, record + at_y, np.uint16)
+    return (
+        load(raw, record + at_t, np.int64),
+        load(raw, record + at_x, np.uint16),
+        load(raw, record + at_y, np.uint16),
+    )
 
 
 @compiled
 def _in_range(t, x, y, p, n, sensor_w, sensor_h):
-    """Whether all columns are within their limits. Smallest and largest stay in the column's type and so in full
-    vector registers, where counting offenders would widen every number to 64 bits."""
+    """Whether all columns are within their limits. Smallest and largest stay in the column's type
+    and so in full vector registers, where counting offenders would widen every number to 64
+    bits."""
     t_min = t_max = t[0]
     x_max = x[0]
     y_max = y[0]
@@ -140,12 +165,19 @@ def _in_range(t, x, y, p, n, sensor_w, sensor_h):
         y_max = max(y_max, y[i])
     for i in range(n):
         p_max = max(p_max, p[i])
-    return (t_min >= 0) & (t_max < MAX_TIME_US) & (x_max < sensor_w) & (y_max < sensor_h) & (p_max <= 1)
+    return (
+        (t_min >= 0)
+        & (t_max < MAX_TIME_US)
+        & (x_max < sensor_w)
+        & (y_max < sensor_h)
+        & (p_max <= 1)
+    )
 
 
 @compiled
 def _unsign(p, n):
-    """Polarity -1 (here 255) and +1 become 0 and 1; False if there are also zeros, or other numbers."""
+    """Polarity -1 (here 255) and +1 become 0 and 1; False if there are also zeros, or other
+    numbers."""
     largest = p[0]
     for i in range(n):
         largest = max(largest, p[i])
@@ -164,7 +196,8 @@ def _unsign(p, n):
 
 @compiled
 def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
-    """Records of any kinds of numbers; False if one does not fit its column, which narrowing would hide."""
+    """Records of any kinds of numbers; False if one does not fit its column, which narrowing would
+    hide."""
     size = layout[8]
     fits = True
     for i in range(n):
@@ -172,7 +205,9 @@ def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
         x_i = _load_kind(raw, i * size + layout[2], layout[3])
         y_i = _load_kind(raw, i * size + layout[4], layout[5])
         p_i = _load_kind(raw, i * size + layout[6], layout[7])
-        fits &= (x_i >= 0) & (x_i < sensor_w) & (y_i >= 0) & (y_i < sensor_h) & (p_i >= -1) & (p_i <= 1)
+        fits &= (
+            (x_i >= 0) & (x_i < sensor_w) & (y_i >= 0) & (y_i < sensor_h) & (p_i >= -1) & (p_i <= 1)
+        )
         x[i] = x_i
         y[i] = y_i
         p[i] = p_i & 255
@@ -181,9 +216,9 @@ def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
 @compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
-    """The time of the first event, MAX_TIME_US if there is none; BAD if any number breaks its rule, lengths differ, or
-    a column is not aligned (the one thing that Numba's check of its arguments lets pass). Columns as `load_records`
-    makes them."""
+    """The time of the first event, MAX_TIME_US if there is none; BAD if any number breaks its rule,
+    lengths differ, or a column is not aligned (the one thing that Numba's check of its arguments
+    lets pass). Columns as `load_records` makes them."""
     if x.size != t.size or y.size != t.size or p.size != t.size:
         return BAD
     if (t.ctypes.data % 8 != 0) | (x.ctypes.data % 2 != 0) | (y.ctypes.data % 2 != 0):

@@ -1,16 +1,18 @@
-"""Vector instructions, for kernels that keep sums in registers: LLVM does not find these in plain loops.
+"""Vector instructions, for kernels that keep sums in registers: LLVM does not find these in plain
+loops.
 
 Such a kernel is written twice, with the same arguments and the same bits:
 
     @inlined
     def tile_plain(inputs, first, ...)          loops over numbers, whose indices Numba can check
     @vectorized(tile_plain)
-    def tile(simd, inputs, first, ...)          the LLVM instructions, through a `Simd`; no index is checked
+    def tile(simd, inputs, first, ...)          the LLVM instructions, through a `Simd`; no index is
+                                                checked
 
 `tile` is what other kernels call: the instructions, or under NUMBA_BOUNDSCHECK=1 the loops.
 
-A register holds LANES float32. How many that is depends on the machine, and with it the layout of weights; results do
-not: every sum is taken in one order, each product added with one rounding.
+A register holds LANES float32. How many that is depends on the machine, and with it the layout of
+weights; results do not: every sum is taken in one order, each product added with one rounding.
 """
 
 from __future__ import annotations
@@ -50,7 +52,8 @@ def whole(value: int) -> ir.Constant:
 
 
 class Simd:
-    """Builds instructions on vectors of LANES float32, or of another `kind`. Indices count numbers."""
+    """Builds instructions on vectors of LANES float32, or of another `kind`. Indices count
+    numbers."""
 
     def __init__(self, builder: ir.IRBuilder) -> None:
         self.builder = builder
@@ -82,21 +85,27 @@ class Simd:
         """One number in every lane."""
         undefined = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
         first = self.builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
-        return self.builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), None))
+        return self.builder.shuffle_vector(
+            first, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+        )
 
     def fma(self, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
         """a * b + c with one rounding, in every lane."""
         return Arithmetic(self.builder, VECTOR).fma(a, b, c)
 
     def loop(self, n: ir.Value, sums: list, body: Callable[[ir.Value, list], list]) -> list:
-        """for k in range(n): sums = body(k, sums)        sums: a list of registers; n is at least 1."""
+        """for k in range(n): sums = body(k, sums)        sums: a list of registers; n is at least
+        1."""
         builder = self.builder
         before = builder.block
         inside = builder.append_basic_block("sum")
         after = builder.append_basic_block("summed")
         builder.branch(inside)
         builder.position_at_end(inside)
-        carried = [(builder.phi(INDEX), whole(0)), *((builder.phi(VECTOR), value) for value in sums)]
+        carried = [
+            (builder.phi(INDEX), whole(0)),
+            *((builder.phi(VECTOR), value) for value in sums),
+        ]
         counter = carried[0][0]
         new = [builder.add(counter, whole(1)), *body(counter, [phi for phi, _ in carried[1:]])]
         for (phi, first), value in zip(carried, new, strict=True):
@@ -108,7 +117,8 @@ class Simd:
 
 
 def vectorized(plain: Callable[..., Any], returns: types.Type = types.void) -> Callable[..., Any]:
-    """Decorate the vector spelling of `plain`: `build(simd, ...)` with the kernel's arguments, arrays as pointers.
+    """Decorate the vector spelling of `plain`: `build(simd, ...)` with the kernel's arguments,
+    arrays as pointers.
 
     Arrays are contiguous, other arguments int64, uint64 or float64.
     """
@@ -122,7 +132,9 @@ def vectorized(plain: Callable[..., Any], returns: types.Type = types.void) -> C
 
             def codegen(context: Any, builder: ir.IRBuilder, signature: Any, values: list) -> Any:
                 pointers = [
-                    context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
+                    context.make_array(kind)(context, builder, value).data
+                    if isinstance(kind, types.Array)
+                    else value
                     for kind, value in zip(signature.args, values, strict=True)
                 ]
                 result = build(Simd(builder), *pointers)
@@ -138,10 +150,11 @@ def vectorized(plain: Callable[..., Any], returns: types.Type = types.void) -> C
 
 @intrinsic
 def fma(typingctx: Any, a: types.Type, b: types.Type, c: types.Type) -> Any:
-    """a * b + c for float32 with one rounding, the same in scalar and in vector code and on every machine.
+    """a * b + c for float32 with one rounding, the same in scalar and in vector code and on every
+    machine.
 
-    Explicit, because letting the compiler contract a * b + c at will would make a result depend on how a loop was
-    vectorized.
+    Explicit, because letting the compiler contract a * b + c at will would make a result depend on
+    how a loop was vectorized.
     """
 
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:

@@ -1,4 +1,5 @@
-"""An event camera in front of a moving image: what its pixels follow, and the threshold crossings of its pixels."""
+"""An event camera in front of a moving image: what its pixels follow, and the threshold crossings
+of its pixels."""
 
 import numpy as np
 
@@ -7,7 +8,8 @@ from .jit import compiled
 
 @compiled
 def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
-    """Each pixel's light behind a low-pass of first order, the slower the darker it is, by backward differences.
+    """Each pixel's light behind a low-pass of first order, the slower the darker it is, by backward
+    differences.
 
     y[0] = L[0];  y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1]),
     a = 2 pi brightest_hz max(exp(L[k]), darkest) (t[k] - t[k - 1])
@@ -15,7 +17,8 @@ def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
     Parameters
     ----------
     log_frames : float64, (K, H, W), L. frame_times_us : float64, (K,), strictly increasing.
-    brightest_hz : float64, the corner where L is 0. darkest : float64, luminance below which it falls no further.
+    brightest_hz : float64, the corner where L is 0. darkest : float64, luminance below which it
+        falls no further.
 
     Returns
     -------

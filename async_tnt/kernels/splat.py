@@ -1,4 +1,5 @@
-"""From transformed coordinates to the volume: which eight of its numbers an event adds to, and how much.
+"""From transformed coordinates to the volume: which eight of its numbers an event adds to, and how
+much.
 
     V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i)        k(a) = max(0, 1 - |a|)
 
@@ -16,11 +17,10 @@ from .jit import inlined
 from .simd import add_f64x2
 
 Grid = namedtuple(
-    "Grid", "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_on row plane off_shift"
+    "Grid",
+    "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_on row plane off_shift",
 )
-Grid.__doc__ = (
-    """A volume's parameters as values, read once a block: the compiler then knows that no store changes them."""
-)
+Grid.__doc__ = """A volume's parameters as values, read once a block: the compiler then knows that no store changes them."""
 
 WEIGHT_TOLERANCE = 1e-9
 SURFACE_DECAY = 2.0  # time constants per window
@@ -115,24 +115,31 @@ def add_event(buffer, corner, row, second, y_frac, x_frac, lower, upper):
 
 @inlined
 def combine_time(buffer, corner, row, second, y_frac, x_frac, f, combine):
-    """`add_event` for images of times, f in [0, 1] of the window. With the weight w of each of the four cells:
+    """`add_event` for images of times, f in [0, 1] of the window. With the weight w of each of the
+    four cells:
 
         newest   count += w,  time = max(time, f)
         mean     count += w,  mean += (f - mean) w / count
         surface  count += w,  surface = max(surface, exp(SURFACE_DECAY (f - 1)))
 
-    The surface is that at the window's end. At an earlier time it is the same but for one factor for all cells, which
-    depends on nothing but the time; so no cell changes but where events come. Lagorce, Orchard, Galluppi, Shi, Benosman
-    2017, doi:10.1109/TPAMI.2016.2574707, equation 3.
+    The surface is that at the window's end. At an earlier time it is the same but for one factor
+    for all cells, which depends on nothing but the time; so no cell changes but where events come.
+    Lagorce, Orchard, Galluppi, Shi, Benosman 2017, doi:10.1109/TPAMI.2016.2574707, equation 3.
 
-    A weight below WEIGHT_TOLERANCE is skipped: it is the rounding error of a place that lies on the next cell.
+    A weight below WEIGHT_TOLERANCE is skipped: it is the rounding error of a place that lies on the
+    next cell.
     """
     w11 = y_frac * x_frac
     w10 = y_frac - w11
     w01 = x_frac - w11
     w00 = 1.0 - x_frac - w10
     one = np.uint64(1)
-    for cell, w in ((corner, w00), (corner + one, w01), (corner + row, w10), (corner + row + one, w11)):
+    for cell, w in (
+        (corner, w00),
+        (corner + one, w01),
+        (corner + row, w10),
+        (corner + row + one, w11),
+    ):
         if w < WEIGHT_TOLERANCE:
             continue
         if combine == S.COMBINE_NEWEST:

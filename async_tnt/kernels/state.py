@@ -1,27 +1,32 @@
 """Where a volume's numbers lie in its one flat buffer.
 
-Each array argument adds about 45 ns to a call from Python into compiled code, more than the arithmetic of one
-event takes. So all numbers that an event reads or writes share one float64 buffer, which kernels access in two
-ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot below belongs to one of them.
+Each array argument adds about 45 ns to a call from Python into compiled code, more than the
+arithmetic of one event takes. So all numbers that an event reads or writes share one float64
+buffer, which kernels access in two ways: as `buffer`, and as `ints`, a view of the same memory as
+int64. Each slot below belongs to one of them.
 
     buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 
-Cells lie as the volume does, [bin, y, x], with `split` polarity the OFF bins behind the ON bins. An event between the
-bins b and b + 1, in interval b, adds to 2 x 2 cells of each. Time passes one interval after the other, so an interval's
-cells stay in the first-level cache while its events arrive. One row, one column and one bin more than the volume has
-spare every event a test at the border: its weight there is zero, as is that of an ON event at the end of the last bin
-in the first OFF bin. (Where there is one bin, as many as are read lie behind them: see COMBINE.) Cells are float64,
-because a volume is promised to 1e-6 of its largest number even after thousands of opposite events cancelled in it,
-which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
+Cells lie as the volume does, [bin, y, x], with `split` polarity the OFF bins behind the ON bins. An
+event between the bins b and b + 1, in interval b, adds to 2 x 2 cells of each. Time passes one
+interval after the other, so an interval's cells stay in the first-level cache while its events
+arrive. One row, one column and one bin more than the volume has spare every event a test at the
+border: its weight there is zero, as is that of an ON event at the end of the last bin in the first
+OFF bin. (Where there is one bin, as many as are read lie behind them: see COMBINE.) Cells are
+float64, because a volume is promised to 1e-6 of its largest number even after thousands of opposite
+events cancelled in it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32
+once, when the volume is read.
 
-The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and emptying a
-large volume cost what changed in it and not its size. Beyond that length, following the log would cost more than
-reading all cells. A reader of the cells keeps the number of corners it has seen, and the EPOCH of the window it counted
-in: a number that is unique within the process.
+The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that
+reading and emptying a large volume cost what changed in it and not its size. Beyond that length,
+following the log would cost more than reading all cells. A reader of the cells keeps the number of
+corners it has seen, and the EPOCH of the window it counted in: a number that is unique within the
+process.
 """
 
 # buffer: parameters of the volume
-WINDOW_US = 0  # length of the window; with `window_events`, the time from its start to its newest event
+# length of the window; with `window_events`, the time from its start to its newest event
+WINDOW_US = 0
 BIN_SCALE = 1  # (B - 1) / window_us; of an image: 0
 SCALE_X = 2  # sensor pixels * microseconds -> grid pixels of the transform, see `landmark`
 SCALE_Y = 3
@@ -66,7 +71,8 @@ N_READ = 37  # of them already in the array that users see
 INTERVAL_LO = 38  # intervals that changed since the array was read; INTERVAL_HI < INTERVAL_LO: none
 INTERVAL_HI = 39
 # ints: windows that were closed before their end
-DECIDED_FROM_US = 40  # where the windows before the open one that were closed early begin; NEVER_US: there are none
+# where the windows before the open one that were closed early begin; NEVER_US: there are none
+DECIDED_FROM_US = 40
 DECIDED = 41  # dropped since the volume was made: late events at or after that time
 # ints: more parameters
 COMBINE = 42  # one of the COMBINE_ numbers
@@ -78,7 +84,8 @@ CLOSED_KEPT = 45
 CLOSED_TAU_ZERO = 46
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
-BLOCK = 336  # so that all rows together (24 kB) and an interval's cells fit in the first-level cache
+# so that all rows together (24 kB) and an interval's cells fit in the first-level cache
+BLOCK = 336
 NUM_X = 48  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK
@@ -98,8 +105,9 @@ MODE_RUNNING = 2
 MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4
 
-# what an event does to the cells of its two bins (COMBINE). An image has two numbers of each pixel: the first is its
-# bin 0; the second is bin 1 of `count_time`, and of other images lies behind all bins that are read.
+# what an event does to the cells of its two bins (COMBINE). An image has two numbers of each pixel:
+# the first is its bin 0; the second is bin 1 of `count_time`, and of other images lies behind all
+# bins that are read.
 COMBINE_SUM = 0  # the volume, or an image of counts: add its two weights
 COMBINE_NEWEST = 1  # (count, time of the newest event)
 COMBINE_MEAN = 2  # (mean time, count)
@@ -108,4 +116,5 @@ COMBINE_SURFACE = 3  # (surface of the newest event, count)
 NO_INTERVAL = 1 << 30
 NEVER_US = 1 << 62
 UNREAD = -(1 << 40)  # N_READ of an array that must be read whole
-CELLS_PER_LOGGED = 100  # one logged event's cells, scattered in memory, cost as much as this many cells in order
+# one logged event's cells, scattered in memory, cost as much as this many cells in order
+CELLS_PER_LOGGED = 100

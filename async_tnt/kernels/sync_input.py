@@ -1,6 +1,7 @@
 """Bring a network's input up to date, and note which places have changed.
 
-Only places whose values differ are noted, so events that the transform dropped cost nothing further.
+Only places whose values differ are noted, so events that the transform dropped cost nothing
+further.
 """
 
 import numpy as np
@@ -21,7 +22,8 @@ def sync_input(buffer, program, maps, places):
 
         input[y, x, c] = cells[c, y, x], rounded to float32 as in `readout`, and never -0
 
-    The planes (C, H, W) hold the same numbers: cells can be compared with these in vector registers.
+    The planes (C, H, W) hold the same numbers: cells can be compared with these in vector
+    registers.
 
     Parameters
     ----------
@@ -42,7 +44,8 @@ def sync_input(buffer, program, maps, places):
 
 @compiled
 def set_input(volume, program, maps):
-    """Copy an array (C, H, W) to the input and mark all of it as changed. The planes stay as they were."""
+    """Copy an array (C, H, W) to the input and mark all of it as changed. The planes stay as they
+    were."""
     n_channels, height, width = volume.shape
     step = np.uint64(n_channels)
     for y in range(height):
@@ -61,7 +64,10 @@ def _copy_pixel(program, maps, y, x):
     """A pixel's channels, from the planes to the input."""
     width, n_channels = program[P.WIDTH], program[P.CHANNELS]
     at = np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels)
-    plane, source = np.uint64(program[P.HEIGHT] * width), np.uint64(program[P.PLANES] + y * width + x)
+    plane, source = (
+        np.uint64(program[P.HEIGHT] * width),
+        np.uint64(program[P.PLANES] + y * width + x),
+    )
     for c in range(n_channels):
         u = np.uint64(c)
         maps[at + u] = maps[source + u * plane]
@@ -94,7 +100,11 @@ def _sync_corners(buffer, ints, program, maps, bits):
                     value = np.float32(buffer[source + np.uint64(x)]) + np.float32(0)
                     if maps[np.uint64(plane + x)] != value:
                         maps[np.uint64(plane + x)] = value
-                        maps[np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels + c)] = value
+                        maps[
+                            np.uint64(
+                                program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels + c
+                            )
+                        ] = value
                         note_changes(bits, changed + y * words, x, np.uint64(1))
                         note_rows(program, P.INPUT_CHANGED, y, y)
 
@@ -114,7 +124,8 @@ def _sync_all(buffer, ints, program, maps, bits):
                 note_changes(bits, row, 0, round_cells(buffer, cells, width, maps, at))
             else:
                 for k in range(0, width, 8):
-                    x = min(k, width - 8)  # the last eight overlap those before: they do not differ twice
+                    # the last eight overlap those before: they do not differ twice
+                    x = min(k, width - 8)
                     note_changes(bits, row, x, round_eight(buffer, cells + x, maps, at + x))
         n_changed = 0
         for word in range(words):

@@ -1,9 +1,11 @@
-"""The innermost steps of every network: a map at a handful of places, anywhere in it, with all sums in registers.
+"""The innermost steps of every network: a map at a handful of places, anywhere in it, with all sums
+in registers.
 
-A register holds LANES channels of one place. A MIX keeps the sums of up to PLACES places and two registers of filters:
-each weight is read once for all places, each input once for all filters. Every sum is taken in one order, each product
-added with one rounding, so how places are put together changes no bit. A place's last register may hold more channels
-than the map has: what lies behind them in memory is written as it was.
+A register holds LANES channels of one place. A MIX keeps the sums of up to PLACES places and two
+registers of filters: each weight is read once for all places, each input once for all filters.
+Every sum is taken in one order, each product added with one rounding, so how places are put
+together changes no bit. A place's last register may hold more channels than the map has: what lies
+behind them in memory is written as it was.
 """
 
 from functools import partial
@@ -18,8 +20,8 @@ from .jit import inlined
 from .simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
 
 SIZES = (1, 2, 4, 6, 8, 12) if LANES == 16 else (1, 2, 4, 6)
-"""How many places a tile of a MIX may have: as fit in the registers, 32 of 16 lanes or 16 of 8. Each number has code of
-its own, which takes time to compile."""
+"""How many places a tile of a MIX may have: as fit in the registers, 32 of 16 lanes or 16 of 8.
+Each number has code of its own, which takes time to compile."""
 PLACES = SIZES[-1]
 AT_ONCE = 4
 """Registers of channels of a SUM or MAXIMUM: one alone would wait four cycles for each tap."""
@@ -27,16 +29,20 @@ WORDS = ir.VectorType(ir.IntType(32), LANES)
 
 
 @inlined
-def mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
+def mix_tile_plain(
+    program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
+):
     """One block of a step's filters, of one or two registers, at some places of its list.
 
     Parameters
     ----------
     program, at, places, maps, weights : see `program`; `at` is where the step's record begins.
-    listed, n_places : where in `places` they are listed, and how many, of SIZES. One may be listed twice.
+    listed, n_places : where in `places` they are listed, and how many, of SIZES. One may be listed
+        twice.
     inputs, output : where in `maps` place (0, 0) reads and writes, for this group and block.
     block : where in `weights` the block begins.
-    n_filters : how many of the block's filters exist and are written, at least 1; up to LANES lie in one register.
+    n_filters : how many of the block's filters exist and are written, at least 1; up to LANES lie
+        in one register.
 
     Returns
     -------
@@ -76,20 +82,25 @@ def activated(value, weights, slopes, f, size):
 
 
 @vectorized(mix_tile_plain, returns=types.int64)
-def mix_tile(simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
+def mix_tile(
+    simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
+):
     tile = _Tile(simd, program, at, places, listed, maps, inputs, output)
     return tile.mix(n_places, weights, block, n_filters)
 
 
 @inlined
 def channel_tile_plain(program, at, places, listed, maps, weights):
-    """All channels of a SUM, MAXIMUM or FUNCTION at one place of its list; otherwise as `mix_tile_plain`."""
+    """All channels of a SUM, MAXIMUM or FUNCTION at one place of its list; otherwise as
+    `mix_tile_plain`."""
     words = maps.view(np.uint32)
     kind, channels = program[at + P.KIND], program[at + P.OUT_CHANNELS]
     n_taps, taps = program[at + P.N_RUNS], program[at + P.RUNS]
     size = (channels + LANES - 1) // LANES * LANES
     y, x = np.int64(places[listed]) >> 16, np.int64(places[listed]) & 0xFFFF
-    first = program[at + P.WEIGHTS] + (y * program[at + P.COLUMNS] + x) * program[at + P.PLACE_WEIGHTS]
+    first = (
+        program[at + P.WEIGHTS] + (y * program[at + P.COLUMNS] + x) * program[at + P.PLACE_WEIGHTS]
+    )
     bias = first + (n_taps * size if kind == P.SUM else 0)
     start = program[at + P.IN] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
     out = program[at + P.OUT] + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
@@ -98,7 +109,9 @@ def channel_tile_plain(program, at, places, listed, maps, weights):
         if kind == P.SUM:
             total = weights[bias + c]
             for r in range(n_taps):
-                total = fma(weights[first + r * size + c], maps[start + program[taps + r] + c], total)
+                total = fma(
+                    weights[first + r * size + c], maps[start + program[taps + r] + c], total
+                )
         elif kind == P.FUNCTION:
             total = apply_function(program[at + P.APPLIED], maps[start + program[taps] + c])
         else:
@@ -153,18 +166,26 @@ class _Tile:
         """Each number of places, and of registers, has its own instructions."""
 
         def of_registers(n_vectors):
-            build = partial(self._mix, weights=weights, block=block, n_filters=n_filters, n_vectors=n_vectors)
+            build = partial(
+                self._mix, weights=weights, block=block, n_filters=n_filters, n_vectors=n_vectors
+            )
             return choose(builder, n_places, {n: partial(build, n) for n in SIZES})
 
         builder = self._simd.builder
-        n_vectors = builder.select(builder.icmp_signed(">", n_filters, whole(LANES)), whole(2), whole(1))
+        n_vectors = builder.select(
+            builder.icmp_signed(">", n_filters, whole(LANES)), whole(2), whole(1)
+        )
         return choose(builder, n_vectors, {n: partial(of_registers, n) for n in (1, 2)})
 
     def _mix(self, n_places, weights, block, n_filters, n_vectors):
         simd, builder = self._simd, self._simd.builder
         size, vectors = n_vectors * LANES, range(n_vectors)
         starts = self._starts(n_places)
-        runs, n_runs, run_length = self._slot(P.RUNS), self._slot(P.N_RUNS), self._slot(P.RUN_LENGTH)
+        runs, n_runs, run_length = (
+            self._slot(P.RUNS),
+            self._slot(P.N_RUNS),
+            self._slot(P.RUN_LENGTH),
+        )
         n_weights = simd.mul(run_length, size)  # of a run
         bias = simd.add(block, simd.mul(n_runs, n_weights))
 
@@ -201,13 +222,20 @@ class _Tile:
 
     def by_channel(self, weights):
         """Each kind of step has its own instructions."""
-        kinds = {kind: partial(self._by_channel, weights, kind) for kind in (P.SUM, P.MAXIMUM, P.FUNCTION)}
+        kinds = {
+            kind: partial(self._by_channel, weights, kind)
+            for kind in (P.SUM, P.MAXIMUM, P.FUNCTION)
+        }
         return choose(self._simd.builder, self._slot(P.KIND), kinds)
 
     def _by_channel(self, weights, kind):
         simd, builder = self._simd, self._simd.builder
         ((start, out),) = self._starts(1)
-        channels, taps, n_taps = self._slot(P.OUT_CHANNELS), self._slot(P.RUNS), self._slot(P.N_RUNS)
+        channels, taps, n_taps = (
+            self._slot(P.OUT_CHANNELS),
+            self._slot(P.RUNS),
+            self._slot(P.N_RUNS),
+        )
         n_vectors = builder.udiv(simd.add(channels, LANES - 1), whole(LANES))
         size = simd.mul(n_vectors, LANES)
         y, x = self._place(0)
@@ -238,12 +266,19 @@ class _Tile:
                     ]
 
                 def compare_tap(tap, largest):
-                    return [self._larger(input_of(tap, c), value) for c, value in zip(at, largest, strict=True)]
+                    return [
+                        self._larger(input_of(tap, c), value)
+                        for c, value in zip(at, largest, strict=True)
+                    ]
 
                 if kind == P.SUM:
-                    values = simd.loop(n_taps, [simd.load(weights, simd.add(bias, c)) for c in at], add_tap)
+                    values = simd.loop(
+                        n_taps, [simd.load(weights, simd.add(bias, c)) for c in at], add_tap
+                    )
                 elif kind == P.FUNCTION:
-                    values = [applied(builder, self._slot(P.APPLIED), input_of(whole(0), c)) for c in at]
+                    values = [
+                        applied(builder, self._slot(P.APPLIED), input_of(whole(0), c)) for c in at
+                    ]
                 else:
                     values = simd.loop(n_taps, [input_of(whole(0), c) for c in at], compare_tap)
                 differs = builder.bitcast(carried[0], WORDS)
@@ -258,12 +293,16 @@ class _Tile:
 
         if kind == P.FUNCTION:  # whose instructions are many
             return self._any(registers(1))
-        at_once = builder.select(builder.icmp_signed("<", n_vectors, whole(AT_ONCE)), whole(1), whole(AT_ONCE))
+        at_once = builder.select(
+            builder.icmp_signed("<", n_vectors, whole(AT_ONCE)), whole(1), whole(AT_ONCE)
+        )
         return self._any(choose(builder, at_once, {n: partial(registers, n) for n in (1, AT_ONCE)}))
 
     def _larger(self, value, largest):
         builder = self._simd.builder
-        larger = builder.or_(builder.fcmp_ordered(">", value, largest), builder.fcmp_unordered("uno", value, value))
+        larger = builder.or_(
+            builder.fcmp_ordered(">", value, largest), builder.fcmp_unordered("uno", value, value)
+        )
         return builder.select(larger, value, largest)
 
     def _limits(self, weights, at):
@@ -276,7 +315,8 @@ class _Tile:
         return a.clip(a.where(value, "<", 0.0, a.mul(value, slope), value), *limits)
 
     def _replace(self, value, at, left):
-        """Write a register of channels, of which `left` belong to the place (None: all); the bits that differ."""
+        """Write a register of channels, of which `left` belong to the place (None: all); the bits
+        that differ."""
         simd, builder = self._simd, self._simd.builder
         before, new = simd.load(self._maps, at, WORDS), builder.bitcast(value, WORDS)
         if left is not None:
@@ -289,5 +329,7 @@ class _Tile:
     def _any(self, words):
         """1 if a bit is set, else 0."""
         builder = self._simd.builder
-        lanes = builder.bitcast(builder.icmp_unsigned("!=", words, ir.Constant(WORDS, None)), ir.IntType(LANES))
+        lanes = builder.bitcast(
+            builder.icmp_unsigned("!=", words, ir.Constant(WORDS, None)), ir.IntType(LANES)
+        )
         return builder.zext(builder.icmp_unsigned("!=", lanes, ir.Constant(lanes.type, 0)), INDEX)

@@ -1,6 +1,7 @@
 """When to decide: the triggers, and where their numbers lie.
 
-Like a volume's `state`, one flat float64 buffer seen twice: as `trigger`, and as `ints`, the same memory as int64.
+Like a volume's `state`, one flat float64 buffer seen twice: as `trigger`, and as `ints`, the same
+memory as int64.
 """
 
 import numpy as np
@@ -12,7 +13,8 @@ from .jit import compiled
 CONFIDENCE = 0  # confidence: a class probability that closes the window; inf: none
 # ints
 EVERY_EVENTS = 1  # 0: not by number
-EACH_EVENT = 2  # 1: classify at every event, as no other trigger determines when to test the confidence
+# 1: classify at every event, as no other trigger determines when to test the confidence
+EACH_EVENT = 2
 EVERY_US = 3  # 0: not by time
 DUE_US = 4  # next moment of EVERY_US in the oldest window; NEVER_US: none
 N_AT_DECISION = 5  # events of the oldest window at its last triggered decision
@@ -23,7 +25,8 @@ NOT_DUE, ONLY_IF_SURE, BY_EVENTS, BY_CONFIDENCE, BY_TIME = range(5)
 
 @compiled
 def until_due(trigger, n, first, last):
-    """Up to which of the events `first <= i < last` none before makes a decision due in a window of `n` events.
+    """Up to which of the events `first <= i < last` none before makes a decision due in a window of
+    `n` events.
 
     Returns
     -------
@@ -39,7 +42,8 @@ def until_due(trigger, n, first, last):
 
 @compiled
 def why_due(trigger, n_before, n):
-    """Why a decision is due now that a window holds `n` events and held `n_before` before: the one rule for it.
+    """Why a decision is due now that a window holds `n` events and held `n_before` before: the one
+    rule for it.
 
     Parameters
     ----------
@@ -59,7 +63,8 @@ def why_due(trigger, n_before, n):
 
 @compiled
 def schedule(trigger, now_us, start_us):
-    """Set the next moment of `every_us`: the first after `now_us` in a window that starts at `start_us`."""
+    """Set the next moment of `every_us`: the first after `now_us` in a window that starts at
+    `start_us`."""
     ints = trigger.view(np.int64)
     every_us = ints[EVERY_US]
     ints[DUE_US] = S.NEVER_US

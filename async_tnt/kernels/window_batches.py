@@ -1,4 +1,5 @@
-"""The volumes of many windows, and the gradient of a loss on them with respect to each window's landmark.
+"""The volumes of many windows, and the gradient of a loss on them with respect to each window's
+landmark.
 
 Arguments that both kernels take:
 
@@ -7,7 +8,8 @@ Arguments that both kernels take:
     columns  t, x, y, p of all recordings, end to end.
     windows  first, last : int64, (N,). Each window's recording: its events `first <= i < last`.
              start_us, limit_us : int64, (N,). Each window.
-             matrix, keep, seed, nothing, place : how its events are moved and thinned, see `augment.Draws`.
+             matrix, keep, seed, nothing, place : how its events are moved and thinned, see
+                 `augment.Draws`.
 """
 
 import numpy as np
@@ -67,8 +69,8 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
         dL/dl_x = sum_i dL/du_i du_i/dl_x
                 = sum_i -1/tau_i sum_b,y,x dL/dV[b, y, x] s_i k(b - b_i) k(y - v_i) k'(x - u_i)
 
-    with k' = -1 at the left and +1 at the right neighbour. Landmark and u are both in grid pixels, so that
-    1/tau_i = window_us / (t_max dt).
+    with k' = -1 at the left and +1 at the right neighbour. Landmark and u are both in grid pixels,
+    so that 1/tau_i = window_us / (t_max dt).
 
     Parameters
     ----------
@@ -91,7 +93,9 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
             num_x, num_y, den = displace_fixed(
                 np.int64(scratch_x[k]), np.int64(scratch_y[k]), dt, landmarks[i, 0], landmarks[i, 1]
             )
-            corner, y_frac, x_frac, lower, upper, kept = place_event(grid, dt, scratch_p[k] > 0, num_x, num_y, den)
+            corner, y_frac, x_frac, lower, upper, kept = place_event(
+                grid, dt, scratch_p[k] > 0, num_x, num_y, den
+            )
             if not kept:
                 continue
             b, y, x = cell_at(ints, np.int64(corner))
@@ -138,7 +142,9 @@ def _select_events(ints, scratch, columns, windows, window):
             polarity = p[i]
             if nothing != SHOWN:
                 share = (t[i] - starts_us[window]) / (limit_us - starts_us[window])
-                x_moved, y_moved, is_on = _of_nothing(nothing, places[window], seed, i - first, share)
+                x_moved, y_moved, is_on = _of_nothing(
+                    nothing, places[window], seed, i - first, share
+                )
                 polarity = np.uint8(is_on) if nothing != SCATTERED else polarity
             if 0 <= x_moved < ints[S.SENSOR_W] and 0 <= y_moved < ints[S.SENSOR_H]:
                 scratch_t[n] = t[i]
@@ -155,10 +161,11 @@ def _of_nothing(nothing, place, seed, i, share):
     """Where event i of a window that shows nothing is, and whether it is ON.
 
     place : float64, (8,), in sensor pixels.
-        SCATTERED, ONE_POLARITY, PATCH : left, top, width, height of where events are; and the share of ON events.
+        SCATTERED, ONE_POLARITY, PATCH : left, top, width, height of where events are; and the share
+            of ON events.
         HOT_PIXELS : x and y of three pixels; the share of ON events.
-        EDGE : a point of a straight line, its normal (cosine, sine), how far it moves along that in the window, its
-            thickness and length; the share of ON events.
+        EDGE : a point of a straight line, its normal (cosine, sine), how far it moves along that in
+            the window, its thickness and length; the share of ON events.
     share : of the window, from 0 to 1, that has passed.
     """
     u, v = _uniform(~seed, 2 * i), _uniform(~seed, 2 * i + 1)
@@ -179,8 +186,8 @@ def _of_nothing(nothing, place, seed, i, share):
 def _uniform(seed, i):
     """The i-th number in [0, 1) of the generator SplitMix64 with this seed.
 
-    Steele, Lea, Flood 2014, Fast Splittable Pseudorandom Number Generators, with their constants. Each event gets
-    the same number whichever others are drawn, and in whatever order.
+    Steele, Lea, Flood 2014, Fast Splittable Pseudorandom Number Generators, with their constants.
+    Each event gets the same number whichever others are drawn, and in whatever order.
     """
     z = seed + np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -1,8 +1,10 @@
 """Networks: model files, the compiled networks, and other engines in their place.
 
     Model, load_model           a configuration, weights and class names, in one .safetensors file
-    CompiledClassifier          its classifier, compiled: computes only what has changed; `CompiledRegressor`
-    OnnxClassifier              any ONNX network, by onnxruntime: `Processor(config, classifier=...)`
+    CompiledClassifier          its classifier, compiled: computes only what has changed;
+                                `CompiledRegressor`
+    OnnxClassifier              any ONNX network, by onnxruntime: `Processor(config,
+                                classifier=...)`
     TorchClassifier             any torch module, TorchScript or exported program
     to_onnx                     a Model's classifier as an ONNX network
 

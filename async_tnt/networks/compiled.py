@@ -1,4 +1,5 @@
-"""A model's networks, compiled: the classifier, which computes only what has changed, and the landmark regressor."""
+"""A model's networks, compiled: the classifier, which computes only what has changed, and the
+landmark regressor."""
 
 from __future__ import annotations
 
@@ -32,11 +33,12 @@ def _program_of(model: Model, network: str) -> Program:
 
 
 class CompiledClassifier:
-    """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,), of a map model (n_classes + 1, R, C).
+    """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,), of a map model
+    (n_classes + 1, R, C).
 
     Equal to torch to 1e-4. Called with an array it computes the whole network;
-    `refresh` computes what has changed in a volume since its last call. Both give the same logits, bit for bit.
-    Holds its feature maps: one instance per thread.
+    `refresh` computes what has changed in a volume since its last call. Both give the same logits,
+    bit for bit. Holds its feature maps: one instance per thread.
 
     Parameters
     ----------
@@ -77,7 +79,9 @@ class CompiledClassifier:
         self.logits_shape = model.logits_shape
         self.reader: ObjectReader | None = None
         if self.places is not None:
-            self.reader = ObjectReader(self.logits_shape, self._program.output_layout, self._program.output_changes)
+            self.reader = ObjectReader(
+                self.logits_shape, self._program.output_layout, self._program.output_changes
+            )
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -86,7 +90,8 @@ class CompiledClassifier:
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new array."""
+        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new
+        array."""
         logits = self._program.run(self._input(volume))
         if self.reader is None:
             return logits[: self.n_classes].copy()
@@ -94,7 +99,8 @@ class CompiledClassifier:
         return self.map.copy()
 
     def refresh(self, volume: TNTVolume) -> np.ndarray:
-        """Logits of a volume's open window, a new array; quick where little has changed since the last call.
+        """Logits of a volume's open window, a new array; quick where little has changed since the
+        last call.
 
         Parameters
         ----------
@@ -117,49 +123,69 @@ class CompiledClassifier:
 
     @cached_property  # made once: a view takes as long as a small network
     def map(self) -> np.ndarray:
-        """Of a map model: its last map, (n_classes + 1, R, C), read-only; the next call changes it."""
+        """Of a map model: its last map, (n_classes + 1, R, C), read-only; the next call changes
+        it."""
         first, *strides = (4 * n for n in self._program.output_layout)
-        view = np.ndarray(self.logits_shape, np.float32, self.network.maps, first, (strides[2], *strides[:2]))
+        view = np.ndarray(
+            self.logits_shape, np.float32, self.network.maps, first, (strides[2], *strides[:2])
+        )
         view.flags.writeable = False
         return view
 
     def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
-        """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not finite), logits, and
-        probabilities (float64, shape (n_classes,))."""
+        """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not
+        finite), logits, and probabilities (float64, shape (n_classes,))."""
         logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
         self._running.begin()
         try:
-            return classify_cells(volume.state(), *self.network, logits, probabilities), logits, probabilities
+            return (
+                classify_cells(volume.state(), *self.network, logits, probabilities),
+                logits,
+                probabilities,
+            )
         finally:
             self._running.now = False
 
     @one_at_a_time
     def locate(self, volume: TNTVolume, tracks: np.ndarray, time_us: int, keep: bool) -> int:
-        """`answer` of a map model: how many objects there are (-1 if a logit is not finite), which `reader` has.
+        """`answer` of a map model: how many objects there are (-1 if a logit is not finite), which
+        `reader` has.
 
         tracks, time_us, keep : see `kernels.objects.locate_on_map`.
         """
         assert self.reader is not None
-        n: int = locate_cells(volume.state(), *self.network, *self.reader.arrays, tracks, time_us, keep)
+        n: int = locate_cells(
+            volume.state(), *self.network, *self.reader.arrays, tracks, time_us, keep
+        )
         return n
 
     @one_at_a_time
     def decide_stretch(
-        self, buffer: np.ndarray, columns: Columns, first: int, last: int, trigger: np.ndarray, *answers: np.ndarray
+        self,
+        buffer: np.ndarray,
+        columns: Columns,
+        first: int,
+        last: int,
+        trigger: np.ndarray,
+        *answers: np.ndarray,
     ) -> tuple[int, int, int]:
-        """`kernels.classify.absorb_and_decide`, which describes `buffer`, `columns`, `first`, `last` and `trigger`;
-        `answers` are its arrays for logits, probabilities and notes."""
+        """`kernels.classify.absorb_and_decide`, which describes `buffer`, `columns`, `first`,
+        `last` and `trigger`; `answers` are its arrays for logits, probabilities and notes."""
         found: tuple[int, int, int]
-        found = absorb_and_decide(buffer, *columns[:4], first, last, trigger, *self.network, *answers)
+        found = absorb_and_decide(
+            buffer, *columns[:4], first, last, trigger, *self.network, *answers
+        )
         return found
 
 
 class CompiledRegressor:
-    """The landmark network of a model, compiled: raw volume (C, H, W) -> landmark (x, y) in grid pixels.
+    """The landmark network of a model, compiled: raw volume (C, H, W) -> landmark (x, y) in grid
+    pixels.
 
-    Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. Equal to torch to 1e-4
-    pixels. For the volume alone: `TNTVolume(model.config, regressor=CompiledRegressor(model))`; `Processor(model)`
-    makes its own. Holds scratch memory: one instance per thread.
+    Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. Equal to
+    torch to 1e-4 pixels. For the volume alone: `TNTVolume(model.config,
+    regressor=CompiledRegressor(model))`; `Processor(model)` makes its own. Holds scratch memory:
+    one instance per thread.
 
     Parameters
     ----------
@@ -189,7 +215,8 @@ class CompiledRegressor:
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
-        """The landmark of one raw volume, float64; nan where the network's float32 numbers overflow."""
+        """The landmark of one raw volume, float64; nan where the network's float32 numbers
+        overflow."""
         exponent, (_, height, width) = self._program.run(self._input(volume)), self.shape
         x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
         return x, y

@@ -1,4 +1,5 @@
-"""Whether the layers that were read from a network of another program compute what the network does."""
+"""Whether the layers that were read from a network of another program compute what the network
+does."""
 
 from __future__ import annotations
 
@@ -19,13 +20,16 @@ def expect_form(condition: bool, what: str) -> None:
         raise NotImplementedError(f"{what} has no compiled form")
 
 
-def compare(original: Function, layers: Function, shape: tuple[int, ...], tolerance: float = TOLERANCE) -> None:
+def compare(
+    original: Function, layers: Function, shape: tuple[int, ...], tolerance: float = TOLERANCE
+) -> None:
     """Compare a network with the layers that were read from it, on all of `volumes_to_compare`.
 
     Raises
     ------
-    ValueError : their numbers differ by more than `tolerance` of a volume's largest (or of 1 % of the largest for any
-        volume, or of 0.01: smaller ones make no difference to a softmax); or the network fails on a volume.
+    ValueError : their numbers differ by more than `tolerance` of a volume's largest (or of 1 % of
+        the largest for any volume, or of 0.01: smaller ones make no difference to a softmax); or
+        the network fails on a volume.
     """
     pairs = []
     for volume in volumes_to_compare(shape):
@@ -37,17 +41,22 @@ def compare(original: Function, layers: Function, shape: tuple[int, ...], tolera
         if expected.size != found.size:
             raise ValueError(f"it gives numbers of shape {expected.shape}, its layers {found.size}")
         pairs.append((expected.reshape(-1), found))
-    largest = [float(np.abs(expected[np.isfinite(expected)]).max(initial=0.0)) for expected, _ in pairs]
+    largest = [
+        float(np.abs(expected[np.isfinite(expected)]).max(initial=0.0)) for expected, _ in pairs
+    ]
     for (expected, found), own in zip(pairs, largest, strict=True):
         bound = tolerance * max(own, max(largest) / 100, 0.01)
         if not np.allclose(found, expected, rtol=0.0, atol=bound, equal_nan=True):
             difference = np.abs(found - expected).max()
-            raise ValueError(f"its layers compute other numbers (by {difference:.2g}, where the largest is {own:.2g})")
+            raise ValueError(
+                f"its layers compute other numbers (by {difference:.2g}, where the largest is "
+                f"{own:.2g})"
+            )
 
 
 def volumes_to_compare(shape: tuple[int, ...]) -> Iterator[np.ndarray]:
-    """Volumes (C, H, W), float32: normal numbers, sparse counts, these times 100, only negative numbers, zeros, and
-    counts that are dense in one corner, as of an object."""
+    """Volumes (C, H, W), float32: normal numbers, sparse counts, these times 100, only negative
+    numbers, zeros, and counts that are dense in one corner, as of an object."""
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(2, *shape)).astype(np.float32)
     counts = (rng.poisson(0.05, (2, *shape)) * rng.choice([-1, 1], (2, *shape))).astype(np.float32)

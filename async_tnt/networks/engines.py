@@ -27,20 +27,23 @@ class Engine:
 def choose_engine(
     name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None
 ) -> Engine:
-    """A model, and the engine that runs its networks: `compiled` (Numba), or `onnx` for an .onnx file.
+    """A model, and the engine that runs its networks: `compiled` (Numba), or `onnx` for an .onnx
+    file.
 
     Parameters
     ----------
     name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
-    map_sensor : (width, height), what a map model is to be used for, see `Model.for_sensor`. Other models have theirs.
-    config : for an .onnx file of another program: a JSON file with the fields of a `TNTConfig` as `config`, and
-        optionally `classes`, as `async-tnt info` prints them of a model.
+    map_sensor : (width, height), what a map model is to be used for, see `Model.for_sensor`. Other
+        models have theirs.
+    config : for an .onnx file of another program: a JSON file with the fields of a `TNTConfig` as
+        `config`, and optionally `classes`, as `async-tnt info` prints them of a model.
 
     Raises
     ------
     ImportError : an .onnx file, and onnxruntime is not installed.
     FileNotFoundError : no such file.
-    ValueError : the file is damaged; an .onnx file of another program without `config`, or `config` for another model.
+    ValueError : the file is damaged; an .onnx file of another program without `config`, or `config`
+        for another model.
     """
     if config is not None:
         return _of_other_program(user_path(name_or_path), config)
@@ -48,8 +51,10 @@ def choose_engine(
         classifier = OnnxClassifier(name_or_path)
         if classifier.exported is None:
             raise ValueError(
-                f"{name_or_path}: an ONNX network without a configuration of this package, which defines how events "
-                "become its volume; give one, `config`: a file of what `async-tnt info` prints of a model as JSON"
+                f"{name_or_path}: an ONNX network without a configuration of this package, which "
+                "defines how events "
+                "become its volume; give one, `config`: a file of what `async-tnt info` prints of "
+                "a model as JSON"
             )
         return Engine(classifier.exported.config, classifier.exported.classes, classifier)
     model = load_model(name_or_path)
@@ -73,11 +78,15 @@ def _of_other_program(path: Path, config: Path) -> Engine:
             raise ValueError(f"no 'config' in it, got {short(given)}")
         volume = TNTConfig.from_dict(given["config"])
         classes = given.get("classes")
-        if classes is not None and not (isinstance(classes, list) and 0 < len(set(map(str, classes))) == len(classes)):
+        if classes is not None and not (
+            isinstance(classes, list) and 0 < len(set(map(str, classes))) == len(classes)
+        ):
             raise ValueError(f"`classes` must be different names, got {short(classes)}")
     except (ValueError, TypeError) as error:
         what = one_line(error)
-        raise ValueError(f'{config}: expected a JSON object with "config", and maybe "classes": {what}') from None
+        raise ValueError(
+            f'{config}: expected a JSON object with "config", and maybe "classes": {what}'
+        ) from None
     try:
         model = load_model(path, config=volume, classes=classes)
     except TypeError as error:  # the file has its own
@@ -86,17 +95,24 @@ def _of_other_program(path: Path, config: Path) -> Engine:
         network = OnnxClassifier(_of_logits(path), shape=volume.shape)
         names = list(map(str, range(network.n_classes) if classes is None else classes))
         if len(names) != network.n_classes:
-            raise ValueError(f"{config}: {len(names)} classes, but {path} computes {network.n_classes}") from None
+            raise ValueError(
+                f"{config}: {len(names)} classes, but {path} computes {network.n_classes}"
+            ) from None
         return Engine(volume, names, network)
     return Engine(model, model.classes)
 
 
 def _of_logits(path: Path) -> Any:
-    """The file or, if a softmax ends its network, the network with its logarithm, which are logits of the same."""
+    """The file or, if a softmax ends its network, the network with its logarithm, which are logits
+    of the same."""
     import onnx
 
     proto = onnx.load(path)
-    ends = [node for node in proto.graph.node if list(node.output) == [output.name for output in proto.graph.output]]
+    ends = [
+        node
+        for node in proto.graph.node
+        if list(node.output) == [output.name for output in proto.graph.output]
+    ]
     if not ends or ends[0].op_type != "Softmax":
         return path
     ends[0].op_type = "LogSoftmax"

@@ -1,4 +1,5 @@
-"""ONNX networks as Models: what torch, Keras and others export of convolutional networks, and our own files."""
+"""ONNX networks as Models: what torch, Keras and others export of convolutional networks, and our
+own files."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 Layers = list[dict[str, Any]]
 
 STANDARD = ("", "ai.onnx")  # the domain of ONNX's own operations
-FIRST_OPSET = 7  # before it, sums took an axis, and batch norms and dropouts trained unless told otherwise
+# before it, sums took an axis, and batch norms and dropouts trained unless told otherwise
+FIRST_OPSET = 7
 WAY_OUT = "; OnnxClassifier(path) runs any float32 network of logits, whole at every decision"
 
 
@@ -43,29 +45,42 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
         raise ValueError(f"{path} is not a readable ONNX network: {one_line(error)}") from None
     if exported is not None:
         if config is not None or classes is not None:
-            raise TypeError(f"`config` and `classes` are for networks of other programs; {path} has its own")
+            raise TypeError(
+                f"`config` and `classes` are for networks of other programs; {path} has its own"
+            )
         if exported.config.needs_regressor:
             raise NotImplementedError(
-                f"the landmark network of {path} has no ONNX form: load the model it was exported from"
+                f"the landmark network of {path} has no ONNX form: load the model it was exported "
+                "from"
             )
-        weights = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in proto.graph.initializer}
+        weights = {
+            tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in proto.graph.initializer
+        }
         own = exported.layers
         try:
-            layer_shapes(own, exported.config.shape, {name: w.shape for name, w in weights.items()})  # checks them
+            # checks them
+            layer_shapes(own, exported.config.shape, {name: w.shape for name, w in weights.items()})
             used = {name: weights[name] for name in sorted(tensors_of(own)) if name in weights}
-            return Model(exported.config, used, exported.classes, exported.record, network={CLASSIFIER: own})
+            return Model(
+                exported.config, used, exported.classes, exported.record, network={CLASSIFIER: own}
+            )
         except NotImplementedError as error:
-            raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
+            raise ValueError(
+                f"{path} holds a network that this release cannot run: {one_line(error)}"
+            ) from None
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
     if config is None:
         raise TypeError(
-            f"{path} does not say how events become its volume: load_model(path, config=TNTConfig(...), classes=[...])"
+            f"{path} does not say how events become its volume: load_model(path, "
+            "config=TNTConfig(...), classes=[...])"
         )
     try:
         layers, weights = layers_from_onnx(proto, config.shape)
         if classes is None:
-            shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
+            shapes = layer_shapes(
+                layers, config.shape, {name: w.shape for name, w in weights.items()}
+            )
             read = logits_shape(list(shapes.values())[-1]) or (0,)
             classes = [str(k) for k in range(max(1, read[0] - (len(read) == 3)))]
         model = Model(config, weights, classes, network={CLASSIFIER: layers})  # type: ignore[arg-type]
@@ -90,12 +105,16 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     """
     session, (given,), *_ = open_session(str(path), str(path), 1)
     dtype = input_type(proto)
-    softmax = any(node.op_type == "Softmax" for node in proto.graph.node)  # at the end, or it has no layers
-    n = given.shape[0] if given.shape and isinstance(given.shape[0], int) else 1  # some files fix a batch
+    # at the end, or it has no layers
+    softmax = any(node.op_type == "Softmax" for node in proto.graph.node)
+    # some files fix a batch
+    n = given.shape[0] if given.shape and isinstance(given.shape[0], int) else 1
     compiled = CompiledClassifier(model)
 
     def theirs(volume: np.ndarray) -> np.ndarray:
-        answer: np.ndarray = session.run(None, {given.name: np.repeat(volume[None], n, 0).astype(dtype)})[0]
+        answer: np.ndarray = session.run(
+            None, {given.name: np.repeat(volume[None], n, 0).astype(dtype)}
+        )[0]
         return np.asarray(answer.reshape(n, -1)[0], np.float64)
 
     def ours(volume: np.ndarray) -> np.ndarray:
@@ -106,14 +125,16 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     compare(theirs, ours, model.config.shape, max(TOLERANCE, 8 * float(np.finfo(dtype).eps)))
 
 
-def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a network of one input (N, C, H, W), here of this shape (C, H, W), and their weights. A softmax at
-    its end is left out.
+def layers_from_onnx(
+    model: onnx.ModelProto, shape: tuple[int, int, int]
+) -> tuple[Layers, dict[str, np.ndarray]]:
+    """The layers of a network of one input (N, C, H, W), here of this shape (C, H, W), and their
+    weights. A softmax at its end is left out.
 
-    Conv, Gemm, MatMul with a constant, BatchNormalization, sums and products with constants of one number or one for
-    each channel; Relu, LeakyRelu, PRelu, Clip, Sigmoid, HardSigmoid, Tanh, HardSwish, Gelu, x Sigmoid(x), Log of x + 1;
-    MaxPool, AveragePool, GlobalAveragePool, ReduceMean over all places;
-    Add, Sum, Concat; Flatten, Reshape to (n, -1), Dropout, Identity.
+    Conv, Gemm, MatMul with a constant, BatchNormalization, sums and products with constants of one
+    number or one for each channel; Relu, LeakyRelu, PRelu, Clip, Sigmoid, HardSigmoid, Tanh,
+    HardSwish, Gelu, x Sigmoid(x), Log of x + 1; MaxPool, AveragePool, GlobalAveragePool, ReduceMean
+    over all places; Add, Sum, Concat; Flatten, Reshape to (n, -1), Dropout, Identity.
 
     Raises
     ------
@@ -125,11 +146,16 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
     inputs = _inputs(model)
     if len(inputs) != 1 or len(graph.output) != 1:
         raise NotImplementedError(
-            f"the network must have one input and one output, got {len(inputs)} and {len(graph.output)}"
+            f"the network must have one input and one output, got {len(inputs)} and "
+            f"{len(graph.output)}"
         )
     sides = [side.dim_value for side in inputs[0].type.tensor_type.shape.dim][1:]  # 0: not fixed
-    if sides and (len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))):
-        raise ValueError(f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}")
+    if sides and (
+        len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))
+    ):
+        raise ValueError(
+            f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}"
+        )
     constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     made = OnnxLayers(inputs[0].name, shape, input_type(model), constants, opset)
     output = graph.output[0].name
@@ -139,7 +165,8 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
             raise NotImplementedError(f"{node.where} has no compiled form")
         try:
             rule(made, node)
-        except (NotImplementedError, ValueError) as error:  # the second: of a shape that no layer takes
+        # the second: of a shape that no layer takes
+        except (NotImplementedError, ValueError) as error:
             raise NotImplementedError(f"{node.where}: {error}") from None
     if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
         raise NotImplementedError("the network's last layer must compute its output")
@@ -167,12 +194,15 @@ def input_type(model: onnx.ModelProto) -> np.dtype:
     }
     given = _inputs(model)[0].type.tensor_type.elem_type
     if given not in types:
-        raise NotImplementedError(f"the network's input must be floating point, got type {given} of ONNX")
+        raise NotImplementedError(
+            f"the network's input must be floating point, got type {given} of ONNX"
+        )
     return np.dtype(types[given])
 
 
 def _check_meanings(model: onnx.ModelProto) -> int:
-    """The opset; refuses operations that are not ONNX's own of that name, or whose meaning was another one."""
+    """The opset; refuses operations that are not ONNX's own of that name, or whose meaning was
+    another one."""
     if theirs := [node for node in model.graph.node if node.domain not in STANDARD]:
         where = Node(theirs[0]).where
         raise NotImplementedError(f"{where} is of the domain {theirs[0].domain!r}, not ONNX's own")
@@ -180,6 +210,8 @@ def _check_meanings(model: onnx.ModelProto) -> int:
         raise NotImplementedError("the network redefines operations of ONNX")
     versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD]
     if not versions or min(versions) < FIRST_OPSET:
-        raise NotImplementedError(f"the network must be of opset {FIRST_OPSET} or later, got {versions}")
+        raise NotImplementedError(
+            f"the network must be of opset {FIRST_OPSET} or later, got {versions}"
+        )
     newest: int = max(versions)
     return newest

@@ -21,9 +21,7 @@ from async_tnt.networks.torch_layers import Call, LayerList, float_array
 from async_tnt.networks.torch_operations import FUNCTIONS, METHODS, MODULES, Operation
 
 Layers = list[dict[str, Any]]
-WAY_OUT = (
-    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
-)
+WAY_OUT = "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
 
 
 def layers_from_torch(
@@ -33,10 +31,11 @@ def layers_from_torch(
 
     Parameters
     ----------
-    module : volumes (1, C, H, W) -> (1, n). Convolutions, linear layers, batch norm; ReLU, LeakyReLU, PReLU, ReLU6,
-        Hardtanh, clamp, Sigmoid, Hardsigmoid, Tanh, SiLU, GELU, Hardswish, log1p; max, average and adaptive average
-        pooling, mean over all places, pixel shuffle; sums and concatenations; sums and products with constants;
-        flatten, dropout and identity: as modules, functions or methods, in place or not.
+    module : volumes (1, C, H, W) -> (1, n). Convolutions, linear layers, batch norm; ReLU,
+        LeakyReLU, PReLU, ReLU6, Hardtanh, clamp, Sigmoid, Hardsigmoid, Tanh, SiLU, GELU, Hardswish,
+        log1p; max, average and adaptive average pooling, mean over all places, pixel shuffle; sums
+        and concatenations; sums and products with constants; flatten, dropout and identity: as
+        modules, functions or methods, in place or not.
     shape : of a volume, (C, H, W).
     prefix : of the weights' names, which are otherwise those in `state_dict`.
 
@@ -48,7 +47,9 @@ def layers_from_torch(
     ValueError : a layer does not fit `shape`.
     """
     if not isinstance(module, nn.Module):
-        advice = ": load it into its module (load_state_dict)" if isinstance(module, Mapping) else ""
+        advice = (
+            ": load it into its module (load_state_dict)" if isinstance(module, Mapping) else ""
+        )
         raise TypeError(f"`module` must be a torch.nn.Module, got {type(module).__name__}{advice}")
     if type(module) is LayerNetwork:
         layers = [_with_prefix(layer, prefix) for layer in module.layers]
@@ -76,13 +77,20 @@ def _with_prefix(layer: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     """The layer, with the prefix before its weights' names."""
     if "weights" not in layer:
         return dict(layer)
-    return {**layer, "weights": {role: f"{prefix}{name}" for role, name in layer["weights"].items()}}
+    return {
+        **layer,
+        "weights": {role: f"{prefix}{name}" for role, name in layer["weights"].items()},
+    }
 
 
 def check_torch_layers(
-    module: nn.Module, layers: Sequence[Mapping[str, Any]], weights: Mapping[str, np.ndarray], shape: tuple[int, ...]
+    module: nn.Module,
+    layers: Sequence[Mapping[str, Any]],
+    weights: Mapping[str, np.ndarray],
+    shape: tuple[int, ...],
 ) -> None:
-    """Compare a module with its layers, both in float64: a trace does not show everything that a module does.
+    """Compare a module with its layers, both in float64: a trace does not show everything that a
+    module does.
 
     Parameters
     ----------
@@ -94,7 +102,11 @@ def check_torch_layers(
     NotImplementedError : see `compare`.
     """
     try:
-        compare(_function_of(own_copy(module)), _function_of(LayerNetwork(layers, weights).eval()), shape)
+        compare(
+            _function_of(own_copy(module)),
+            _function_of(LayerNetwork(layers, weights).eval()),
+            shape,
+        )
     except ValueError as error:
         raise NotImplementedError(f"the module cannot be read as layers: {error}") from None
 
@@ -115,16 +127,21 @@ def own_copy(module: nn.Module) -> nn.Module:
 
     Raises
     ------
-    NotImplementedError : it does something that neither a copy nor a trace shows, or cannot be copied.
+    NotImplementedError : it does something that neither a copy nor a trace shows, or cannot be
+        copied.
     """
     for name, part in module.named_modules():
         where = f"layer {name!r} ({type(part).__name__})" if name else "the module"
         if isinstance(part, torch.jit.ScriptModule):
-            raise NotImplementedError(f"{where} is compiled by torch.jit: take what it was made from")
+            raise NotImplementedError(
+                f"{where} is compiled by torch.jit: take what it was made from"
+            )
         if isinstance(part, nn.modules.lazy.LazyModuleMixin):
             raise NotImplementedError(f"{where} has no weights yet: call the module once")
         if part._forward_hooks or part._forward_pre_hooks:  # torch has no public way to ask
-            raise NotImplementedError(f"{where} has hooks, which a trace does not show: remove them")
+            raise NotImplementedError(
+                f"{where} has hooks, which a trace does not show: remove them"
+            )
         if "forward" in vars(part) and not isinstance(part, fx.GraphModule):
             raise NotImplementedError(f"{where} has a `forward` that is not of its class")
     try:
@@ -160,7 +177,9 @@ class _Conversion:
         self._position = {node: k for k, node in enumerate(graph.nodes)}
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
-            raise NotImplementedError(f"the module must take one volume, got {len(inputs)} arguments")
+            raise NotImplementedError(
+                f"the module must take one volume, got {len(inputs)} arguments"
+            )
         self._made.names[inputs[0]] = VOLUME
         refused = []
         for node in graph.nodes:
@@ -169,7 +188,8 @@ class _Conversion:
                     self._read(node)
                 except NotImplementedError as error:
                     refused.append(str(error))
-                    self._made.names[node] = VOLUME  # any: others may be refused for reasons of their own
+                    # any: others may be refused for reasons of their own
+                    self._made.names[node] = VOLUME
                 except ValueError:
                     if not refused:  # if there are some, shapes are wrong
                         raise
@@ -184,7 +204,8 @@ class _Conversion:
             raise NotImplementedError(f"the module's output: {error}") from None
 
     def _is_size(self, node: fx.Node) -> bool:
-        """x.size(...), x.shape, and numbers taken from them: known to `_view`, unknown to all other rules."""
+        """x.size(...), x.shape, and numbers taken from them: known to `_view`, unknown to all other
+        rules."""
         if node.op == "call_method" and node.target == "size":
             return True
         if node.op == "call_function" and node.target is getattr and node.args[1] == "shape":
@@ -195,11 +216,19 @@ class _Conversion:
     def _read(self, node: fx.Node) -> None:
         """Add a node's layer, if it is one, and keep the name of the layer whose value it has."""
         kind, module, operation = self._operation(node)
-        where = f"layer {node.target!r} ({kind})" if module is not None else f"operation {node.name!r} ({kind})"
+        where = (
+            f"layer {node.target!r} ({kind})"
+            if module is not None
+            else f"operation {node.name!r} ({kind})"
+        )
         if operation is None:
             if not node.users and not _may_change_its_input(node, module):
                 return
-            instead = ": a decision has the softmax of its logits, leave it out" if "softmax" in kind.lower() else ""
+            instead = (
+                ": a decision has the softmax of its logits, leave it out"
+                if "softmax" in kind.lower()
+                else ""
+            )
             raise NotImplementedError(f"{where} has no compiled form{instead}")
         try:
             call = Call(node, self._with_tensors(operation.arguments(node, module)), module)
@@ -226,17 +255,25 @@ class _Conversion:
         for other in list(self._made.names):
             if self._tensor.get(other, other) is tensor:
                 self._made.names[other] = name
-            elif is_change and self._memory.get(other, other) is memory and self._is_read(other, node):
+            elif (
+                is_change
+                and self._memory.get(other, other) is memory
+                and self._is_read(other, node)
+            ):
                 raise NotImplementedError(
-                    f"a change in place of memory that {other.name!r} shares, which is read later, has no compiled form"
+                    f"a change in place of memory that {other.name!r} shares, which is read later, "
+                    "has no compiled form"
                 )
         self._tensor[node] = tensor
         self._memory[node] = memory
 
     def _is_read(self, node: fx.Node, after: fx.Node) -> bool:
-        """Whether its value, and not its size alone, is read by a later operation whose result counts."""
+        """Whether its value, and not its size alone, is read by a later operation whose result
+        counts."""
         later = [user for user in node.users if self._position[user] > self._position[after]]
-        return any((user.users or user.op == "output") and not self._is_size(user) for user in later)
+        return any(
+            (user.users or user.op == "output") and not self._is_size(user) for user in later
+        )
 
     def _with_tensors(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """The module's own parameters and buffers in place of the nodes that read them."""
@@ -253,13 +290,18 @@ class _Conversion:
         if node.op == "call_module":
             module = self._module.get_submodule(str(node.target))
             return type(module).__name__, module, MODULES.get(type(module))
-        name = node.target if isinstance(node.target, str) else getattr(node.target, "__name__", str(node.target))
+        name = (
+            node.target
+            if isinstance(node.target, str)
+            else getattr(node.target, "__name__", str(node.target))
+        )
         known = {"call_method": METHODS, "call_function": FUNCTIONS}.get(node.op, {})
         return name, None, known.get(node.target)
 
 
 def _may_change_its_input(node: fx.Node, module: nn.Module | None) -> bool:
-    """Whether an operation without a compiled form may work in place: torch's say so, others may."""
+    """Whether an operation without a compiled form may work in place: torch's say so, others
+    may."""
     if module is not None:
         return bool(getattr(module, "inplace", False))
     if node.op == "call_method":

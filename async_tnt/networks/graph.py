@@ -1,10 +1,13 @@
-"""A network as data: the layers that a model's file lists, checked, with the shape of what each computes.
+"""A network as data: the layers that a model's file lists, checked, with the shape of what each
+computes.
 
-    {"classifier": [layer, ...], "regressor": [layer, ...]}      the regressor where the configuration needs one
+    {"classifier": [layer, ...], "regressor": [layer, ...]}      the regressor where the
+                                                                 configuration needs one
 
-A layer is an object with `op`, `name`, `inputs` and the parameters of its op. Inputs are names of earlier layers or
-"volume", the network's input (C, H, W). The last layer is the network's output. `weights` maps each role to the name of
-a tensor in the file, a role in brackets may be missing. Sides are [y, x], paddings [top, left, bottom, right].
+A layer is an object with `op`, `name`, `inputs` and the parameters of its op. Inputs are names of
+earlier layers or "volume", the network's input (C, H, W). The last layer is the network's output.
+`weights` maps each role to the name of a tensor in the file, a role in brackets may be missing.
+Sides are [y, x], paddings [top, left, bottom, right].
 
     op                   parameters
     conv                 kernel, stride, padding, dilation, groups;
@@ -20,15 +23,18 @@ a tensor in the file, a role in brackets may be missing. Sides are [y, x], paddi
     average_pool         kernel, stride, padding: padded places count, as zeros
     sum_pool             kernel, stride, padding
     inside_average_pool  kernel, stride, padding: padded places do not count
-    adaptive_average_pool  size: from input floor(k n / size) to ceil((k + 1) n / size), along each axis
+    adaptive_average_pool  size: from input floor(k n / size) to ceil((k + 1) n / size), along each
+                           axis
     global_average_pool  to (C, 1, 1)
-    depth_to_space       block: channel c block^2 + i block + j of a place goes to row i, column j of a block
+    depth_to_space       block: channel c block^2 + i block + j of a place goes to row i, column j
+                         of a block
     add, concat          of two inputs or more; channels one after the other
     flatten              to (C * H * W,), in C order
-    heatmap_centroid     to (x, y) in grid pixels: the mean place under a softmax over all places of (1, H, W)
+    heatmap_centroid     to (x, y) in grid pixels: the mean place under a softmax over all places of
+                         (1, H, W)
 
-Every parameter is written, so readers need no defaults. What is not in this table may be written in the same format: a
-release that cannot run it refuses the file.
+Every parameter is written, so readers need no defaults. What is not in this table may be written in
+the same format: a release that cannot run it refuses the file.
 """
 
 from __future__ import annotations
@@ -37,18 +43,26 @@ import math
 from collections.abc import Mapping, Sequence
 
 from async_tnt.checks import short
-from async_tnt.networks.layer_operations import ELEMENTWISE, MAX_SIDE, OPERATIONS, Layer, Operation, Shape
+from async_tnt.networks.layer_operations import (
+    ELEMENTWISE,
+    MAX_SIDE,
+    OPERATIONS,
+    Layer,
+    Operation,
+    Shape,
+)
 from async_tnt.networks.uneven_windows import adaptive_spans
 
 VOLUME = "volume"
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
 MAX_NUMBERS = 1 << 28
-"""Of all maps of a network with their padding, and of its layers' weights: a gigabyte. A kilobyte of layers can ask for
-any amount. At 640 x 480 ResNet-50 has 2**27.9. It and the next limit are a program's to set, before it makes or loads a
-model: `async_tnt.networks.graph.MAX_NUMBERS = 1 << 30`."""
+"""Of all maps of a network with their padding, and of its layers' weights: a gigabyte. A kilobyte
+of layers can ask for any amount. At 640 x 480 ResNet-50 has 2**27.9. It and the next limit are a
+program's to set, before it makes or loads a model: `async_tnt.networks.graph.MAX_NUMBERS = 1 <<
+30`."""
 MAX_PRODUCTS = 1 << 37
-"""Multiplications of one pass, an addition in a pool counting as 16: some seconds on one core. At 640 x 480
-VGG16 has 2**36.5."""
+"""Multiplications of one pass, an addition in a pool counting as 16: some seconds on one core. At
+640 x 480 VGG16 has 2**36.5."""
 
 Network = Mapping[str, Sequence[Layer]]
 
@@ -77,8 +91,14 @@ def layer_shapes(
         raise ValueError("a network must have at least one layer")
     for place, layer in enumerate(layers):
         name = layer.get("name") if isinstance(layer, Mapping) else None
-        if not isinstance(layer, Mapping) or not isinstance(name, str) or not isinstance(layer.get("op"), str):
-            raise ValueError(f"layer {place} must be an object with `name` and `op`, got {short(layer)}")
+        if (
+            not isinstance(layer, Mapping)
+            or not isinstance(name, str)
+            or not isinstance(layer.get("op"), str)
+        ):
+            raise ValueError(
+                f"layer {place} must be an object with `name` and `op`, got {short(layer)}"
+            )
         try:
             if name in shapes:
                 raise ValueError("another layer has this name")
@@ -98,11 +118,15 @@ def layer_shapes(
         except ValueError as error:
             raise ValueError(f"layer {name!r} ({layer['op']}): {error}") from None
     if not partial and name in flat_maps:
-        raise ValueError(f"layer {name!r} is the output, and a flattened map: a dense layer belongs behind it")
+        raise ValueError(
+            f"layer {name!r} is the output, and a flattened map: a dense layer belongs behind it"
+        )
     return shapes
 
 
-def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> tuple[int, int]:
+def _cost(
+    layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]
+) -> tuple[int, int]:
     """What counts for MAX_NUMBERS and for MAX_PRODUCTS."""
     source, output = shapes[layer["inputs"][0]], shapes[layer["name"]]
     weights = {role: tensors[name] for role, name in layer.get("weights", {}).items()}
@@ -110,7 +134,9 @@ def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape
     n_numbers = n_output + sum(map(math.prod, weights.values()))
     if "padding" in layer:
         top, left, bottom, right = layer["padding"]
-        n_numbers += source[0] * (source[1] + top + bottom) * (source[2] + left + right) - math.prod(source)
+        n_numbers += source[0] * (source[1] + top + bottom) * (
+            source[2] + left + right
+        ) - math.prod(source)
     if layer["op"] == "adaptive_average_pool":
         kernel = [adaptive_spans(*axis)[-1] for axis in zip(output[1:], source[1:], strict=True)]
     if kernel:
@@ -118,7 +144,8 @@ def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape
         n_each = 16 * n_taps
         n_numbers += 100 * n_taps  # measured: Python's lists of them, while a program is made
         if layer["op"] in ("adaptive_average_pool", "inside_average_pool"):
-            n_numbers += n_taps * math.prod(output[1:]) * (output[0] + 16)  # each place has its own weights
+            # each place has its own weights
+            n_numbers += n_taps * math.prod(output[1:]) * (output[0] + 16)
     if "weight" in weights and layer["op"] != "batch_norm":
         n_each = math.prod(weights["weight"][1:])
     return n_numbers, max(n_output * n_each, math.prod(source))
@@ -130,7 +157,8 @@ def tensors_of(layers: Sequence[Layer]) -> set[str]:
 
 
 def _is_flat_map(layer: Layer, shapes: Mapping[str, Shape], flat_maps: set[str]) -> bool:
-    """Whether a layer computes a map of more than one place as a vector, whose order only a dense layer knows."""
+    """Whether a layer computes a map of more than one place as a vector, whose order only a dense
+    layer knows."""
     if layer["op"] == "flatten" and len(shapes[layer["inputs"][0]]) == 3:
         return shapes[layer["name"]] != shapes[layer["inputs"][0]][:1]
     read = flat_maps.intersection(layer["inputs"])
@@ -144,19 +172,26 @@ def _is_flat_map(layer: Layer, shapes: Mapping[str, Shape], flat_maps: set[str])
 def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> Shape:
     if (op := OPERATIONS.get(layer["op"])) is None:
         raise NotImplementedError(
-            f"layer {layer['name']!r} is a {layer['op']!r}; this release knows {', '.join(OPERATIONS)}"
+            f"layer {layer['name']!r} is a {layer['op']!r}; this release knows "
+            f"{', '.join(OPERATIONS)}"
         )
     expected = {"op", "name", "inputs", *op.parameters, *(["weights"] if op.roles else [])}
     if set(layer) != expected:
         missing, unknown = sorted(expected - set(layer)), sorted(set(layer) - expected)
         if unknown and not missing:
-            raise NotImplementedError(f"layer {layer['name']!r} ({layer['op']}) has {', '.join(unknown)}")
+            raise NotImplementedError(
+                f"layer {layer['name']!r} ({layer['op']}) has {', '.join(unknown)}"
+            )
         raise ValueError(f"must have {', '.join(missing)}")
     for name, check in op.parameters.items():
         if not check.holds(layer[name]):
             raise ValueError(f"`{name}` must be {check.words}, got {short(layer[name])}")
     inputs = layer["inputs"]
-    if not isinstance(inputs, Sequence) or isinstance(inputs, str) or not all(isinstance(name, str) for name in inputs):
+    if (
+        not isinstance(inputs, Sequence)
+        or isinstance(inputs, str)
+        or not all(isinstance(name, str) for name in inputs)
+    ):
         raise ValueError(f"`inputs` must be a list of names, got {short(inputs)}")
     if unknown := [name for name in inputs if name not in shapes]:
         raise ValueError(f"no earlier layer is named {unknown[0]!r}")
@@ -171,12 +206,16 @@ def _weights(layer: Layer, op: Operation, tensors: Mapping[str, Shape]) -> dict[
     if not op.roles:
         return {}
     weights = layer["weights"]
-    if not isinstance(weights, Mapping) or not all(isinstance(name, str) for name in weights.values()):
+    if not isinstance(weights, Mapping) or not all(
+        isinstance(name, str) for name in weights.values()
+    ):
         raise ValueError(f"`weights` must map roles to names of tensors, got {short(weights)}")
     unknown = set(weights) - set(op.roles)
     missing = [role for role, needed in op.roles.items() if needed and role not in weights]
     if unknown or missing:
-        raise ValueError(f"`weights` must be {', '.join(op.roles)}, got {', '.join(weights) or 'none'}")
+        raise ValueError(
+            f"`weights` must be {', '.join(op.roles)}, got {', '.join(weights) or 'none'}"
+        )
     if lost := [name for name in weights.values() if name not in tensors]:
         raise ValueError(f"no tensor is named {lost[0]!r}")
     return {role: tuple(tensors[name]) for role, name in weights.items()}

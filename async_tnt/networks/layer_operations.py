@@ -1,4 +1,5 @@
-"""The operations that a layer may be, which values their parameters may have, and the shape of what each computes."""
+"""The operations that a layer may be, which values their parameters may have, and the shape of what
+each computes."""
 
 from __future__ import annotations
 
@@ -32,7 +33,10 @@ def _is_number(value: Any) -> bool:
 def _whole_numbers(n: int, low: int) -> Check:
     words = f"a list of {n} whole numbers from {low} on"
     return Check(
-        words, lambda value: isinstance(value, list) and len(value) == n and all(_is_whole(v, low) for v in value)
+        words,
+        lambda value: (
+            isinstance(value, list) and len(value) == n and all(_is_whole(v, low) for v in value)
+        ),
     )
 
 
@@ -48,7 +52,8 @@ ShapeRule = Callable[[Layer, list[Shape], dict[str, Shape]], Shape]
 
 @dataclass(frozen=True)
 class Operation:
-    """Parameters, roles of weights (True: needed), the number of inputs (2: or more), and the shape of the output."""
+    """Parameters, roles of weights (True: needed), the number of inputs (2: or more), and the shape
+    of the output."""
 
     shape: ShapeRule
     parameters: Mapping[str, Check]
@@ -66,7 +71,8 @@ def _windowed(layer: Layer, shape: Shape, dilation: Sequence[int] = (1, 1)) -> t
         reach = (layer["kernel"][axis] - 1) * dilation[axis] + 1
         if reach > side:
             raise ValueError(
-                f"its kernel reaches over {reach} places, its input has {side} with the padding (input {shape})"
+                f"its kernel reaches over {reach} places, its input has {side} with the padding "
+                f"(input {shape})"
             )
         sides.append((side - reach) // layer["stride"][axis] + 1)
     return sides[0], sides[1]
@@ -82,7 +88,9 @@ def _conv(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape
     channels, groups = inputs[0][0], layer["groups"]
     n_filters = weights["weight"][0] if weights["weight"] else 0
     if channels % groups or n_filters % groups or n_filters == 0:
-        raise ValueError(f"{groups} groups must divide its {channels} channels and {n_filters} filters")
+        raise ValueError(
+            f"{groups} groups must divide its {channels} channels and {n_filters} filters"
+        )
     _expect("weight", weights["weight"], (n_filters, channels // groups, *layer["kernel"]))
     _expect("bias", weights.get("bias", (n_filters,)), (n_filters,))
     return n_filters, *sides
@@ -157,7 +165,9 @@ def _add(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
 
 def _concat(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
     if len({shape[1:] for shape in inputs}) > 1 or len({len(shape) for shape in inputs}) > 1:
-        raise ValueError(f"its inputs must differ in their channels only, got {', '.join(map(str, inputs))}")
+        raise ValueError(
+            f"its inputs must differ in their channels only, got {', '.join(map(str, inputs))}"
+        )
     return sum(shape[0] for shape in inputs), *inputs[0][1:]
 
 
@@ -175,10 +185,14 @@ ELEMENTWISE = "log1p", "sigmoid", "tanh", "silu", "gelu", "gelu_tanh", "hardswis
 """Functions of each number by itself, without parameters."""
 _WINDOW = {"kernel": SIDES, "stride": SIDES, "padding": PADDING}
 OPERATIONS: dict[str, Operation] = {
-    "conv": Operation(_conv, {**_WINDOW, "dilation": SIDES, "groups": POSITIVE}, {"weight": True, "bias": False}),
+    "conv": Operation(
+        _conv, {**_WINDOW, "dilation": SIDES, "groups": POSITIVE}, {"weight": True, "bias": False}
+    ),
     "dense": Operation(_dense, {}, {"weight": True, "bias": False}),
     "batch_norm": Operation(
-        _batch_norm, {"epsilon": NOT_NEGATIVE}, {"mean": True, "variance": True, "weight": False, "bias": False}
+        _batch_norm,
+        {"epsilon": NOT_NEGATIVE},
+        {"mean": True, "variance": True, "weight": False, "bias": False},
     ),
     "relu": Operation(_same, {}, {}),
     "leaky_relu": Operation(_same, {"slope": FINITE}, {}),

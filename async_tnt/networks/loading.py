@@ -14,26 +14,40 @@ from async_tnt.config import TNTConfig
 from async_tnt.files import refuse_git_lfs, user_path
 from async_tnt.networks.from_onnx import load_onnx
 from async_tnt.networks.model import FORMAT, Model
-from async_tnt.networks.model_file import checksum_of, parse_metadata, read_description, read_tensors
+from async_tnt.networks.model_file import (
+    checksum_of,
+    parse_metadata,
+    read_description,
+    read_tensors,
+)
 
 
 def bundled_models() -> tuple[str, ...]:
     """Names that `load_model` knows without a path."""
     folder = resources.files("async_tnt") / "assets"
     names = (file.name for file in folder.iterdir())
-    return tuple(sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors")))
+    return tuple(
+        sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
+    )
 
 
 def load_model(
-    name_or_path: str | Path, *, config: TNTConfig | None = None, classes: Sequence[str] | None = None
+    name_or_path: str | Path,
+    *,
+    config: TNTConfig | None = None,
+    classes: Sequence[str] | None = None,
 ) -> Model:
-    """Load a bundled model by its name, such as "digits", any model file by its path, or an .onnx network.
+    """Load a bundled model by its name, such as "digits", any model file by its path, or an .onnx
+    network.
 
     Parameters
     ----------
-    name_or_path : one of `bundled_models()`, or the path of a .safetensors or .onnx file; `~` is the home folder.
-    config : how events become volumes, for an .onnx network of another program. Other files contain it.
-    classes : class names in the order of the outputs, for the same networks; by default "0", "1", ...
+    name_or_path : one of `bundled_models()`, or the path of a .safetensors or .onnx file; `~` is
+        the home folder.
+    config : how events become volumes, for an .onnx network of another program. Other files contain
+        it.
+    classes : class names in the order of the outputs, for the same networks; by default "0", "1",
+        ...
 
     Returns
     -------
@@ -43,11 +57,12 @@ def load_model(
     ------
     FileNotFoundError : no such file and no such bundled model; the message lists the bundled names.
     ImportError : an .onnx network, and onnx or onnxruntime is not installed.
-    TypeError : `config` or `classes` for a model that has its own, or no `config` for a network that has none.
-    NotImplementedError : names the first node of an .onnx network that has no compiled form; or its layers compute
-        other numbers than onnxruntime.
-    ValueError : the file is damaged, a pointer of Git LFS, needs a network that this release cannot run, or is not a
-        model of this package.
+    TypeError : `config` or `classes` for a model that has its own, or no `config` for a network
+        that has none.
+    NotImplementedError : names the first node of an .onnx network that has no compiled form; or its
+        layers compute other numbers than onnxruntime.
+    ValueError : the file is damaged, a pointer of Git LFS, needs a network that this release cannot
+        run, or is not a model of this package.
     """
     if str(name_or_path) in bundled_models():
         path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
@@ -55,7 +70,9 @@ def load_model(
         path = user_path(name_or_path)
         if not path.is_file():
             names = ", ".join(bundled_models())
-            raise FileNotFoundError(f"no model file {path}, and no bundled model of that name (bundled: {names})")
+            raise FileNotFoundError(
+                f"no model file {path}, and no bundled model of that name (bundled: {names})"
+            )
         refuse_git_lfs(path)
     if path.suffix.lower() == ".onnx":
         return load_onnx(path, config, classes)
@@ -64,7 +81,9 @@ def load_model(
     try:
         weights, metadata = read_tensors(path, FORMAT)
     except ValueError as error:
-        raise ValueError(f"{path} is not a model that this release can read: {one_line(error)}") from None
+        raise ValueError(
+            f"{path} is not a model that this release can read: {one_line(error)}"
+        ) from None
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
     try:
@@ -74,8 +93,12 @@ def load_model(
         for name, values in weights.items():
             if values.dtype != np.float32:
                 raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-        return Model(own_config, weights, own_classes, record, network=parse_metadata(metadata, "network"))
+        return Model(
+            own_config, weights, own_classes, record, network=parse_metadata(metadata, "network")
+        )
     except NotImplementedError as error:
-        raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
+        raise ValueError(
+            f"{path} holds a network that this release cannot run: {one_line(error)}"
+        ) from None
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None

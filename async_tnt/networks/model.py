@@ -29,23 +29,26 @@ CENTROID = "heatmap_centroid"
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
 class Model:
-    """A trained classifier: how events become a volume, and the weights of the network that reads it.
+    """A trained classifier: how events become a volume, and the weights of the network that reads
+    it.
 
     Parameters
     ----------
     config : TNTConfig.
     weights : float32 arrays, by the names that the network's layers give them.
-    classes : names, in the order of the network's outputs. A map model, whose network computes a map (n_classes + 1,
-        R, C) of more than one place, finds objects of these classes; the last channel is nothing.
+    classes : names, in the order of the network's outputs. A map model, whose network computes a
+        map (n_classes + 1, R, C) of more than one place, finds objects of these classes; the last
+        channel is nothing.
     record : how it was trained: data, seed, accuracy, what was tried.
-    network : its layers, see `networks.graph`: {"classifier": [...]}, volume (C, H, W) -> logits, and with landmark
-        "regressor" (and transform "tnt"), and then only, {"regressor": [...]}, raw volume -> landmark.
+    network : its layers, see `networks.graph`: {"classifier": [...]}, volume (C, H, W) -> logits,
+        and with landmark "regressor" (and transform "tnt"), and then only, {"regressor": [...]},
+        raw volume -> landmark.
 
     Raises
     ------
-    ValueError, TypeError : weights are missing, are not finite, or do not fit the network; or the network does not fit
-        the configuration or `classes`, or is larger than `networks.graph.MAX_NUMBERS` or `MAX_PRODUCTS`. The message
-        names the layer.
+    ValueError, TypeError : weights are missing, are not finite, or do not fit the network; or the
+        network does not fit the configuration or `classes`, or is larger than
+        `networks.graph.MAX_NUMBERS` or `MAX_PRODUCTS`. The message names the layer.
     NotImplementedError : names a layer that this release cannot run.
     """
 
@@ -56,8 +59,13 @@ class Model:
     network: Network = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.classes, Iterable) or isinstance(self.classes, (str, set, frozenset)):  # without order
-            raise TypeError(f"`classes` must be a tuple or list of names, got {short(self.classes)}")
+        # without order
+        if not isinstance(self.classes, Iterable) or isinstance(
+            self.classes, (str, set, frozenset)
+        ):
+            raise TypeError(
+                f"`classes` must be a tuple or list of names, got {short(self.classes)}"
+            )
         if not isinstance(self.record, Mapping):
             raise TypeError(f"`record` must be a mapping, got {short(self.record)}")
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
@@ -83,15 +91,16 @@ class Model:
 
         Parameters
         ----------
-        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. Taken as in eval mode, with
-            the weights that it has now.
+        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. Taken as in
+            eval mode, with the weights that it has now.
         config, classes, record : see Model.
-        regressor : the landmark network, raw volumes -> landmarks; where the configuration needs one, and only there.
+        regressor : the landmark network, raw volumes -> landmarks; where the configuration needs
+            one, and only there.
 
         Raises
         ------
-        NotImplementedError : names the operations that have no compiled form; or the module computes what a trace
-            does not show.
+        NotImplementedError : names the operations that have no compiled form; or the module
+            computes what a trace does not show.
         ValueError, TypeError : see Model.
 
         Examples
@@ -112,7 +121,8 @@ class Model:
         try:
             for name, part in parts.items():
                 prefix = "" if name == CLASSIFIER else f"{name}."
-                while prefix and any(tensor.startswith(prefix) for tensor in weights):  # of a submodule of this name
+                # of a submodule of this name
+                while prefix and any(tensor.startswith(prefix) for tensor in weights):
                     prefix = f"_{prefix}"
                 network[name], tensors = layers_from_torch(part, config.shape, prefix)
                 weights |= tensors
@@ -136,11 +146,12 @@ class Model:
         return places_of(self.network[CLASSIFIER], self.config)
 
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
-        """The same network for another sensor, (width, height), at the scale that it was trained at.
+        """The same network for another sensor, (width, height), at the scale that it was trained
+        at.
 
-        A pixel of the sensor stays as many pixels of the grid. Meant for map models, and other networks of convolutions
-        and poolings alone; what a pooling with torch's `ceil_mode`, or with one side None, made of the first size
-        stays.
+        A pixel of the sensor stays as many pixels of the grid. Meant for map models, and other
+        networks of convolutions and poolings alone; what a pooling with torch's `ceil_mode`, or
+        with one side None, made of the first size stays.
 
         Raises
         ------
@@ -157,7 +168,8 @@ class Model:
         """Of the classifier's convolutions and dense layers, computed as a whole."""
         shapes = self._shapes
         return sum(
-            math.prod(shapes[layer["name"]]) * math.prod(self.weights[layer["weights"]["weight"]].shape[1:])
+            math.prod(shapes[layer["name"]])
+            * math.prod(self.weights[layer["weights"]["weight"]].shape[1:])
             for layer in self.network[CLASSIFIER]
             if layer["op"] in ("conv", "dense")
         )
@@ -169,21 +181,32 @@ class Model:
         return layer_shapes(self.network[CLASSIFIER], self.config.shape, tensors)
 
     def __repr__(self) -> str:
-        ops = Counter(layer["op"] for layers in self.network.values() for layer in layers if layer.get("weights"))
-        volume = f"{'x'.join(map(str, self.config.sensor))} -> {'x'.join(map(str, self.config.shape))}"
-        network = [*(f"{n} {op}" for op, n in ops.items()), f"{sum(w.size for w in self.weights.values()):,} weights"]
+        ops = Counter(
+            layer["op"]
+            for layers in self.network.values()
+            for layer in layers
+            if layer.get("weights")
+        )
+        volume = (
+            f"{'x'.join(map(str, self.config.sensor))} -> {'x'.join(map(str, self.config.shape))}"
+        )
+        network = [
+            *(f"{n} {op}" for op, n in ops.items()),
+            f"{sum(w.size for w in self.weights.values()):,} weights",
+        ]
         return f"Model({len(self.classes)} classes, {', '.join([volume, *network])})"
 
     def description(self) -> dict[str, str]:
-        """Format, configuration, classes and record as JSON, for the metadata of a file; a TypeError if the record
-        holds something that JSON cannot represent."""
+        """Format, configuration, classes and record as JSON, for the metadata of a file; a
+        TypeError if the record holds something that JSON cannot represent."""
         values = {"config": self.config.to_dict(), "classes": self.classes, "record": self.record}
         return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
 
     def save(self, path: str | Path) -> Path:
         """Write the model to `path`, a .safetensors file; returns the path.
 
-        An existing file is replaced in one step when the new one is complete, and kept if that fails.
+        An existing file is replaced in one step when the new one is complete, and kept if that
+        fails.
 
         Raises
         ------
@@ -199,7 +222,7 @@ class Model:
         return path
 
 
-# -- what a model has to be ---------------------------------------------------------------------------------
+# -- what a model has to be ------------------------------------------------------------------------
 
 
 def _float32(name: str, values: Any) -> np.ndarray:
@@ -210,38 +233,54 @@ def _float32(name: str, values: Any) -> np.ndarray:
         return np.ascontiguousarray(array, np.float32).copy()  # a copy: the given one may change
 
 
-def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTConfig, n_classes: int) -> None:
-    if not isinstance(network, Mapping) or not all(isinstance(layers, Sequence) for layers in network.values()):
+def _check_network(
+    network: Any, weights: Mapping[str, np.ndarray], config: TNTConfig, n_classes: int
+) -> None:
+    if not isinstance(network, Mapping) or not all(
+        isinstance(layers, Sequence) for layers in network.values()
+    ):
         raise TypeError(f"`network` must map names to lists of layers, got {short(network)}")
     expected = {CLASSIFIER, *([REGRESSOR] if config.needs_regressor else [])}
     if set(network) != expected:
-        raise ValueError(f"`network` must hold {', '.join(sorted(expected))} here, got {', '.join(sorted(network))}")
+        raise ValueError(
+            f"`network` must hold {', '.join(sorted(expected))} here, got "
+            f"{', '.join(sorted(network))}"
+        )
     tensors = {name: w.shape for name, w in weights.items()}
     shapes = {name: layer_shapes(layers, config.shape, tensors) for name, layers in network.items()}
     logits = list(shapes[CLASSIFIER].values())[-1]
     is_map = len(logits) == 3 and logits[0] == n_classes + 1 and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
         raise ValueError(
-            f"the network must compute {n_classes} logits, one for each class, or a map of {n_classes + 1} channels, "
+            f"the network must compute {n_classes} logits, one for each class, or a map of "
+            f"{n_classes + 1} channels, "
             f"one for each class and the last for nothing; got {logits}"
         )
     if is_map and config.transform != "none":
         raise ValueError(
-            f"a map model needs transform='none', as a place of its map is one of the sensor; got {config.transform!r}"
+            f"a map model needs transform='none', as a place of its map is one of the sensor; got "
+            f"{config.transform!r}"
         )
     _check_centroids(network, shapes, config)
     _check_values(network, weights)
 
 
-def _check_centroids(network: Mapping[str, Any], shapes: Mapping[str, Any], config: TNTConfig) -> None:
+def _check_centroids(
+    network: Mapping[str, Any], shapes: Mapping[str, Any], config: TNTConfig
+) -> None:
     """A regressor ends in a centroid of a heatmap of the volume's size; no other layer is one."""
-    centroids = [layer for layers in network.values() for layer in layers if layer["op"] == CENTROID]
+    centroids = [
+        layer for layers in network.values() for layer in layers if layer["op"] == CENTROID
+    ]
     if centroids != [layers[-1] for name, layers in network.items() if name == REGRESSOR]:
         raise ValueError(f"a {CENTROID} must be the last layer of a regressor, and nowhere else")
     for layer in centroids:
         heatmap = shapes[REGRESSOR][layer["inputs"][0]]
         if heatmap != (1, *config.shape[1:]):
-            raise ValueError(f"the heatmap must be of shape {(1, *config.shape[1:])}, as the volume, got {heatmap}")
+            raise ValueError(
+                f"the heatmap must be of shape {(1, *config.shape[1:])}, as the volume, got "
+                f"{heatmap}"
+            )
 
 
 def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray]) -> None:
@@ -253,5 +292,10 @@ def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray])
             raise ValueError(f"`{name}` must be finite numbers")
     for layers in network.values():
         for layer in layers:
-            if layer["op"] == "batch_norm" and not (weights[layer["weights"]["variance"]] + layer["epsilon"] > 0).all():
-                raise ValueError(f"layer {layer['name']!r} (batch_norm): variance + epsilon must be positive")
+            if (
+                layer["op"] == "batch_norm"
+                and not (weights[layer["weights"]["variance"]] + layer["epsilon"] > 0).all()
+            ):
+                raise ValueError(
+                    f"layer {layer['name']!r} (batch_norm): variance + epsilon must be positive"
+                )

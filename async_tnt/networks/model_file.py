@@ -19,7 +19,8 @@ ALIGNMENT = 8
 
 
 def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
-    """`safetensors.numpy.save` with sorted metadata, whose order otherwise changes from call to call.
+    """`safetensors.numpy.save` with sorted metadata, whose order otherwise changes from call to
+    call.
 
     Examples
     --------
@@ -43,8 +44,8 @@ def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict
     Raises
     ------
     SafetensorError : it is not a .safetensors file, or NumPy lacks the type of a tensor.
-    ValueError : `format` in its metadata is not the expected one. Only the header has been read then, as tensors of
-        other programs may be huge.
+    ValueError : `format` in its metadata is not the expected one. Only the header has been read
+        then, as tensors of other programs may be huge.
     """
     with safe_open(path, "numpy") as file:
         metadata = file.metadata() or {}
@@ -65,15 +66,21 @@ def parse_metadata(metadata: Mapping[str, str], name: str) -> Any:
 
 
 def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig, Any, Any]:
-    """Configuration, classes and record of `Model.description`; a ValueError if they, or `more` names, are missing."""
-    if missing := [name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata]:
+    """Configuration, classes and record of `Model.description`; a ValueError if they, or `more`
+    names, are missing."""
+    if missing := [
+        name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata
+    ]:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
-    config, classes, record = (parse_metadata(metadata, name) for name in ("config", "classes", "record"))
+    config, classes, record = (
+        parse_metadata(metadata, name) for name in ("config", "classes", "record")
+    )
     return TNTConfig.from_dict(config), classes, record
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
-    """SHA-256 of a text and of the tensors' names, dtypes, shapes and bytes, in any order and memory layout."""
+    """SHA-256 of a text and of the tensors' names, dtypes, shapes and bytes, in any order and
+    memory layout."""
     digest = hashlib.sha256(text.encode())
     for name in sorted(tensors):
         digest.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
@@ -83,4 +90,6 @@ def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
 
 def checksum_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
     """Of the weights and all metadata other than itself."""
-    return checksum(weights, json.dumps({name: metadata[name] for name in sorted(metadata) if name != "sha256"}))
+    return checksum(
+        weights, json.dumps({name: metadata[name] for name in sorted(metadata) if name != "sha256"})
+    )

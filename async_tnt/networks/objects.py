@@ -1,4 +1,5 @@
-"""What stands where on the sensor, read from a map of logits (classes and nothing, rows, columns)."""
+"""What stands where on the sensor, read from a map of logits (classes and nothing, rows,
+columns)."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ def even_places(shape: Shape, sensor: tuple[int, int]) -> Places:
 
 
 class _Axis(NamedTuple):
-    """Rows or columns of a map: the middle of what the first one depends on, the distance of the middles, in grid
-    pixels, and how many there are."""
+    """Rows or columns of a map: the middle of what the first one depends on, the distance of the
+    middles, in grid pixels, and how many there are."""
 
     first: float
     distance: float
@@ -45,7 +46,8 @@ class _Axis(NamedTuple):
 
 
 def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
-    """Where the places of a network's last map lie: in the middle of the pixels that a place depends on.
+    """Where the places of a network's last map lie: in the middle of the pixels that a place
+    depends on.
 
     Of several inputs the first one counts.
     """
@@ -55,7 +57,9 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
         axes[layer["name"]] = [_through(layer, k, axis) for k, axis in enumerate(source)]
     rows, columns = axes[layers[-1]["name"]]
     across, down = ((s - 1) / (g - 1) for s, g in zip(config.sensor, config.grid, strict=True))
-    return Places(across * columns.first, across * columns.distance, down * rows.first, down * rows.distance)
+    return Places(
+        across * columns.first, across * columns.distance, down * rows.first, down * rows.distance
+    )
 
 
 def _through(layer: Layer, k: int, axis: _Axis) -> _Axis:
@@ -67,15 +71,20 @@ def _through(layer: Layer, k: int, axis: _Axis) -> _Axis:
         return _Axis(axis.first + axis.distance * (reach / 2 - before), axis.distance * stride, n)
     if layer["op"] in ("adaptive_average_pool", "global_average_pool"):
         n = layer.get("size", (1, 1))[k]
-        return _Axis(axis.first + axis.distance * (axis.n / n - 1) / 2, axis.distance * axis.n / n, n)
+        return _Axis(
+            axis.first + axis.distance * (axis.n / n - 1) / 2, axis.distance * axis.n / n, n
+        )
     if layer["op"] == "depth_to_space":
         block = layer["block"]
-        return _Axis(axis.first + axis.distance * (1 / block - 1) / 2, axis.distance / block, axis.n * block)
+        return _Axis(
+            axis.first + axis.distance * (1 / block - 1) / 2, axis.distance / block, axis.n * block
+        )
     return axis
 
 
 def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
-    """How an answer of this shape is read: as logits (n,), or as a map (n_classes + 1, R, C); None: as neither.
+    """How an answer of this shape is read: as logits (n,), or as a map (n_classes + 1, R, C); None:
+    as neither.
 
     Examples
     --------
@@ -97,8 +106,10 @@ class ObjectReader:
     Parameters
     ----------
     shape : (K + 1, R, C) of the maps: a channel for each class, then nothing.
-    layout : of an incremental network: where the map begins, numbers from one row, column and channel to the next.
-    sources : of an incremental network: where in its program the records of the map's changes begin.
+    layout : of an incremental network: where the map begins, numbers from one row, column and
+        channel to the next.
+    sources : of an incremental network: where in its program the records of the map's changes
+        begin.
 
     Attributes
     ----------
@@ -106,7 +117,10 @@ class ObjectReader:
     """
 
     def __init__(
-        self, shape: Shape, layout: tuple[int, int, int, int] | None = None, sources: Sequence[int] = ()
+        self,
+        shape: Shape,
+        layout: tuple[int, int, int, int] | None = None,
+        sources: Sequence[int] = (),
     ) -> None:
         self.shape = channels, rows, columns = shape
         about = np.zeros(K.ABOUT_SIZE + len(sources), np.int64)
@@ -115,12 +129,15 @@ class ObjectReader:
         about[K.ABOUT_SIZE :] = sources
         self.found = np.empty((most_objects(rows, columns), K.FOUND_SIZE))
         self.probabilities = np.empty((len(self.found), channels))
-        scores, peaks = np.zeros((rows, columns)), np.zeros((rows, -(-columns // 64)), np.uint64)  # of zeros
+        # of zeros
+        scores, peaks = np.zeros((rows, columns)), np.zeros((rows, -(-columns // 64)), np.uint64)
         self.arrays = about, scores, peaks, self.probabilities, self.found
 
     def read(self, logits: np.ndarray, tracks: np.ndarray, time_us: int, keep: bool) -> int:
         """How many objects a map has, float32 of this shape; -1 if a logit is not finite."""
-        n: int = K.locate_on_map(np.ascontiguousarray(logits).reshape(-1), *self.arrays, tracks, time_us, keep)
+        n: int = K.locate_on_map(
+            np.ascontiguousarray(logits).reshape(-1), *self.arrays, tracks, time_us, keep
+        )
         return n
 
 

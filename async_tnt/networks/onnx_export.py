@@ -1,6 +1,7 @@
 """A Model's classifier as an ONNX graph, node by node, and the metadata of such files.
 
-Opset 13 and IR version 7, those of ONNX 1.8 (2020): nothing here needs more, and what reads ONNX reads these.
+Opset 13 and IR version 7, those of ONNX 1.8 (2020): nothing here needs more, and what reads ONNX
+reads these.
 """
 
 from __future__ import annotations
@@ -40,17 +41,18 @@ PLAIN: dict[str, tuple[str, dict[str, Any]]] = {
     "concat": ("Concat", {"axis": 1}),
     "flatten": ("Flatten", {}),
 }
-"""Layers that are one node without weights: what ONNX calls them, and its attributes other than the window's."""
+"""Layers that are one node without weights: what ONNX calls them, and its attributes other than the
+window's."""
 BLANK = 64 * "0"  # in place of the checksum while it is computed
 
 
 def to_onnx(model: Model) -> onnx.ModelProto:
-    """The classifier of a Model, `model`: input `volume` (1, C, H, W), output `logits` (1, n_classes), of a map model
-    (1, n_classes + 1, R, C), float32.
+    """The classifier of a Model, `model`: input `volume` (1, C, H, W), output `logits` (1,
+    n_classes), of a map model (1, n_classes + 1, R, C), float32.
 
-    Weights are initializers under their names in `Model.weights`. `metadata_props` hold what a model file's metadata
-    holds (`format`, `config`, `classes`, `record`, `network`), and `sha256`, a hash of the whole file. A landmark
-    network has no such form.
+    Weights are initializers under their names in `Model.weights`. `metadata_props` hold what a
+    model file's metadata holds (`format`, `config`, `classes`, `record`, `network`), and `sha256`,
+    a hash of the whole file. A landmark network has no such form.
 
     Raises
     ------
@@ -64,7 +66,9 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         nodes.add("Flatten" if model.places is None else "Identity", [nodes.output], "logits")
     n_bytes = sum(w.nbytes for w in nodes.weights.values())
     if n_bytes >= MAX_BYTES:
-        raise ValueError(f"an ONNX file holds less than 2 GiB, the classifier's weights are {n_bytes:_} bytes")
+        raise ValueError(
+            f"an ONNX file holds less than 2 GiB, the classifier's weights are {n_bytes:_} bytes"
+        )
     make, float32 = onnx.helper, onnx.TensorProto.FLOAT
     shape = [len(model.classes)] if model.places is None else model.logits_shape
     graph = make.make_graph(
@@ -81,7 +85,8 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         producer_name="async_tnt",
         producer_version=__version__,
     )
-    network = json.dumps(model.network[CLASSIFIER])  # nodes show what they compute, but not of which layer they are
+    # nodes show what they compute, but not of which layer they are
+    network = json.dumps(model.network[CLASSIFIER])
     make.set_model_props(made, model.description() | {"network": network, "sha256": BLANK})
     seal(made)
     onnx.checker.check_model(made, full_check=True)
@@ -89,9 +94,11 @@ def to_onnx(model: Model) -> onnx.ModelProto:
 
 
 class _Nodes:
-    """The nodes of a classifier, layer by layer, and the constants that they read besides the model's weights.
+    """The nodes of a classifier, layer by layer, and the constants that they read besides the
+    model's weights.
 
-    Each layer's value has the layer's name; where that is a weight's name, too, or one of the file's own, `_` follows.
+    Each layer's value has the layer's name; where that is a weight's name, too, or one of the
+    file's own, `_` follows.
     """
 
     def __init__(self, model: Model, make_node: Callable[..., onnx.NodeProto]) -> None:
@@ -99,14 +106,20 @@ class _Nodes:
         self.nodes: list[Any] = []
         layers = model.network[CLASSIFIER]
         self.weights = {name: model.weights[name] for name in sorted(tensors_of(layers))}
-        self._shapes = layer_shapes(layers, model.config.shape, {name: w.shape for name, w in model.weights.items()})
+        self._shapes = layer_shapes(
+            layers, model.config.shape, {name: w.shape for name, w in model.weights.items()}
+        )
         self._names = {VOLUME: VOLUME}
         if taken := {VOLUME, "logits"}.intersection(self.weights):
-            raise ValueError(f"a weight is named {min(taken)!r}, as ONNX's input or output: it needs another name")
+            raise ValueError(
+                f"a weight is named {min(taken)!r}, as ONNX's input or output: it needs another "
+                "name"
+            )
         taken = {VOLUME, "logits", *self.weights}
         for layer in layers:
             name = layer["name"]
-            while name in taken or any(one["name"].startswith(f"{name}.") for one in layers):  # as helping values' are
+            # as helping values' are
+            while name in taken or any(one["name"].startswith(f"{name}.") for one in layers):
                 name += "_"
             if layer is layers[-1] and len(self._shapes[layer["name"]]) == 1:
                 name = "logits"
@@ -115,7 +128,9 @@ class _Nodes:
             inputs = [self._names[value] for value in layer["inputs"]]
             if layer["op"] in PLAIN:
                 op, attributes = PLAIN[layer["op"]]
-                self.add(op, inputs, name, **attributes, **(_window(layer) if "kernel" in layer else {}))
+                self.add(
+                    op, inputs, name, **attributes, **(_window(layer) if "kernel" in layer else {})
+                )
             else:
                 getattr(self, f"_{layer['op']}")(layer, inputs, name)
         self.output = self._names[layers[-1]["name"]]
@@ -132,7 +147,9 @@ class _Nodes:
 
     def _conv(self, layer: Layer, inputs: list[str], name: str) -> None:
         more = {"dilations": layer["dilation"], "group": layer["groups"]}
-        self.add("Conv", [*inputs, *_roles(layer, "weight", "bias")], name, **_window(layer), **more)
+        self.add(
+            "Conv", [*inputs, *_roles(layer, "weight", "bias")], name, **_window(layer), **more
+        )
 
     def _dense(self, layer: Layer, inputs: list[str], name: str) -> None:
         self.add("Gemm", [*inputs, *_roles(layer, "weight", "bias")], name, transB=1)
@@ -151,11 +168,14 @@ class _Nodes:
     def _prelu(self, layer: Layer, inputs: list[str], name: str) -> None:
         slope = self.weights[layer["weights"]["slope"]]
         sides = [1] * (len(self._shapes[layer["name"]]) - 1)
-        self.add("PRelu", [*inputs, self._constant(f"{name}.slope", slope.reshape(-1, *sides))], name)
+        self.add(
+            "PRelu", [*inputs, self._constant(f"{name}.slope", slope.reshape(-1, *sides))], name
+        )
 
     def _clip(self, layer: Layer, inputs: list[str], name: str) -> None:
         limits = [
-            "" if layer[side] is None else self._constant(f"{name}.{side}", layer[side]) for side in ("low", "high")
+            "" if layer[side] is None else self._constant(f"{name}.{side}", layer[side])
+            for side in ("low", "high")
         ]
         self.add("Clip", [*inputs, *limits], name)
 
@@ -176,12 +196,18 @@ class _Nodes:
         (x,) = inputs
         cube = self.add("Mul", [x, self.add("Mul", [x, x], f"{name}.square")], f"{name}.cube")
         inner = self.add("Add", [x, self._scale(cube, 0.044715, f"{name}.part")], f"{name}.inner")
-        tanh = self.add("Tanh", [self._scale(inner, (2 / np.pi) ** 0.5, f"{name}.scaled")], f"{name}.tanh")
+        tanh = self.add(
+            "Tanh", [self._scale(inner, (2 / np.pi) ** 0.5, f"{name}.scaled")], f"{name}.tanh"
+        )
         factor = self._add_number(tanh, 1.0, f"{name}.sum")
         self._scale(self.add("Mul", [x, factor], f"{name}.product"), 0.5, name)
 
     def _hardswish(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("Mul", [*inputs, self.add("HardSigmoid", inputs, f"{name}.factor", alpha=1 / 6, beta=0.5)], name)
+        self.add(
+            "Mul",
+            [*inputs, self.add("HardSigmoid", inputs, f"{name}.factor", alpha=1 / 6, beta=0.5)],
+            name,
+        )
 
     def _scale(self, value: str, factor: float, name: str) -> str:
         return self.add("Mul", [value, self._constant(f"{name}.factor", factor)], name)
@@ -212,7 +238,7 @@ def _window(layer: Layer) -> dict[str, list[int]]:
     return {"kernel_shape": layer["kernel"], "strides": layer["stride"], "pads": layer["padding"]}
 
 
-# -- metadata ----------------------------------------------------------------------------------------------
+# -- metadata --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -253,15 +279,20 @@ def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | Non
         layers = parse_metadata({"network": metadata.get("network", "")}, "network")
     except TypeError as error:
         raise ValueError(str(error)) from None
-    if not (isinstance(classes, list) and classes and all(isinstance(name, str) for name in classes)):
+    if not (
+        isinstance(classes, list) and classes and all(isinstance(name, str) for name in classes)
+    ):
         raise ValueError(f"metadata `classes` must be a list of names, got {metadata['classes']!r}")
     if not isinstance(record, dict):
         raise ValueError(f"metadata `record` must be a mapping, got {metadata['record']!r}")
     if not isinstance(layers, list):
-        raise ValueError(f"metadata `network` must be a list of layers, got {metadata['network']!r}")
+        raise ValueError(
+            f"metadata `network` must be a list of layers, got {metadata['network']!r}"
+        )
     if metadata["sha256"] != _checksum(content, metadata["sha256"]):
         raise ValueError(
-            "its checksum differs; copy or export it again (where another program has changed it, remove `format` "
+            "its checksum differs; copy or export it again (where another program has changed it, "
+            "remove `format` "
             "from its metadata)"
         )
     return Exported(config, tuple(classes), record, layers)

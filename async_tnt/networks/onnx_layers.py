@@ -23,7 +23,9 @@ class Node:
         self.op, self.inputs = node.op_type, list(node.input)
         self.outputs = [name for name in node.output if name]
         self.where = f"node {node.name or node.output[0]!r} ({node.op_type})"
-        self._attributes = {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
+        self._attributes = {
+            attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute
+        }
 
     def get(self, name: str, default: Any = None) -> Any:
         """An attribute of the node, text decoded; `default` if the node does not have it."""
@@ -42,7 +44,12 @@ class OnnxLayers:
     """
 
     def __init__(
-        self, given: str, shape: tuple[int, ...], dtype: np.dtype, constants: Mapping[str, np.ndarray], opset: int
+        self,
+        given: str,
+        shape: tuple[int, ...],
+        dtype: np.dtype,
+        constants: Mapping[str, np.ndarray],
+        opset: int,
     ) -> None:
         self.layers: list[dict[str, Any]] = []
         self.tensors: dict[str, np.ndarray] = {}
@@ -53,16 +60,25 @@ class OnnxLayers:
         self._shape, self._dtype = shape, dtype
 
     def add(self, node: Node, op: str, sources: Sequence[str], **parameters: Any) -> None:
-        """A layer named after the node's output; one that follows in the same node takes its place."""
+        """A layer named after the node's output; one that follows in the same node takes its
+        place."""
         taken = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = node.outputs[0]
         while name in taken:
             name += "_"
-        self.layers.append({"op": op, "name": name, "inputs": [self.layer(source) for source in sources], **parameters})
+        self.layers.append(
+            {
+                "op": op,
+                "name": name,
+                "inputs": [self.layer(source) for source in sources],
+                **parameters,
+            }
+        )
         self.names[node.outputs[0]] = name
 
     def layer(self, value: str) -> str:
-        """The name of the layer that computes a value; a NotImplementedError if it does not depend on the volume."""
+        """The name of the layer that computes a value; a NotImplementedError if it does not depend
+        on the volume."""
         if value not in self.names:
             raise NotImplementedError(f"its input {value!r} is not computed from the volume")
         return self.names[value]
@@ -70,7 +86,9 @@ class OnnxLayers:
     def layer_of(self, value: str) -> dict[str, Any]:
         """The layer that computes a value; an empty one, with `op` "volume", for the volume."""
         name = self.layer(value)
-        return next((layer for layer in self.layers if layer["name"] == name), {"op": VOLUME, "inputs": []})
+        return next(
+            (layer for layer in self.layers if layer["name"] == name), {"op": VOLUME, "inputs": []}
+        )
 
     def shape(self, value: str) -> tuple[int, ...]:
         """(C, H, W) or (N,)."""
@@ -91,7 +109,10 @@ class OnnxLayers:
 
     def tensor(self, name: str, values: np.ndarray) -> str:
         """Keep a tensor under its own name, or where another one has it, with a `_` behind."""
-        expect_form(values.dtype == self._dtype, f"{name!r} of type {values.dtype} beside an input of {self._dtype}")
+        expect_form(
+            values.dtype == self._dtype,
+            f"{name!r} of type {values.dtype} beside an input of {self._dtype}",
+        )
         values = np.asarray(values, np.float32)
         while name in self.tensors and not np.array_equal(self.tensors[name], values):
             name += "_"
@@ -102,5 +123,7 @@ class OnnxLayers:
         """Role -> name of the tensor at this place of the inputs."""
         found = {role: self.constant(node, place) for role, place in places.items()}
         return {
-            role: self.tensor(node.inputs[places[role]], values) for role, values in found.items() if values is not None
+            role: self.tensor(node.inputs[places[role]], values)
+            for role, values in found.items()
+            if values is not None
         }

@@ -13,7 +13,10 @@ from async_tnt.networks.onnx_layers import Node, OnnxLayers
 
 def _window(node: Node, kernel: Sequence[int]) -> dict[str, list[int]]:
     expect_form(len(kernel) == 2, f"a kernel of {len(kernel)} sides")
-    expect_form(list(node.get("kernel_shape", kernel)) == list(kernel), "a kernel_shape other than that of the weights")
+    expect_form(
+        list(node.get("kernel_shape", kernel)) == list(kernel),
+        "a kernel_shape other than that of the weights",
+    )
     auto, dilation = node.get("auto_pad", "NOTSET"), node.get("dilations", [1, 1])
     stride, padding = list(node.get("strides", [1, 1])), list(node.get("pads", [0] * 4))
     expect_form(auto == "NOTSET" or not any(padding), f"auto_pad {auto} beside pads")
@@ -33,34 +36,55 @@ def _conv(made: OnnxLayers, node: Node) -> None:
 
 
 def _gemm(made: OnnxLayers, node: Node) -> None:
-    expect_form(node.get("transA", 0) == 0 and node.get("alpha", 1.0) == node.get("beta", 1.0) == 1.0, "this Gemm")
+    expect_form(
+        node.get("transA", 0) == 0 and node.get("alpha", 1.0) == node.get("beta", 1.0) == 1.0,
+        "this Gemm",
+    )
     weight, bias = _matrix(made, node), made.constant(node, 2)
     weight = weight if node.get("transB", 0) else weight.T
     weights = {"weight": made.tensor(node.inputs[1], weight)}
     if bias is not None:
         sides = _without_leading_ones(bias.shape)
-        expect_form(bias.ndim <= 2 and sides in ((), weight.shape[:1]), f"a bias of shape {bias.shape}")
-        weights["bias"] = made.tensor(node.inputs[2], np.broadcast_to(bias.reshape(-1), len(weight)))
+        expect_form(
+            bias.ndim <= 2 and sides in ((), weight.shape[:1]), f"a bias of shape {bias.shape}"
+        )
+        weights["bias"] = made.tensor(
+            node.inputs[2], np.broadcast_to(bias.reshape(-1), len(weight))
+        )
     made.add(node, "dense", node.inputs[:1], weights=weights)
 
 
 def _matmul(made: OnnxLayers, node: Node) -> None:
     weight = _matrix(made, node)
-    made.add(node, "dense", node.inputs[:1], weights={"weight": made.tensor(node.inputs[1], weight.T)})
+    made.add(
+        node, "dense", node.inputs[:1], weights={"weight": made.tensor(node.inputs[1], weight.T)}
+    )
 
 
 def _matrix(made: OnnxLayers, node: Node) -> np.ndarray:
     weight = made.constant(node, 1)
     if weight is None or weight.ndim != 2:
-        raise NotImplementedError("a product with other than a constant matrix has no compiled form")
+        raise NotImplementedError(
+            "a product with other than a constant matrix has no compiled form"
+        )
     return weight
 
 
 def _batch_norm(made: OnnxLayers, node: Node) -> None:
-    training = node.get("training_mode", 0) or len(node.outputs) > 1  # before opset 14: outputs tell
-    expect_form(not training and node.get("spatial", 1) == 1, "a batch norm in training mode, or of each place,")
+    # before opset 14: outputs tell
+    training = node.get("training_mode", 0) or len(node.outputs) > 1
+    expect_form(
+        not training and node.get("spatial", 1) == 1,
+        "a batch norm in training mode, or of each place,",
+    )
     weights = made.weights(node, weight=1, bias=2, mean=3, variance=4)
-    made.add(node, "batch_norm", node.inputs[:1], weights=weights, epsilon=float(node.get("epsilon", 1e-5)))
+    made.add(
+        node,
+        "batch_norm",
+        node.inputs[:1],
+        weights=weights,
+        epsilon=float(node.get("epsilon", 1e-5)),
+    )
 
 
 def _without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -71,24 +95,33 @@ def _without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _affine(made: OnnxLayers, node: Node, *, is_sum: bool) -> None:
-    """A sum or product with a constant, of one number or of one for each channel, as a batch norm."""
+    """A sum or product with a constant, of one number or of one for each channel, as a batch
+    norm."""
     (constant,) = (made.constants[name] for name in node.inputs if name in made.constants)
     (source,) = (name for name in node.inputs if name not in made.constants)
     shape = made.shape(source)
     sides = _without_leading_ones(constant.shape)
-    expect_form(sides in ((), (shape[0], *[1] * (len(shape) - 1))), f"a constant of shape {constant.shape} here")
+    expect_form(
+        sides in ((), (shape[0], *[1] * (len(shape) - 1))),
+        f"a constant of shape {constant.shape} here",
+    )
     n = shape[0]
     values = np.broadcast_to(constant.reshape(-1), n)
     zeros = np.zeros(n, values.dtype)
     of_role = {"mean": zeros, "variance": zeros + 1, "bias" if is_sum else "weight": values}
-    weights = {role: made.tensor(f"{node.outputs[0]}.{role}", numbers) for role, numbers in of_role.items()}
+    weights = {
+        role: made.tensor(f"{node.outputs[0]}.{role}", numbers) for role, numbers in of_role.items()
+    }
     made.add(node, "batch_norm", [source], weights=weights, epsilon=0.0)
 
 
 def _add(made: OnnxLayers, node: Node) -> None:
     if any(name in made.constants for name in node.inputs):
         constants = sum(name in made.constants for name in node.inputs)
-        expect_form((len(node.inputs), constants) == (2, 1), "a sum other than of one map and a constant, or of maps,")
+        expect_form(
+            (len(node.inputs), constants) == (2, 1),
+            "a sum other than of one map and a constant, or of maps,",
+        )
         _affine(made, node, is_sum=True)
     else:
         made.add(node, "add", node.inputs)
@@ -98,7 +131,9 @@ def _mul(made: OnnxLayers, node: Node) -> None:
     if not any(name in made.constants for name in node.inputs):
         _silu(made, node)
     else:
-        expect_form(sum(name in made.constants for name in node.inputs) == 1, "a product of constants")
+        expect_form(
+            sum(name in made.constants for name in node.inputs) == 1, "a product of constants"
+        )
         _affine(made, node, is_sum=False)
 
 
@@ -116,7 +151,10 @@ def _log(made: OnnxLayers, node: Node) -> None:
     sum_of = made.layer_of(node.inputs[0])
     weights = sum_of.get("weights", {})
     is_plus_one = sum_of["op"] == "batch_norm" and set(weights) == {"mean", "variance", "bias"}
-    expect_form(is_plus_one and bool((made.tensors[weights["bias"]] == 1).all()), "a logarithm of other than x + 1")
+    expect_form(
+        is_plus_one and bool((made.tensors[weights["bias"]] == 1).all()),
+        "a logarithm of other than x + 1",
+    )
     made.names[node.inputs[0]] = sum_of["inputs"][0]
     made.add(node, "log1p", node.inputs[:1])
     made.names[node.inputs[0]] = sum_of["name"]
@@ -129,12 +167,17 @@ def _function(op: str) -> Callable[[OnnxLayers, Node], None]:
 
 def _hardsigmoid(made: OnnxLayers, node: Node) -> None:
     alpha, beta = node.get("alpha", 0.2), node.get("beta", 0.5)
-    expect_form(abs(alpha - 1 / 6) < 1e-6 and beta == 0.5, f"alpha {alpha} and beta {beta}, not 1/6 and 1/2,")
+    expect_form(
+        abs(alpha - 1 / 6) < 1e-6 and beta == 0.5,
+        f"alpha {alpha} and beta {beta}, not 1/6 and 1/2,",
+    )
     made.add(node, "hardsigmoid", node.inputs[:1])
 
 
 def _gelu(made: OnnxLayers, node: Node) -> None:
-    made.add(node, "gelu_tanh" if node.get("approximate", "none") == "tanh" else "gelu", node.inputs[:1])
+    made.add(
+        node, "gelu_tanh" if node.get("approximate", "none") == "tanh" else "gelu", node.inputs[:1]
+    )
 
 
 def _leaky_relu(made: OnnxLayers, node: Node) -> None:
@@ -145,10 +188,19 @@ def _prelu(made: OnnxLayers, node: Node) -> None:
     slope = made.constant(node, 1)
     if slope is None:
         raise NotImplementedError("a PRelu without slope has no compiled form")
-    sides = _without_leading_ones(slope.shape)  # (C, 1, 1): ONNX would apply (n,) along the last axis
+    # (C, 1, 1): ONNX would apply (n,) along the last axis
+    sides = _without_leading_ones(slope.shape)
     channels, *others = made.shape(node.inputs[0])
-    expect_form(slope.size == 1 or sides == (channels, *[1] * len(others)), f"a slope of shape {slope.shape}")
-    made.add(node, "prelu", node.inputs[:1], weights={"slope": made.tensor(node.inputs[1], slope.reshape(-1))})
+    expect_form(
+        slope.size == 1 or sides == (channels, *[1] * len(others)),
+        f"a slope of shape {slope.shape}",
+    )
+    made.add(
+        node,
+        "prelu",
+        node.inputs[:1],
+        weights={"slope": made.tensor(node.inputs[1], slope.reshape(-1))},
+    )
 
 
 def _clip(made: OnnxLayers, node: Node) -> None:
@@ -178,7 +230,9 @@ def _reduce_mean(made: OnnxLayers, node: Node) -> None:
     axes = node.get("axes")
     if axes is None and (given := made.constant(node, 1)) is not None:
         axes = given.tolist()
-    expect_form(sorted(axis % 4 for axis in axes or []) == [2, 3], f"a mean over axes {axes}, not (2, 3),")
+    expect_form(
+        sorted(axis % 4 for axis in axes or []) == [2, 3], f"a mean over axes {axes}, not (2, 3),"
+    )
     made.add(node, "global_average_pool", node.inputs[:1])
     if not node.get("keepdims", 1):
         made.add(node, "flatten", node.outputs)
@@ -200,12 +254,18 @@ def _flatten(made: OnnxLayers, node: Node) -> None:
 
 
 def _reshape(made: OnnxLayers, node: Node) -> None:
-    """To (n, -1) or (n, m), one row a volume; 0 stands for the batch, unless `allowzero` says that it is none."""
+    """To (n, -1) or (n, m), one row a volume; 0 stands for the batch, unless `allowzero` says that
+    it is none."""
     given = made.constant(node, 1)
     rows, n = (None, None) if given is None or given.shape != (2,) else given.tolist()
-    fits = (rows in (0, 1) and n == -1) or (rows in (-1, 0, 1) and n == math.prod(made.shape(node.inputs[0])))
+    fits = (rows in (0, 1) and n == -1) or (
+        rows in (-1, 0, 1) and n == math.prod(made.shape(node.inputs[0]))
+    )
     fits = fits and not (rows == 0 and node.get("allowzero", 0))
-    expect_form(fits, f"a reshape to {None if given is None else given.tolist()}, not (n, -1), one row a volume,")
+    expect_form(
+        fits,
+        f"a reshape to {None if given is None else given.tolist()}, not (n, -1), one row a volume,",
+    )
     made.add(node, "flatten", node.inputs[:1])
 
 

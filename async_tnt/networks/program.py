@@ -1,4 +1,5 @@
-"""Steps as the arrays that the kernels work on, see `kernels.program`, and volumes as they take them."""
+"""Steps as the arrays that the kernels work on, see `kernels.program`, and volumes as they take
+them."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ class Program:
 
     arrays : ProgramArrays.
     steps : of each, in order, the name of the layer that it computes or belongs to.
-    output_layout : where in `maps` the output begins, numbers from one of its rows, columns and channels to the next.
+    output_layout : where in `maps` the output begins, numbers from one of its rows, columns and
+        channels to the next.
     output_changes : where in the program the records of the output's changes begin.
     lanes : as many filters lie side by side in `arrays.weights`.
     """
@@ -49,7 +51,10 @@ class Program:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         if self.lanes != LANES:
-            raise ValueError("a network was pickled on a processor with other vector registers: load its model instead")
+            raise ValueError(
+                "a network was pickled on a processor with other vector registers: load its model "
+                "instead"
+            )
         self.arrays.weights.flags.writeable = False  # which a pickle does not keep
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Program:
@@ -58,8 +63,8 @@ class Program:
         return replace(self, arrays=copy.deepcopy(self.arrays, memo))
 
     def run(self, volume: np.ndarray) -> np.ndarray:
-        """Compute the whole network: volume, as `VolumeInput` returns it -> the output's numbers, a view that begins
-        with the first and may go on behind the last."""
+        """Compute the whole network: volume, as `VolumeInput` returns it -> the output's numbers, a
+        view that begins with the first and may go on behind the last."""
         set_input(volume, self.arrays.program, self.arrays.maps)
         forward(*self.arrays)
         return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
@@ -73,7 +78,8 @@ def make_program(
 ) -> Program:
     """The program of a network whose layers have been checked, for volumes of this shape (C, H, W).
 
-    shared : where programs of the same layers and shape share their packed weights; those of the first one enter it.
+    shared : where programs of the same layers and shape share their packed weights; those of the
+        first one enter it.
     """
     channels, height, width = shape
     volume = Map(channels, height, width)
@@ -83,13 +89,22 @@ def make_program(
     maps = list(dict.fromkeys([volume, *(step.output for step in steps)]))
 
     program = np.zeros(P.FIRST_STEP + len(steps) * P.STEP_SIZE, np.int64)
-    program[[P.N_STEPS, P.CHANNELS, P.HEIGHT, P.WIDTH, P.STALE]] = len(steps), channels, height, width, 1
+    program[[P.N_STEPS, P.CHANNELS, P.HEIGHT, P.WIDTH, P.STALE]] = (
+        len(steps),
+        channels,
+        height,
+        width,
+        1,
+    )
     tables: list[int] = []
     places = _Arena()
     program[P.LIST] = places.take(max(part.rows * part.columns for part in maps) + 2)
     program[P.SCRATCH_WORDS] = n_words = max(_words(part.columns) for part in maps)
     before = max(_words(step.padding[1]) for step in steps)
-    seen = max(_words(s.columns) * s.stride[1] + _words((s.kernel[1] - 1) * s.dilation[1]) + 2 for s in steps)
+    seen = max(
+        _words(s.columns) * s.stride[1] + _words((s.kernel[1] - 1) * s.dilation[1]) + 2
+        for s in steps
+    )
     program[P.SCRATCH] = places.take(2 * (before + max(n_words, seen))) // 2 + before
     for record_at in (P.INPUT_CHANGED, P.INPUT_TOUCHED):
         program[record_at : record_at + 4] = _changes(height, width, places)
@@ -98,8 +113,11 @@ def make_program(
     firsts = {volume: numbers.take(_size(volume)) + _first(volume)}
     first_number = numbers.size
     firsts |= {part: numbers.take(_size(part)) + _first(part) for part in maps[1:]}
-    if numbers.size > 2 * graph.MAX_NUMBERS:  # maps that are added have one frame, that of the widest padding
-        raise ValueError(f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}")
+    # maps that are added have one frame, that of the widest padding
+    if numbers.size > 2 * graph.MAX_NUMBERS:
+        raise ValueError(
+            f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}"
+        )
     behind = _up(numbers.size + LANES, LANES)  # a register may reach behind the last channel
     program[P.EMPTY] = behind - first_number
     program[[P.INPUT, P.INPUT_DY]] = firsts[volume], _pitch(volume)
@@ -126,7 +144,10 @@ def make_program(
         for k in (P.CHANGED, P.TOUCHED):
             record[k : k + 4] = _changes(step.rows, step.columns, places)
         record[P.IN] = 0  # the distances below are from the beginning
-        record[[P.IN_DY, P.IN_DX]] = step.stride[0] * _pitch(source), step.stride[1] * source.channels
+        record[[P.IN_DY, P.IN_DX]] = (
+            step.stride[0] * _pitch(source),
+            step.stride[1] * source.channels,
+        )
         record[P.OUT] = firsts[step.output] + step.channel
         record[[P.OUT_DY, P.OUT_DX]] = _pitch(step.output), step.output.channels
         record[P.OUT_CHANNELS] = len(step.bias) // groups
@@ -153,7 +174,8 @@ def make_program(
 
 
 def _shared_weights(parts: list[np.ndarray], n: int, shared: dict[str, np.ndarray]) -> np.ndarray:
-    """The weights of all steps in one read-only array: that of an earlier program, if there is one."""
+    """The weights of all steps in one read-only array: that of an earlier program, if there is
+    one."""
     if "weights" not in shared:
         weights = aligned(n, np.float32)
         np.concatenate(parts, out=weights)
@@ -163,7 +185,8 @@ def _shared_weights(parts: list[np.ndarray], n: int, shared: dict[str, np.ndarra
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:
-    """Zeros that begin where a cache line does: registers across two lines are read half as fast."""
+    """Zeros that begin where a cache line does: registers across two lines are read half as
+    fast."""
     array: np.ndarray = np.zeros(n + 64 // np.dtype(dtype).itemsize, dtype)
     first = -array.ctypes.data % 64 // array.itemsize
     return array[first : first + n]
@@ -192,8 +215,8 @@ def _words(columns: int) -> int:
 
 
 def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
-    """The steps whose maps are read, or are to be kept. Last rows and columns that no step reads, as a pooling may
-    drop them, are not computed."""
+    """The steps whose maps are read, or are to be kept. Last rows and columns that no step reads,
+    as a pooling may drop them, are not computed."""
     needed: dict[Map, tuple[int, int]] = {}
     used = []
     for step in reversed(steps):
@@ -204,7 +227,10 @@ def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
         rows, columns = step.reads
         for part in step.inputs:
             before = needed.get(part, (0, 0))
-            needed[part] = min(max(before[0], rows, 1), part.rows), min(max(before[1], columns, 1), part.columns)
+            needed[part] = (
+                min(max(before[0], rows, 1), part.rows),
+                min(max(before[1], columns, 1), part.columns),
+            )
         used.append(step)
     return used[::-1]
 
@@ -215,7 +241,14 @@ def _frame(steps: list[Step]) -> None:
         for part in step.inputs:
             rows, columns = step.reads
             _widen(part, (*step.padding, max(0, rows - part.rows), max(0, columns - part.columns)))
-    while any([_widen(part, other.frame) for step in steps for part in step.inputs for other in step.inputs]):
+    while any(
+        [
+            _widen(part, other.frame)
+            for step in steps
+            for part in step.inputs
+            for other in step.inputs
+        ]
+    ):
         pass
 
 
@@ -260,15 +293,23 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
 
 
 def _packed(step: Step) -> tuple[int, int, np.ndarray]:
-    """Groups, numbers from one place's weights to the next one's, and the weights as `kernels.program` describes."""
+    """Groups, numbers from one place's weights to the next one's, and the weights as
+    `kernels.program` describes."""
     if step.own_weights:
         of_places = step.weights[: step.rows, : step.columns].reshape(-1, *step.weights.shape[2:])
-        packed = np.stack([_blocks(w, step) for w in of_places]) if step.kind == P.MIX else _rows(of_places, step)
+        packed = (
+            np.stack([_blocks(w, step) for w in of_places])
+            if step.kind == P.MIX
+            else _rows(of_places, step)
+        )
         return 1, packed.shape[1], packed.reshape(-1)
     if step.kind != P.MIX:
         return 1, 0, _rows(step.weights.reshape(1, -1, len(step.bias)), step)[0]
     per_group = len(step.bias) // step.groups
-    parts = [_blocks(step.weights[k : k + per_group], step, k) for k in range(0, len(step.bias), per_group)]
+    parts = [
+        _blocks(step.weights[k : k + per_group], step, k)
+        for k in range(0, len(step.bias), per_group)
+    ]
     return step.groups, 0, np.concatenate(parts)
 
 
@@ -285,9 +326,11 @@ def _rows(w: np.ndarray, step: Step) -> np.ndarray:
 
 
 def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
-    """Filters (F, C) or (F, C, kernel_y, kernel_x), the step's from `first` on, in blocks of one or two registers."""
+    """Filters (F, C) or (F, C, kernel_y, kernel_x), the step's from `first` on, in blocks of one or
+    two registers."""
     parts = []
-    products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))  # (K, F): taps, then channels
+    # (K, F): taps, then channels
+    products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
     for f in range(0, len(w), 2 * LANES):
         n = min(len(w) - f, 2 * LANES)
         size = _up(n, LANES)
@@ -308,14 +351,16 @@ def _up(n: int, step: int) -> int:
 
 
 class VolumeInput:
-    """Passes volumes to a kernel in one form, that of `TNTVolume.array`, so the kernel is compiled only once."""
+    """Passes volumes to a kernel in one form, that of `TNTVolume.array`, so the kernel is compiled
+    only once."""
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.shape = shape
         self._copy = np.zeros(shape, np.float32)
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """float32, contiguous, read-only: the volume itself where it is so, else a copy, valid until the next call.
+        """float32, contiguous, read-only: the volume itself where it is so, else a copy, valid
+        until the next call.
 
         Raises
         ------

@@ -1,7 +1,9 @@
-"""From layers to steps of the compiled interpreter: what `kernels.program` describes, before it is laid out in memory.
+"""From layers to steps of the compiled interpreter: what `kernels.program` describes, before it is
+laid out in memory.
 
-Normalizations are folded into the step before them, activations become part of it. A dense layer that reads a map
-becomes three steps, a global average pooling two: what each place adds, the sum of each row, the sum of the rows.
+Normalizations are folded into the step before them, activations become part of it. A dense layer
+that reads a map becomes three steps, a global average pooling two: what each place adds, the sum of
+each row, the sum of the rows.
 """
 
 from __future__ import annotations
@@ -39,9 +41,11 @@ class Step:
     """A map, or some channels of it, from other maps.
 
     name : of the layer that it computes or belongs to.
-    kind : MIX (one input), SUM (several of one shape are taps of one sum), MAXIMUM, FUNCTION or SPREAD (one).
-    weights : of a MIX (F, C / groups, kernel_y, kernel_x), with `own_weights` (rows, columns, F, C); of a SUM (taps,
-        C), tap by tap of an input, input by input, with `own_weights` (rows, columns, taps, C).
+    kind : MIX (one input), SUM (several of one shape are taps of one sum), MAXIMUM, FUNCTION or
+        SPREAD (one).
+    weights : of a MIX (F, C / groups, kernel_y, kernel_x), with `own_weights` (rows, columns, F,
+        C); of a SUM (taps, C), tap by tap of an input, input by input, with `own_weights` (rows,
+        columns, taps, C).
     bias, slopes : (F,) or (C,).
     channel : where in the output its channels begin.
     rows, columns : of the output that are computed; all, at first.
@@ -82,15 +86,21 @@ class Step:
 
     @property
     def reads(self) -> tuple[int, int]:
-        """How many rows and columns of its inputs it reads, from their first ones on: frame after them included."""
+        """How many rows and columns of its inputs it reads, from their first ones on: frame after
+        them included."""
         rows, columns = (
-            (-(-out // self.block) - 1) * self.stride[k] + (self.kernel[k] - 1) * self.dilation[k] - self.padding[k] + 1
+            (-(-out // self.block) - 1) * self.stride[k]
+            + (self.kernel[k] - 1) * self.dilation[k]
+            - self.padding[k]
+            + 1
             for k, out in enumerate((self.rows, self.columns))
         )
         return rows, columns
 
 
-def steps_of(layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]) -> tuple[list[Step], Map]:
+def steps_of(
+    layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
+) -> tuple[list[Step], Map]:
     """The steps of a network whose layers have been checked, in order, and the map of its output.
 
     The last layer may be a `heatmap_centroid`, which is no step: then the output is its heatmap.
@@ -99,17 +109,22 @@ def steps_of(layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndar
 
 
 class _Lowering:
-    def __init__(self, layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]) -> None:
+    def __init__(
+        self, layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
+    ) -> None:
         self._layers, self._volume, self._tensors = layers, volume, tensors
         shape = volume.channels, volume.rows, volume.columns
-        self._shapes: Mapping[str, Any] = layer_shapes(layers, shape, {name: w.shape for name, w in tensors.items()})
+        self._shapes: Mapping[str, Any] = layer_shapes(
+            layers, shape, {name: w.shape for name, w in tensors.items()}
+        )
         self._readers = self._count_readers()
         self._steps: list[Step] = []
         self._name = ""  # of the layer that is next
         self._maps: dict[str, Map] = {}
 
     def _count_readers(self) -> Counter[str]:
-        """How many layers read what a layer computes, through a flatten, too; the output is read once."""
+        """How many layers read what a layer computes, through a flatten, too; the output is read
+        once."""
         origins: dict[str, str] = {}
         readers: Counter[str] = Counter()
         for layer in self._layers:
@@ -133,27 +148,38 @@ class _Lowering:
             else:
                 self._maps[layer["name"]] = getattr(self, f"_{layer['op']}")(layer, inputs)
         output = self._maps[self._layers[-1]["name"]]
-        return self._steps, self._copy(volume, replace(volume, writers=[])) if output is volume else output
+        return self._steps, self._copy(
+            volume, replace(volume, writers=[])
+        ) if output is volume else output
 
     def _tensor(self, layer: Layer, role: str, default: float, n: int) -> np.ndarray:
         name = layer["weights"].get(role)
         return np.full(n, default, np.float32) if name is None else self._tensors[name]
 
-    def _add_step(self, kind: int, inputs: list[Map], output: Map, weights: Any, bias: Any, **options: Any) -> Map:
+    def _add_step(
+        self, kind: int, inputs: list[Map], output: Map, weights: Any, bias: Any, **options: Any
+    ) -> Map:
         weights, bias = np.asarray(weights, np.float32), np.asarray(bias, np.float32)
         self._steps.append(Step(self._name, kind, inputs, output, weights, bias, **options))
         return output
 
     def _copy(self, source: Map, output: Map, channel: int = 0) -> Map:
         ones = np.ones((1, source.channels))
-        return self._add_step(SUM, [source], output, ones, np.zeros(source.channels), channel=channel)
+        return self._add_step(
+            SUM, [source], output, ones, np.zeros(source.channels), channel=channel
+        )
 
     def _own_step(self, layer: Layer, inputs: list[Map], *, linear: bool = False) -> Step:
-        """The step to fold a layer into: the one before it if nothing else reads that, otherwise a copy."""
+        """The step to fold a layer into: the one before it if nothing else reads that, otherwise a
+        copy."""
         (source,) = inputs
         if len(source.writers) == 1 and self._readers[layer["inputs"][0]] == 1:
             step = source.writers[0]
-            if not step.is_activated and step.kind != SPREAD and (step.kind in (MIX, SUM) or not linear):
+            if (
+                not step.is_activated
+                and step.kind != SPREAD
+                and (step.kind in (MIX, SUM) or not linear)
+            ):
                 return step
         return self._copy(source, replace(source, fill=0.0, writers=[])).writers[0]
 
@@ -166,7 +192,9 @@ class _Lowering:
         output = Map(*self._shapes[layer["name"]])
         if layer["groups"] == n_filters == source.channels:
             return self._add_step(SUM, inputs, output, w.reshape(n_filters, -1).T, bias, **options)
-        return self._add_step(MIX, inputs, output, w, bias, groups=source.channels // per_group, **options)
+        return self._add_step(
+            MIX, inputs, output, w, bias, groups=source.channels // per_group, **options
+        )
 
     def _dense(self, layer: Layer, inputs: list[Map]) -> Map:
         (source,) = inputs
@@ -177,7 +205,9 @@ class _Lowering:
         if source.rows * source.columns == 1:
             return self._add_step(MIX, inputs, Map(n_units, 1, 1), w, bias)
         parts = Map(n_units, source.rows, source.columns)
-        self._add_step(MIX, inputs, parts, w.transpose(2, 3, 0, 1), np.zeros(n_units), own_weights=True)
+        self._add_step(
+            MIX, inputs, parts, w.transpose(2, 3, 0, 1), np.zeros(n_units), own_weights=True
+        )
         return self._sum_of_places(parts, 1.0, bias)
 
     def _sum_of_places(self, source: Map, factor: float, bias: np.ndarray) -> Map:
@@ -186,7 +216,9 @@ class _Lowering:
         if 1 not in sides:
             row_sums = Map(channels, source.rows, 1)
             ones = np.ones((source.columns, channels))
-            source = self._add_step(SUM, [source], row_sums, ones, np.zeros(channels), kernel=(1, source.columns))
+            source = self._add_step(
+                SUM, [source], row_sums, ones, np.zeros(channels), kernel=(1, source.columns)
+            )
         kernel = source.rows, source.columns
         weights = np.full((source.rows * source.columns, channels), factor)
         return self._add_step(SUM, [source], Map(channels, 1, 1), weights, bias, kernel=kernel)
@@ -229,12 +261,17 @@ class _Lowering:
         (source,) = inputs
         output = replace(source, fill=0.0, frame=(0, 0, 0, 0), writers=[])
         applied = list(FUNCTIONS).index(name)
-        return self._add_step(FUNCTION, inputs, output, [], np.zeros(source.channels), applied=applied)
+        return self._add_step(
+            FUNCTION, inputs, output, [], np.zeros(source.channels), applied=applied
+        )
 
     def _hardsigmoid(self, layer: Layer, inputs: list[Map]) -> Map:
         """clip(x / 6 + 1/2, 0, 1)"""
         step = self._own_step(layer, inputs, linear=True)
-        step.weights, step.bias = step.weights / np.float32(6), step.bias / np.float32(6) + np.float32(0.5)
+        step.weights, step.bias = (
+            step.weights / np.float32(6),
+            step.bias / np.float32(6) + np.float32(0.5),
+        )
         step.low, step.high = 0.0, 1.0
         return step.output
 
@@ -244,7 +281,9 @@ class _Lowering:
             framed = replace(source, fill=-np.inf, frame=(0, 0, 0, 0), writers=[])
             source = self._copy(source, framed)
         output = Map(*self._shapes[layer["name"]])
-        return self._add_step(MAXIMUM, [source], output, [], np.zeros(source.channels), **_window(layer))
+        return self._add_step(
+            MAXIMUM, [source], output, [], np.zeros(source.channels), **_window(layer)
+        )
 
     def _average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
         return self._pool(layer, inputs, 1.0 / (layer["kernel"][0] * layer["kernel"][1]))
@@ -258,7 +297,9 @@ class _Lowering:
             return self._sum_of_places(source, factor, np.zeros(source.channels))
         weights = np.full((layer["kernel"][0] * layer["kernel"][1], source.channels), factor)
         output = Map(*self._shapes[layer["name"]])
-        return self._add_step(SUM, inputs, output, weights, np.zeros(source.channels), **_window(layer))
+        return self._add_step(
+            SUM, inputs, output, weights, np.zeros(source.channels), **_window(layer)
+        )
 
     def _inside_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
         output, window = Map(*self._shapes[layer["name"]]), _window(layer)
@@ -273,20 +314,26 @@ class _Lowering:
         window = {"kernel": (rows.shape[1], columns.shape[1]), "stride": (stride_y, stride_x)}
         return self._uneven_pool(inputs, output, rows, columns, padding=(above, before), **window)
 
-    def _uneven_pool(self, inputs: list[Map], output: Map, rows: Any, columns: Any, **window: Any) -> Map:
+    def _uneven_pool(
+        self, inputs: list[Map], output: Map, rows: Any, columns: Any, **window: Any
+    ) -> Map:
         weights, zeros = place_weights(rows, columns, output.channels), np.zeros(output.channels)
         return self._add_step(SUM, inputs, output, weights, zeros, own_weights=True, **window)
 
     def _global_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
         (source,) = inputs
-        return self._sum_of_places(source, 1.0 / (source.rows * source.columns), np.zeros(source.channels))
+        return self._sum_of_places(
+            source, 1.0 / (source.rows * source.columns), np.zeros(source.channels)
+        )
 
     def _depth_to_space(self, layer: Layer, inputs: list[Map]) -> Map:
         (source,) = inputs
         if len(source.writers) > 1:
             source = self._copy(source, replace(source, fill=0.0, frame=(0, 0, 0, 0), writers=[]))
         output = Map(*self._shapes[layer["name"]])
-        return self._add_step(SPREAD, [source], output, [], np.zeros(output.channels), block=layer["block"])
+        return self._add_step(
+            SPREAD, [source], output, [], np.zeros(output.channels), block=layer["block"]
+        )
 
     def _add(self, layer: Layer, inputs: list[Map]) -> Map:
         first = inputs[0]
@@ -309,4 +356,8 @@ class _Lowering:
 
 
 def _window(layer: Layer) -> dict[str, Any]:
-    return {"kernel": tuple(layer["kernel"]), "stride": tuple(layer["stride"]), "padding": tuple(layer["padding"][:2])}
+    return {
+        "kernel": tuple(layer["kernel"]),
+        "stride": tuple(layer["stride"]),
+        "padding": tuple(layer["padding"][:2]),
+    }

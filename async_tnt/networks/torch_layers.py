@@ -1,4 +1,5 @@
-"""What a trace of a torch module is read into: calls of known operations, and the layers they become."""
+"""What a trace of a torch module is read into: calls of known operations, and the layers they
+become."""
 
 from __future__ import annotations
 
@@ -45,11 +46,17 @@ class LayerList:
         self.names: dict[fx.Node, str] = {}
         """Of the layer whose value a node has."""
 
-    def add(self, op: str, call: Call, sources: Iterable[Any] | None = None, **parameters: Any) -> str:
+    def add(
+        self, op: str, call: Call, sources: Iterable[Any] | None = None, **parameters: Any
+    ) -> str:
         """Add a layer of a call; returns its name. `sources` are by default its only input."""
         taken = {VOLUME, *(layer["name"] for layer in self.layers)}
         node = call.node
-        name = str(node.target) if call.module is not None and str(node.target) not in taken else node.name
+        name = (
+            str(node.target)
+            if call.module is not None and str(node.target) not in taken
+            else node.name
+        )
         while name in taken:
             name += "_"
         inputs = [self.source(node) for node in ([call["input"]] if sources is None else sources)]
@@ -61,7 +68,9 @@ class LayerList:
         if isinstance(node, str):
             return node
         if isinstance(node, torch.Tensor):
-            raise NotImplementedError(f"a constant of shape {tuple(node.shape)} here has no compiled form")
+            raise NotImplementedError(
+                f"a constant of shape {tuple(node.shape)} here has no compiled form"
+            )
         if not isinstance(node, fx.Node) or node not in self.names:
             raise NotImplementedError(f"the value {node} is not computed from the volume")
         return self.names[node]
@@ -72,7 +81,8 @@ class LayerList:
         return layer_shapes(self.layers, self._volume, tensors, partial=True)[self.source(node)]
 
     def needed_for(self, output: fx.Node) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-        """The layers that a node's value is computed from, the last one its own, and their weights."""
+        """The layers that a node's value is computed from, the last one its own, and their
+        weights."""
         needed = {self.source(output)}
         expect_form(needed != {VOLUME}, "the volume itself")
         layers: list[dict[str, Any]] = []

@@ -28,7 +28,8 @@ def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
 
 
 def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
-    """A model's landmark network: raw volumes (N, C, H, W) -> (N, 2) in grid pixels, in eval mode; None without one."""
+    """A model's landmark network: raw volumes (N, C, H, W) -> (N, 2) in grid pixels, in eval mode;
+    None without one."""
     return _network(model, REGRESSOR) if model.config.needs_regressor else None
 
 
@@ -39,7 +40,8 @@ def _network(model: Model, name: str) -> tnt_reference.LayerNetwork:
 
 
 def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:
-    """`torch_regressor` as a function of one raw volume (C, H, W): the landmark (x, y) in grid pixels."""
+    """`torch_regressor` as a function of one raw volume (C, H, W): the landmark (x, y) in grid
+    pixels."""
     import torch
 
     network = torch_regressor(model)
@@ -56,15 +58,16 @@ def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float
 class TorchClassifier:
     """A torch module as a classifier: volume (C, H, W) -> logits (n_classes,).
 
-    `Processor(config, classifier=TorchClassifier(module))` decides by any callable from a tensor (1, C, H, W) to
-    logits: a module, TorchScript, a `torch.export.ExportedProgram`, a plain function of tensors. It is put into eval
-    mode and called in inference mode, on the device and in the floating type of its first parameter.
+    `Processor(config, classifier=TorchClassifier(module))` decides by any callable from a tensor
+    (1, C, H, W) to logits: a module, TorchScript, a `torch.export.ExportedProgram`, a plain
+    function of tensors. It is put into eval mode and called in inference mode, on the device and in
+    the floating type of its first parameter.
 
     Parameters
     ----------
-    module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1, n_classes), or a
-        map (1, n_classes + 1, R, C), see `Model`. Modules are put into eval mode in place: call `module.train()` before
-        training continues.
+    module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1,
+        n_classes), or a map (1, n_classes + 1, R, C), see `Model`. Modules are put into eval mode
+        in place: call `module.train()` before training continues.
     places : of a map: where its places lie; by default they divide the sensor evenly.
     threads : given to `torch.set_num_threads`, once, here. That is process-wide: it also applies
         to other classifiers and to training in this process. None leaves it unchanged.
@@ -77,7 +80,11 @@ class TorchClassifier:
     """
 
     def __init__(
-        self, module: Callable[[torch.Tensor], torch.Tensor], *, threads: int | None = 1, places: Places | None = None
+        self,
+        module: Callable[[torch.Tensor], torch.Tensor],
+        *,
+        threads: int | None = 1,
+        places: Places | None = None,
     ) -> None:
         with needs_extra("reference", "torch modules need torch"):
             import torch
@@ -90,25 +97,34 @@ class TorchClassifier:
         self.module, self.places = module, places
         self._like = torch.empty(0)  # on the device and of the type of the module
         if isinstance(module, torch.nn.Module):
-            with suppress(NotImplementedError):  # of an exported program, which keeps the mode it was exported in
+            # of an exported program, which keeps the mode it was exported in
+            with suppress(NotImplementedError):
                 module.eval()
-            weights = (w for w in chain(module.parameters(), module.buffers()) if w.is_floating_point())
+            weights = (
+                w for w in chain(module.parameters(), module.buffers()) if w.is_floating_point()
+            )
             first = next(weights, self._like)
             self._like = torch.empty(0, dtype=first.dtype, device=first.device)
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new array."""
+        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new
+        array."""
         import torch
 
-        # One copy, 1 us for 9 x 34 x 34: torch has no read-only tensors, and a module that works in place (a first
-        # layer `ReLU(inplace=True)`) or keeps its input would otherwise write into, or read from, the open window.
+        # One copy, 1 us for 9 x 34 x 34: torch has no read-only tensors, and a module that works in
+        # place (a first layer `ReLU(inplace=True)`) or keeps its input would otherwise write into,
+        # or read from, the open window.
         tensor = torch.from_numpy(np.array(volume, np.float32))[None].to(self._like)
         with torch.inference_mode():
             logits: Any = self.module(tensor)
             if not isinstance(logits, torch.Tensor):
-                raise TypeError(f"the module must return a tensor of logits, got {type(logits).__name__}")
+                raise TypeError(
+                    f"the module must return a tensor of logits, got {type(logits).__name__}"
+                )
             shape = logits_shape(tuple(logits.shape))
             if shape is None:
-                raise ValueError(f"the module must return logits {LOGITS}, got shape {tuple(logits.shape)}")
+                raise ValueError(
+                    f"the module must return logits {LOGITS}, got shape {tuple(logits.shape)}"
+                )
             answer: np.ndarray = logits.reshape(shape).to("cpu", torch.float32).numpy()
         return answer.copy()  # the module may keep its tensor

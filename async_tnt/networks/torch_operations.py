@@ -1,4 +1,5 @@
-"""Torch's operations that have a compiled form: modules, functions and methods, and how a call becomes layers."""
+"""Torch's operations that have a compiled form: modules, functions and methods, and how a call
+becomes layers."""
 
 from __future__ import annotations
 
@@ -59,7 +60,9 @@ def _batch_norm(made: LayerList, call: Call) -> str:
     without = call.module.running_mean is None or call.module.training
     expect_form(not without, "a batch norm that does not use running statistics")
     roles = {"mean": "running_mean", "variance": "running_var", "weight": "weight", "bias": "bias"}
-    return made.add("batch_norm", call, weights=made.tensors(call, **roles), epsilon=call.module.eps)
+    return made.add(
+        "batch_norm", call, weights=made.tensors(call, **roles), epsilon=call.module.eps
+    )
 
 
 def _function(op: str) -> Operation:
@@ -93,10 +96,13 @@ def _prelu(made: LayerList, call: Call) -> str:
 def _pool(made: LayerList, call: Call, op: str) -> str:
     kernel, stride = _pair(call["kernel_size"]), _pair(call["stride"] or call["kernel_size"])
     padding = 2 * _pair(call["padding"])
-    if call["ceil_mode"]:  # as if padded at the end, so far that a last window fits that begins inside
+    # as if padded at the end, so far that a last window fits that begins inside
+    if call["ceil_mode"]:
         sides = made.shape(call["input"])[1:]
         expect_form(len(sides) == 2, "a pooling of a vector")
-        for axis, (side, reach, step, before) in enumerate(zip(sides, kernel, stride, padding[:2], strict=True)):
+        for axis, (side, reach, step, before) in enumerate(
+            zip(sides, kernel, stride, padding[:2], strict=True)
+        ):
             last = min(math.ceil((side + 2 * before - reach) / step), (side + before - 1) // step)
             padding[2 + axis] = max(padding[2 + axis], last * step + reach - before - side)
     return made.add(op, call, kernel=kernel, stride=stride, padding=padding)
@@ -113,7 +119,9 @@ def _average_pool(made: LayerList, call: Call) -> str:
     if call["divisor_override"] is not None:
         expect_form(call["divisor_override"] == 1, "divisor_override")
         return _pool(made, call, "sum_pool")
-    expect_form(not (call["ceil_mode"] and padded and counted), "ceil_mode with padding that counts")
+    expect_form(
+        not (call["ceil_mode"] and padded and counted), "ceil_mode with padding that counts"
+    )
     inside = call["ceil_mode"] or (padded and not counted)
     return _pool(made, call, "inside_average_pool" if inside else "average_pool")
 
@@ -127,7 +135,11 @@ def _adaptive_pool(made: LayerList, call: Call) -> str:
     expect_form(len(sides) == len(sizes) == 2, f"an output size of {size} here")
     if sizes[0] is sizes[1] is None:
         return _same(made, call)
-    return made.add("adaptive_average_pool", call, size=[s or side for s, side in zip(sizes, sides, strict=True)])
+    return made.add(
+        "adaptive_average_pool",
+        call,
+        size=[s or side for s, side in zip(sizes, sides, strict=True)],
+    )
 
 
 def _mean(made: LayerList, call: Call) -> str:
@@ -150,7 +162,9 @@ def _sub(made: LayerList, call: Call) -> str:
     expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
     x, constant = _with_constant(call)
     if constant is None or x is not call["input"]:
-        raise NotImplementedError("a difference other than a map less a constant has no compiled form")
+        raise NotImplementedError(
+            "a difference other than a map less a constant has no compiled form"
+        )
     return _affine(made, call, x, shift=-constant)
 
 
@@ -169,7 +183,8 @@ def _div(made: LayerList, call: Call) -> str:
 
 
 def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
-    """The two operands: what is computed from the volume first, and the other one where it is a constant."""
+    """The two operands: what is computed from the volume first, and the other one where it is a
+    constant."""
     x, other = call["input"], call["other"]
     if isinstance(other, fx.Node):
         x, other = other, x
@@ -182,20 +197,30 @@ def _affine(made: LayerList, call: Call, x: Any, factor: Any = None, shift: Any 
     """As a batch norm: a constant of one number, or of one for each channel."""
     channels, *sides = made.shape(x)
     weights = {}
-    for role, values in {"weight": factor, "bias": shift, "mean": torch.zeros(1), "variance": torch.ones(1)}.items():
+    for role, values in {
+        "weight": factor,
+        "bias": shift,
+        "mean": torch.zeros(1),
+        "variance": torch.ones(1),
+    }.items():
         if values is None:
             continue
         shape = list(values.shape)
         while shape[:1] == [1]:
             del shape[0]
-        expect_form(shape in ([], [channels, *[1] * len(sides)]), f"a constant of shape {list(values.shape)} here")
+        expect_form(
+            shape in ([], [channels, *[1] * len(sides)]),
+            f"a constant of shape {list(values.shape)} here",
+        )
         weights[role] = f"{made.prefix}{call.node.name}().{role}"  # unlike any module's
         made.weights[weights[role]] = float_array(values.reshape(-1).expand(channels))
     return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
 
 
 def _cat(made: LayerList, call: Call) -> str:
-    expect_form(call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),")
+    expect_form(
+        call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),"
+    )
     expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
     return made.add("concat", call, call["tensors"])
 
@@ -207,11 +232,13 @@ def _flatten(made: LayerList, call: Call) -> str:
 
 
 def _view(made: LayerList, call: Call) -> str:
-    """x.view(n, -1), with the batch's size, or 1; or (-1, m), where `check_torch_layers` finds out whether m fits."""
+    """x.view(n, -1), with the batch's size, or 1; or (-1, m), where `check_torch_layers` finds out
+    whether m fits."""
     shape = call["shape"]
     n, m = shape if len(shape) == 2 else (None, None)
     expect_form(
-        isinstance(m, int) and (n in (1, -1) or _is_batch_size(n)), "a view other than (n, -1), one row a volume,"
+        isinstance(m, int) and (n in (1, -1) or _is_batch_size(n)),
+        "a view other than (n, -1), one row a volume,",
     )
     return made.add("flatten", call)
 
@@ -222,7 +249,11 @@ def _is_batch_size(node: Any) -> bool:
         return False
     if node.target is operator.getitem:
         of, index = node.args
-        return isinstance(of, fx.Node) and (of.target is getattr or len(of.args) == 1) and bool(index == 0)
+        return (
+            isinstance(of, fx.Node)
+            and (of.target is getattr or len(of.args) == 1)
+            and bool(index == 0)
+        )
     return node.target == "size" and list(node.args[1:]) == [0]
 
 
@@ -249,22 +280,33 @@ class Operation:
     def arguments(self, node: fx.Node, module: nn.Module | None) -> dict[str, Any]:
         if self.rule is _view:
             shape = node.args[1:] or tuple(node.kwargs.values())
-            return {"input": node.args[0], "shape": shape[0] if isinstance(shape[0], (tuple, list)) else shape}
+            return {
+                "input": node.args[0],
+                "shape": shape[0] if isinstance(shape[0], (tuple, list)) else shape,
+            }
         names = [*self.inputs, *([*self.parameters, "out"] if module is None else [])]
         given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
         unknown = [*node.args[len(names) :], *(name for name in given if name not in names)]
         expect_form(not unknown, f"the argument {unknown[0]!r}" if unknown else "")
-        return {**{name: getattr(module, name, default) for name, default in self.parameters.items()}, **given}
+        return {
+            **{name: getattr(module, name, default) for name, default in self.parameters.items()},
+            **given,
+        }
 
 
 _FLAG = {"inplace": False}
 _POOL = {"kernel_size": None, "stride": None, "padding": 0}
-HARDTANH = Operation(partial(_clip, low="min_val", high="max_val"), {"min_val": -1.0, "max_val": 1.0, **_FLAG})
+HARDTANH = Operation(
+    partial(_clip, low="min_val", high="max_val"), {"min_val": -1.0, "max_val": 1.0, **_FLAG}
+)
 CLAMP = Operation(_clip, {"min": None, "max": None})
 LEAKY_RELU = Operation(_leaky_relu, {"negative_slope": 0.01, **_FLAG})
-MAX_POOL = Operation(_max_pool, {**_POOL, "dilation": 1, "ceil_mode": False, "return_indices": False})
+MAX_POOL = Operation(
+    _max_pool, {**_POOL, "dilation": 1, "ceil_mode": False, "return_indices": False}
+)
 AVERAGE_POOL = Operation(
-    _average_pool, {**_POOL, "ceil_mode": False, "count_include_pad": True, "divisor_override": None}
+    _average_pool,
+    {**_POOL, "ceil_mode": False, "count_include_pad": True, "divisor_override": None},
 )
 ADAPTIVE_POOL = Operation(_adaptive_pool, {"output_size": None})
 MEAN = Operation(_mean, {"dim": None, "keepdim": False})
@@ -275,7 +317,8 @@ GELU = Operation(_gelu, {"approximate": "none"})
 RELU, SIGMOID, TANH, LOG1P = map(_function, ("relu", "sigmoid", "tanh", "log1p"))
 SILU, HARDSWISH, HARDSIGMOID = map(_function, ("silu", "hardswish", "hardsigmoid"))
 PIXEL_SHUFFLE = Operation(
-    lambda made, call: made.add("depth_to_space", call, block=call["upscale_factor"]), {"upscale_factor": None}
+    lambda made, call: made.add("depth_to_space", call, block=call["upscale_factor"]),
+    {"upscale_factor": None},
 )
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
 FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1}, may_share=True)

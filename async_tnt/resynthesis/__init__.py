@@ -8,4 +8,11 @@ from async_tnt.resynthesis.calibration import Calibration, calibrate
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
 
-__all__ = ["Calibration", "MotionPath", "MovedImage", "Reconstruction", "SimulatedPixels", "calibrate"]
+__all__ = [
+    "Calibration",
+    "MotionPath",
+    "MovedImage",
+    "Reconstruction",
+    "SimulatedPixels",
+    "calibrate",
+]

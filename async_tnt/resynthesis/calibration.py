@@ -1,9 +1,11 @@
-"""What events cannot tell directly, found by simulating the recorded motion again: contrast and refractory time.
+"""What events cannot tell directly, found by simulating the recorded motion again: contrast and
+refractory time.
 
-Events tell contrast in units of the pixels' thresholds, and each image is smoother than what was seen. So the
-thresholds are scaled until the re-synthesized recorded motion has as many events as the recordings. Intervals between a
-pixel's events only bound its refractory time; of some times within the bound, each with its own scale, the one whose
-intervals are most like the recorded ones is taken.
+Events tell contrast in units of the pixels' thresholds, and each image is smoother than what was
+seen. So the thresholds are scaled until the re-synthesized recorded motion has as many events as
+the recordings. Intervals between a pixel's events only bound its refractory time; of some times
+within the bound, each with its own scale, the one whose intervals are most like the recorded ones
+is taken.
 """
 
 from __future__ import annotations
@@ -23,7 +25,12 @@ REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Of the longest refractory time that the intervals allow."""
 INTERVALS = ("same-pixel interval, 5 %", "same-pixel interval, median")
 """The numbers of `describe` that are compared."""
-UNITS = {"active pixels": "%", "same-pixel interval": "ms", "ON share": "%", "ON - OFF centroid": "px"}
+UNITS = {
+    "active pixels": "%",
+    "same-pixel interval": "ms",
+    "ON share": "%",
+    "ON - OFF centroid": "px",
+}
 """What a number's name starts with, before a comma -> its unit; the others have none."""
 CLOCK_MS = 1e-3  # shorter intervals are 0 in whole microseconds
 MOST_STEPS, NEAR_ENOUGH = 8, 0.005
@@ -39,7 +46,8 @@ class Calibration:
     ----------
     pixels : of the simulated sensor.
     length : median length of the recorded paths, in pixels.
-    match : "recorded" and "resynthesized": the same numbers of both, for the recorded motion; see `describe`.
+    match : "recorded" and "resynthesized": the same numbers of both, for the recorded motion; see
+        `describe`.
     """
 
     pixels: SimulatedPixels
@@ -64,11 +72,19 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
     parts = [part_of(one, model.window_us) for one in windows]
     measured = measure_pixels(parts, model.sensor, model.window_us)
     reconstructed = list(reconstruction(windows, measured))
-    moving = [(path, image, structured(one)) for (path, image), one in zip(reconstructed, parts, strict=True) if image]
+    moving = [
+        (path, image, structured(one))
+        for (path, image), one in zip(reconstructed, parts, strict=True)
+        if image
+    ]
     if not moving:
-        reasons = ", ".join(f"{why} {n}" for why, n in Counter(path.refused for path, _ in reconstructed).most_common())
+        reasons = ", ".join(
+            f"{why} {n}"
+            for why, n in Counter(path.refused for path, _ in reconstructed).most_common()
+        )
         raise ValueError(
-            f"no motion was found in any of {len(parts)} windows ({reasons}): re-synthesis needs windows in "
+            f"no motion was found in any of {len(parts)} windows ({reasons}): re-synthesis needs "
+            "windows in "
             "which one image moves as a whole, with a few hundred events each"
         )
     paths, images, recorded = zip(*moving, strict=True)
@@ -78,7 +94,10 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
         pixels, simulated = _scaled(pixels, images, sum(map(len, recorded)), seed)
         found = describe(simulated, model.sensor)
-        unlike = sum(abs(np.log(max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS))) for name in INTERVALS)
+        unlike = sum(
+            abs(np.log(max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS)))
+            for name in INTERVALS
+        )
         candidates.append((float(unlike), pixels, found))
     _, pixels, found = min(candidates, key=lambda candidate: candidate[0])
     numbers = {"recorded": target, "resynthesized": found}
@@ -88,11 +107,15 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
 def _scaled(
     pixels: SimulatedPixels, images: Sequence[MovedImage], n_events: int, seed: int
 ) -> tuple[SimulatedPixels, list[np.ndarray]]:
-    """The pixels whose scale gives as many events under the recorded motion as were recorded, and these events."""
+    """The pixels whose scale gives as many events under the recorded motion as were recorded, and
+    these events."""
     ratio = 1.0
     for _ in range(MOST_STEPS):
         pixels = replace(pixels, scale=pixels.scale * ratio)
-        simulated = [image.as_recorded(pixels, np.random.default_rng((seed, i))) for i, image in enumerate(images)]
+        simulated = [
+            image.as_recorded(pixels, np.random.default_rng((seed, i)))
+            for i, image in enumerate(images)
+        ]
         ratio = max(1, sum(map(len, simulated))) / n_events
         if abs(ratio - 1) < NEAR_ENOUGH:
             break
@@ -102,8 +125,9 @@ def _scaled(
 def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str, float]:
     """Numbers that tell whether two sets of recordings are alike.
 
-    An active pixel has an event in the window. Same-pixel intervals are those between consecutive events of one pixel,
-    of either polarity, in one window; their quantiles are over all windows together.
+    An active pixel has an event in the window. Same-pixel intervals are those between consecutive
+    events of one pixel, of either polarity, in one window; their quantiles are over all windows
+    together.
 
     Parameters
     ----------
@@ -155,8 +179,8 @@ def _ratio(part: float, whole: float) -> float:
 
 
 def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
-    """A table of several descriptions, `columns` by title: a column for each, a row for each number; - where one is
-    missing."""
+    """A table of several descriptions, `columns` by title: a column for each, a row for each
+    number; - where one is missing."""
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     width = max((len(title) for title in columns), default=0) + 3
     units = {name: UNITS.get(name.split(",")[0]) for name in names}

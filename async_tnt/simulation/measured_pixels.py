@@ -1,4 +1,5 @@
-"""What recordings tell of their sensor: thresholds of ON against OFF, refractory time, noise, after-pulses.
+"""What recordings tell of their sensor: thresholds of ON against OFF, refractory time, noise,
+after-pulses.
 
 How large the thresholds are, the events do not tell: contrast is measured in thresholds.
 """
@@ -13,12 +14,13 @@ import numpy as np
 from async_tnt.simulation.simulator import AFTER_US
 
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""t, x, y, p of one window's events, in order; t in microseconds since the window's start. May have those of its
-neighbours, too: before 0, and from the window's end on."""
+"""t, x, y, p of one window's events, in order; t in microseconds since the window's start. May have
+those of its neighbours, too: before 0, and from the window's end on."""
 
 LARGEST_RATIO = 4.0
 REFRACTORY_SHARE = 0.01
-"""Share of the intervals between a pixel's events that may be shorter than the longest possible refractory time."""
+"""Share of the intervals between a pixel's events that may be shorter than the longest possible
+refractory time."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class MeasuredPixels:
 
 
 def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
-    """The events of `span` windows with `window` in their middle; times since the first one's start."""
+    """The events of `span` windows with `window` in their middle; times since the first one's
+    start."""
     t, x, y, p = window
     before_us = (span - 1) // 2 * window_us
     first, last = np.searchsorted(t, (-before_us, window_us + before_us))
@@ -60,13 +63,16 @@ def is_after_pulse(window: Columns) -> np.ndarray:
     return after
 
 
-def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int) -> MeasuredPixels:
-    """Measure the pixels on some windows; the refractory time is the longest that the intervals allow.
+def measure_pixels(
+    windows: Sequence[Columns], sensor: tuple[int, int], window_us: int
+) -> MeasuredPixels:
+    """Measure the pixels on some windows; the refractory time is the longest that the intervals
+    allow.
 
-    - Of an image that stays within the sensor, the light of all pixels together ends as it began. So ON and OFF
-      events, but for noise, are to each other as their thresholds are not: step_on n_on = step_off n_off.
-    - Noise is measured at pixels whose eight neighbours are all silent. Active pixels are counted, not their events,
-      because some pixels fire all the time.
+    - Of an image that stays within the sensor, the light of all pixels together ends as it began.
+      So ON and OFF events, but for noise, are to each other as their thresholds are not: step_on n_on = step_off n_off.
+    - Noise is measured at pixels whose eight neighbours are all silent. Active pixels are counted,
+      not their events, because some pixels fire all the time.
     """
     width, height = sensor
     n_on = n_off = n_lonely = n_quiet = n_after = 0
@@ -82,17 +88,23 @@ def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_u
         lonely = quiet & (counts.ravel() > 0)
         n_quiet += int(quiet.sum())
         n_lonely += int(lonely.sum())
-        n_lonely_on += float((np.bincount(pixel, p, width * height)[lonely] / counts.ravel()[lonely]).sum())
+        n_lonely_on += float(
+            (np.bincount(pixel, p, width * height)[lonely] / counts.ravel()[lonely]).sum()
+        )
         n_on += int(p.sum())
         n_off += len(p) - int(p.sum())
         order = np.argsort(pixel, kind="stable")
         same = (np.diff(pixel[order]) == 0) & (np.diff(p[order].astype(np.int8)) == 0)
         intervals.append(np.diff(t[order].astype(np.int64))[same])
-    noise = -np.log1p(-min(0.99, n_lonely / max(1, n_quiet)))  # events of a pixel in a window, of a Poisson process
+    # events of a pixel in a window, of a Poisson process
+    noise = -np.log1p(-min(0.99, n_lonely / max(1, n_quiet)))
     noise_on_share = n_lonely_on / n_lonely if n_lonely else 0.5
     n_noise = noise * width * height * len(windows)
-    least = max(1.0, 3 * np.sqrt(n_on + n_off))  # below it noise differs from what is expected of it by chance
-    ratio = max(least, n_off - (1 - noise_on_share) * n_noise) / max(least, n_on - noise_on_share * n_noise)
+    # below it noise differs from what is expected of it by chance
+    least = max(1.0, 3 * np.sqrt(n_on + n_off))
+    ratio = max(least, n_off - (1 - noise_on_share) * n_noise) / max(
+        least, n_on - noise_on_share * n_noise
+    )
     step_on = float(np.sqrt(np.clip(ratio, 1 / LARGEST_RATIO, LARGEST_RATIO)))
     all_intervals = np.concatenate(intervals)
     shortest = float(np.quantile(all_intervals, REFRACTORY_SHARE)) if len(all_intervals) else 0.0

@@ -1,4 +1,5 @@
-"""An image that moves, turns and grows before a sensor, and its events. It repeats itself, so that it has no border."""
+"""An image that moves, turns and grows before a sensor, and its events. It repeats itself, so that
+it has no border."""
 
 from __future__ import annotations
 
@@ -34,15 +35,19 @@ class PeriodicImage:
     sensor: tuple[int, int]
 
     def frames(
-        self, displacement: np.ndarray, turn: np.ndarray | None = None, first: int = 0, n_rows: int | None = None
+        self,
+        displacement: np.ndarray,
+        turn: np.ndarray | None = None,
+        first: int = 0,
+        n_rows: int | None = None,
     ) -> np.ndarray:
         """What the sensor sees.
 
         Parameters
         ----------
         displacement : float64, (n, 2): of the centre, in sensor pixels.
-        turn : float64, (n, 2): by which angle the image is turned about its centre, in radians, from x to y, and the
-            logarithm of its size; None: 0.
+        turn : float64, (n, 2): by which angle the image is turned about its centre, in radians,
+            from x to y, and the logarithm of its size; None: 0.
         first, n_rows : the sensor's rows; None: all from `first` on.
 
         Returns
@@ -52,7 +57,8 @@ class PeriodicImage:
         width, height = self.sensor
         angle, growth = np.zeros((2, len(displacement))) if turn is None else turn.T
         cos, sin = np.exp(-growth) * np.cos(angle), np.exp(-growth) * np.sin(angle)
-        back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)  # from the sensor to the image
+        # from the sensor to the image
+        back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)
         places = np.empty((len(displacement), 2, 3))
         places[..., :2] = back
         places[..., 2] = self.centre - np.einsum("kij,kj->ki", back, self.centre + displacement)
@@ -68,7 +74,8 @@ class PeriodicImage:
         pixels: PixelModel,
         rng: np.random.Generator,
     ) -> np.ndarray:
-        """Events of `pixels` while the image moves, see `frames`, from one time to the next; `rng` draws.
+        """Events of `pixels` while the image moves, see `frames`, from one time to the next; `rng`
+        draws.
 
         Returns
         -------

@@ -1,9 +1,11 @@
 """Pictures of objects -> luminance, and where the object is.
 
-Values are linear luminance: sRGB is decoded, and colours are weighted as in Rec. 709. What is the object?
+Values are linear luminance: sRGB is decoded, and colours are weighted as in Rec. 709. What is the
+object?
 
 with an alpha channel       what is opaque
-on a plain ground           what differs from it: from the median of the picture's outermost pixels, which are alike
+on a plain ground           what differs from it: from the median of the picture's outermost pixels,
+                            which are alike
 else, a photograph          all of it
 """
 
@@ -20,7 +22,8 @@ from async_tnt.files import open_regular, refuse_git_lfs
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
-"""Pillow's names of what these suffixes promise. It knows others by their first bytes, and starts programs for some."""
+"""Pillow's names of what these suffixes promise. It knows others by their first bytes, and starts
+programs for some."""
 MAX_PIXELS = 50_000_000
 """Pixels of the largest picture that is read: to decode more takes more than a gigabyte."""
 LARGEST_SIDE = 512
@@ -51,15 +54,17 @@ def read_picture(path: Path) -> Picture:
 
     Raises
     ------
-    ValueError : no picture of one of the `FORMATS`, a damaged one, one of more than `MAX_PIXELS`, a pointer of Git LFS,
-        or nothing on it.
+    ValueError : no picture of one of the `FORMATS`, a damaged one, one of more than `MAX_PIXELS`, a
+        pointer of Git LFS, or nothing on it.
     OSError : no regular file, or one that cannot be read.
     """
     refuse_git_lfs(path)
     try:
         colours = _colours(path)
     except Exception as error:  # a damaged file surfaces as any of a dozen types
-        if isinstance(error, ImportError) or (isinstance(error, OSError) and error.errno is not None):
+        if isinstance(error, ImportError) or (
+            isinstance(error, OSError) and error.errno is not None
+        ):
             raise
         raise ValueError(f"not a picture: {one_line(error)}") from None
     rgb, alpha = colours[..., :3], colours[..., 3]
@@ -87,11 +92,14 @@ def _colours(path: Path) -> np.ndarray:
         try:
             opened = Image.open(content, formats=FORMATS)
         except UnidentifiedImageError:
-            raise ValueError(f"its first bytes are those of no known format ({', '.join(FORMATS)})") from None
+            raise ValueError(
+                f"its first bytes are those of no known format ({', '.join(FORMATS)})"
+            ) from None
         with opened as file:
             if file.width * file.height > MAX_PIXELS:
                 raise ValueError(
-                    f"it must have at most {MAX_PIXELS:,} pixels, got {file.width}x{file.height}; make it smaller"
+                    f"it must have at most {MAX_PIXELS:,} pixels, got {file.width}x{file.height}; "
+                    "make it smaller"
                 )
             image: Image.Image = ImageOps.exif_transpose(file)
             if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
@@ -100,12 +108,15 @@ def _colours(path: Path) -> np.ndarray:
                     raise ValueError("a picture must have finite values")
                 values *= np.float32(255.0 / max(float(values.max()), 1e-12))
                 image = Image.fromarray(np.clip(values, 0, 255, out=values).astype(np.uint8))
-            image = image.convert("RGBA")  # before: pictures with a palette would be made smaller without averaging
+            # before: pictures with a palette would be made smaller without averaging
+            image = image.convert("RGBA")
             image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
             return np.asarray(image, np.float32) / 255.0
 
 
-def _cut_out(light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray) -> Picture:
+def _cut_out(
+    light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray
+) -> Picture:
     """What lies between the object's outermost pixels."""
     if not is_object.any():
         raise ValueError("nothing is on this picture: all of it is transparent, or alike")

@@ -3,7 +3,8 @@
 direction   uniform
 time        half of them last the whole window; the others .4 to 1 of it, somewhere in it
 speed       half of them constant, half minimum jerk
-shape       half of them straight; the others also go sideways meanwhile, by up to .4 of their length
+shape       half of them straight; the others also go sideways meanwhile, by up to .4 of their
+            length
 turn        meanwhile they turn and grow or shrink
 back        some turn round on their way, and come back
 """
@@ -25,7 +26,8 @@ def random_motion(
     most_growth: float = GROWTH,
     back: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement at `shares` of the window, (n, 2), and turn, (n, 2), see `PeriodicImage`; 0 at half time.
+    """Displacement at `shares` of the window, (n, 2), and turn, (n, 2), see `PeriodicImage`; 0 at
+    half time.
 
     Parameters
     ----------
@@ -46,7 +48,8 @@ def random_motion(
 
     def position(share: np.ndarray) -> np.ndarray:
         u = np.clip((share - starts) / lasts, 0.0, 1.0)
-        u = np.where(u < turns_at, u / turns_at, np.maximum(0.0, 2.0 - u / turns_at))  # at the same speed, to the start
+        # at the same speed, to the start
+        u = np.where(u < turns_at, u / turns_at, np.maximum(0.0, 2.0 - u / turns_at))
         forward = u if constant else minimum_jerk(u)
         aside = bend * minimum_jerk((u - bend_starts) / 0.5)
         cos, sin = length * np.cos(angle), length * np.sin(angle)

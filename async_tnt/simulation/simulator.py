@@ -1,13 +1,14 @@
 """Pixels of an event camera: from frames of log luminance to events.
 
-Between two frames the log luminance L of a pixel is interpolated linearly. With the reference level R:
+Between two frames the log luminance L of a pixel is interpolated linearly. With the reference level
+R:
 
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
 
-as often as L gets there. After an event at t the pixel is held in reset for `refractory_us`: it sees nothing,
-and then R := L(t + refractory_us). Times are rounded to whole microseconds, and events are sorted by
-(t, y, x); those of one pixel at one time stay in order.
+as often as L gets there. After an event at t the pixel is held in reset for `refractory_us`: it
+sees nothing, and then R := L(t + refractory_us). Times are rounded to whole microseconds, and
+events are sorted by (t, y, x); those of one pixel at one time stay in order.
 
 What a circuit adds, each off by default:
 
@@ -19,11 +20,12 @@ What a circuit adds, each off by default:
 
 References
 ----------
-Hu, Liu, Delbruck 2021, v2e: From Video Frames to Realistic DVS Events: bandwidth in proportion to the light, leak.
-Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous Temporal Contrast Vision
-Sensor: the pixel. Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event Camera Simulator: crossings placed by
-linear interpolation between frames. ESIM drops events in the refractory time and keeps R; here R follows the
-light, as in the pixel's circuit, whose capacitor is shorted during that time.
+Hu, Liu, Delbruck 2021, v2e: From Video Frames to Realistic DVS Events: bandwidth in proportion to
+the light, leak. Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous
+Temporal Contrast Vision Sensor: the pixel. Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event
+Camera Simulator: crossings placed by linear interpolation between frames. ESIM drops events in the
+refractory time and keeps R; here R follows the light, as in the pixel's circuit, whose capacitor is
+shorted during that time.
 """
 
 from __future__ import annotations
@@ -48,16 +50,20 @@ AFTER_US = 1_000
 
 @dataclass(frozen=True)
 class PixelModel:
-    """The sensor's pixels. The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares them.
+    """The sensor's pixels. The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares
+    them.
 
     Attributes
     ----------
-    threshold_on, threshold_off : mean contrast thresholds C_on and C_off, in natural log of luminance.
-    mismatch : standard deviation, over pixels, of the log of the thresholds; ON and OFF are independent.
+    threshold_on, threshold_off : mean contrast thresholds C_on and C_off, in natural log of
+        luminance.
+    mismatch : standard deviation, over pixels, of the log of the thresholds; ON and OFF are
+        independent.
     refractory_us : time a pixel is held in reset after each event, in microseconds.
     noise_hz : background events per pixel and second, uniform in time, independent of the light.
     noise_on_share : share of the background events that are ON.
-    bandwidth_hz : corner of the pixel's low-pass in the brightest light, or None: it has no low-pass.
+    bandwidth_hz : corner of the pixel's low-pass in the brightest light, or None: it has no
+        low-pass.
     leak_hz : ON events per pixel and second that leak in steady light.
     after_share : share of the events that an after-pulse follows.
     hot_share, hot_hz : share of the pixels that are hot, and the noise of each, in the mean.
@@ -78,24 +84,35 @@ class PixelModel:
     def __post_init__(self) -> None:
         for name in ("threshold_on", "threshold_off"):
             if not MIN_THRESHOLD <= getattr(self, name) < math.inf:
-                raise ValueError(f"`{name}` must be finite and at least {MIN_THRESHOLD}, got {getattr(self, name)}")
+                raise ValueError(
+                    f"`{name}` must be finite and at least {MIN_THRESHOLD}, got "
+                    f"{getattr(self, name)}"
+                )
         for name in ("mismatch", "refractory_us", "noise_hz", "leak_hz", "hot_hz"):
             if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"`{name}` must be finite and at least 0, got {getattr(self, name)}")
+                raise ValueError(
+                    f"`{name}` must be finite and at least 0, got {getattr(self, name)}"
+                )
         for name in ("noise_on_share", "after_share", "hot_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"`{name}` must be in [0, 1], got {getattr(self, name)}")
         if self.bandwidth_hz is not None and not 0 < self.bandwidth_hz < math.inf:
-            raise ValueError(f"`bandwidth_hz` must be None, or finite and above 0, got {self.bandwidth_hz}")
+            raise ValueError(
+                f"`bandwidth_hz` must be None, or finite and above 0, got {self.bandwidth_hz}"
+            )
 
 
 def simulate(
-    log_frames: np.ndarray, frame_times_us: np.ndarray, rng: np.random.Generator, pixels: PixelModel | None = None
+    log_frames: np.ndarray,
+    frame_times_us: np.ndarray,
+    rng: np.random.Generator,
+    pixels: PixelModel | None = None,
 ) -> np.ndarray:
     """Events of a sensor whose pixels differ, begin in random states and add background noise.
 
-    Each pixel's reference level begins where the last event before the recording may have left it: uniformly
-    in [-C_on, C_off] about the first frame. Noise events do not reset the pixel and ignore the refractory time.
+    Each pixel's reference level begins where the last event before the recording may have left it:
+    uniformly in [-C_on, C_off] about the first frame. Noise events do not reset the pixel and
+    ignore the refractory time.
 
     Parameters
     ----------
@@ -115,7 +132,9 @@ def simulate(
     pixels = PixelModel() if pixels is None else pixels
     frames, times = _checked_frames(log_frames, frame_times_us)
     shape = frames.shape[1:]
-    threshold_on = np.maximum(pixels.threshold_on * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD)
+    threshold_on = np.maximum(
+        pixels.threshold_on * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
+    )
     threshold_off = np.maximum(
         pixels.threshold_off * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
     )
@@ -125,7 +144,9 @@ def simulate(
         frames = low_pass(frames, times, pixels.bandwidth_hz, DARKEST)
     if pixels.leak_hz:
         frames = frames + pixels.leak_hz * 1e-6 * (times - times[0])[:, None, None] * threshold_on
-    events = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
+    events = structured(
+        pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us)
+    )
     noise = [_noise(pixels.noise_hz, (0, 0), shape, times, rng, pixels)]
     if pixels.hot_share:
         hot = np.argwhere(rng.random(shape) < pixels.hot_share)
@@ -137,7 +158,8 @@ def simulate(
         after["t"] += rng.integers(1, AFTER_US, len(after))
         after["p"] ^= 1
         events = np.concatenate([events, after])
-    return events[np.lexsort((events["x"], events["y"], events["t"]))]  # stable; the last key counts most
+    # stable; the last key counts most
+    return events[np.lexsort((events["x"], events["y"], events["t"]))]
 
 
 def _noise(
@@ -148,7 +170,8 @@ def _noise(
     rng: np.random.Generator,
     pixels: PixelModel,
 ) -> np.ndarray:
-    """Background events: a Poisson process of one rate at each pixel of a rectangle; `corner` is (row, column)."""
+    """Background events: a Poisson process of one rate at each pixel of a rectangle; `corner` is
+    (row, column)."""
     span_us = times[-1] - times[0]
     events = np.empty(rng.poisson(hz * shape[0] * shape[1] * span_us * 1e-6), EVENT_DTYPE)
     events["t"] = np.floor(times[0] + span_us * rng.random(len(events)))
@@ -158,17 +181,31 @@ def _noise(
     return events
 
 
-def _checked_frames(log_frames: np.ndarray, frame_times_us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _checked_frames(
+    log_frames: np.ndarray, frame_times_us: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     frames = np.ascontiguousarray(plain_array("log_frames", log_frames), np.float64)
     times = np.ascontiguousarray(plain_array("frame_times_us", frame_times_us), np.float64)
     if frames.ndim != 3 or frames.shape[0] == 0:
         raise ValueError(f"`log_frames` must have shape (K, H, W) with K >= 1, got {frames.shape}")
     if max(frames.shape[1:]) > 1 << 16:
-        raise ValueError(f"`log_frames` must be at most 65536 pixels wide and high, got {frames.shape}")
+        raise ValueError(
+            f"`log_frames` must be at most 65536 pixels wide and high, got {frames.shape}"
+        )
     if times.shape != frames.shape[:1]:
-        raise ValueError(f"`frame_times_us` must have shape ({frames.shape[0]},), one per frame, got {times.shape}")
+        raise ValueError(
+            f"`frame_times_us` must have shape ({frames.shape[0]},), one per frame, got "
+            f"{times.shape}"
+        )
     if not np.isfinite(frames).all():
         raise ValueError("`log_frames` must be finite; luminance 0 has no logarithm")
-    if not np.isfinite(times).all() or (np.diff(times) <= 0).any() or times[0] < 0 or times[-1] > 2**53:
-        raise ValueError("`frame_times_us` must be strictly increasing, in [0, 2^53]: what float64 holds exactly")
+    if (
+        not np.isfinite(times).all()
+        or (np.diff(times) <= 0).any()
+        or times[0] < 0
+        or times[-1] > 2**53
+    ):
+        raise ValueError(
+            "`frame_times_us` must be strictly increasing, in [0, 2^53]: what float64 holds exactly"
+        )
     return frames, times

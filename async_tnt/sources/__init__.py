@@ -5,9 +5,12 @@ open_recording      a file of any format that `sources.files` reads; `sample_rec
 open_camera         a camera of Prophesee or iniVation (extra `cameras`)
 open_udp            datagrams from the network; `encode` makes them
 replay              a recording at its own pace
-BackgroundReader    reads a source in a background thread; `PacketQueue` is the queue alone, for drivers with callbacks
-KeepUp              the same with bounded delay: decides less often, then skips, when events outrun decisions
-PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in recordings
+BackgroundReader    reads a source in a background thread; `PacketQueue` is the queue alone, for
+                    drivers with callbacks
+KeepUp              the same with bounded delay: decides less often, then skips, when events outrun
+                    decisions
+PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in
+                    recordings
 """
 
 TYPE_CHECKING = False
@@ -26,11 +29,24 @@ if TYPE_CHECKING:
         open_recording,
         sample_recordings,
     )
-    from async_tnt.sources.files.source import CorruptData, DamagedRecording, ReadOptions, Source, Topic
+    from async_tnt.sources.files.source import (
+        CorruptData,
+        DamagedRecording,
+        ReadOptions,
+        Source,
+        Topic,
+    )
     from async_tnt.sources.keep_up import KeepUp
     from async_tnt.sources.opening import open_source
     from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
-    from async_tnt.sources.pixel_masks import PackedMask, count_pixels, hot_pixels, learn_mask, load_mask, save_mask
+    from async_tnt.sources.pixel_masks import (
+        PackedMask,
+        count_pixels,
+        hot_pixels,
+        learn_mask,
+        load_mask,
+        save_mask,
+    )
     from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
     from async_tnt.sources.playback import replay
     from async_tnt.sources.queue import PacketQueue, QueueCounters

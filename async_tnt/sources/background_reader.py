@@ -12,22 +12,23 @@ from async_tnt.sources.queue import PacketQueue
 
 
 class BackgroundReader(PacketQueue):
-    """A `PacketQueue` that a daemon thread fills from a source; iterating it yields the packets in order.
+    """A `PacketQueue` that a daemon thread fills from a source; iterating it yields the packets in
+    order.
 
-    Reading starts at once. An exception of the source is raised in the reader's loop, after the packets before it; the
-    loop ends where the source ends. Use it as a context manager (`with` or `async with`), or `close` it to stop the
-    thread.
+    Reading starts at once. An exception of the source is raised in the reader's loop, after the
+    packets before it; the loop ends where the source ends. Use it as a context manager (`with` or
+    `async with`), or `close` it to stop the thread.
 
     Parameters
     ----------
-    source : any iterable of packets, in any form that `async_tnt.event_forms` lists: a camera, a recording, a
-        generator. Only the thread iterates it.
-    latest : what happens when the queue is full. False: the source is not read until there is room, so that nothing
-        is lost. True: the oldest packets are discarded and their events counted, so that the delay stays bounded
-        however slow the consumer is.
+    source : any iterable of packets, in any form that `async_tnt.event_forms` lists: a camera, a
+        recording, a generator. Only the thread iterates it.
+    latest : what happens when the queue is full. False: the source is not read until there is room,
+        so that nothing is lost. True: the oldest packets are discarded and their events counted, so
+        that the delay stays bounded however slow the consumer is.
     max_packets, max_delay_us, copy : as for `PacketQueue`.
-    on_close : called by `close` to wake up a source that may wait forever for its next packet, such as the `close` of a
-        camera or a socket.
+    on_close : called by `close` to wake up a source that may wait forever for its next packet, such
+        as the `close` of a camera or a socket.
 
     Raises
     ------
@@ -54,12 +55,17 @@ class BackgroundReader(PacketQueue):
         on_close: Callable[[], Any] | None = None,
     ) -> None:
         if isinstance(source, (str, Path)):
-            raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
+            raise TypeError(
+                f"`source` must yield events, got the path {source}; open_recording(path) reads a "
+                "file"
+            )
         if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
             if hasattr(source, "__aiter__"):
                 raise TypeError("`source` is asynchronous already: pass it to `astream` directly")
             raise TypeError(f"`source` must be an iterable of packets, got {type(source).__name__}")
-        super().__init__(max_packets=max_packets, latest=latest, max_delay_us=max_delay_us, copy=copy)
+        super().__init__(
+            max_packets=max_packets, latest=latest, max_delay_us=max_delay_us, copy=copy
+        )
         self._on_close = on_close
         self._thread = threading.Thread(
             target=self._read, args=(source,), name="async_tnt.BackgroundReader", daemon=True
@@ -67,9 +73,11 @@ class BackgroundReader(PacketQueue):
         self._thread.start()
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """Discard waiting packets, end the loop over this reader, and stop the thread. May be called again.
+        """Discard waiting packets, end the loop over this reader, and stop the thread. May be
+        called again.
 
-        A thread that waits in the source stops at the source's next packet, unless `on_close` wakes it.
+        A thread that waits in the source stops at the source's next packet, unless `on_close` wakes
+        it.
 
         Parameters
         ----------
@@ -104,7 +112,8 @@ class BackgroundReader(PacketQueue):
         """The thread's work."""
         try:
             packets = iter(source)
-            while self.wait_for_room():  # before reading the source: it is never ahead by more than the queue holds
+            # before reading the source: it is never ahead by more than the queue holds
+            while self.wait_for_room():
                 try:
                     packet = next(packets)
                 except StopIteration:

@@ -1,4 +1,5 @@
-"""The camera libraries behind one interface: a driver finds the connected cameras, a device is read."""
+"""The camera libraries behind one interface: a driver finds the connected cameras, a device is
+read."""
 
 from __future__ import annotations
 
@@ -33,11 +34,26 @@ DV_KINDS = {  # the same by dv-processing's names, which do not tell a DAVIS346 
     "DVXPLORER_S": ("dvxplorer", "dvxplorer-s"),
 }
 DV_SETTINGS = (
-    *("ContrastThresholdOn", "ContrastThresholdOff", "ReadoutFPS", "GlobalHold", "BackgroundActivityFilter"),
-    *("RefractoryPeriodFilter", "SkipFilter", "CropAreaEvents", "CropArea", "FirmwareVersion", "LogicVersion"),
+    *(
+        "ContrastThresholdOn",
+        "ContrastThresholdOff",
+        "ReadoutFPS",
+        "GlobalHold",
+        "BackgroundActivityFilter",
+    ),
+    *(
+        "RefractoryPeriodFilter",
+        "SkipFilter",
+        "CropAreaEvents",
+        "CropArea",
+        "FirmwareVersion",
+        "LogicVersion",
+    ),
 )
 """What a dv-processing camera is asked for: `getReadoutFPS` and so on."""
-ALL_KINDS = sorted({kind for kinds in (*NEUROMORPHIC_KINDS.values(), *DV_KINDS.values()) for kind in kinds})
+ALL_KINDS = sorted(
+    {kind for kinds in (*NEUROMORPHIC_KINDS.values(), *DV_KINDS.values()) for kind in kinds}
+)
 
 
 @dataclass
@@ -70,12 +86,14 @@ class Device(Protocol):
     handle: Any
     """The library's own object."""
     settings: dict[str, Any]
-    """Name -> value of what decides which events it sends, when it was opened, as far as the library tells."""
+    """Name -> value of what decides which events it sends, when it was opened, as far as the
+    library tells."""
 
     def read(self) -> np.ndarray | None:
         """The next packet, a structured array in new memory; None if there is none now.
 
-        Waits for one, for 0.2 s at most. If the camera is gone, raises what the library raises, see `failure`.
+        Waits for one, for 0.2 s at most. If the camera is gone, raises what the library raises, see
+        `failure`.
         """
 
     def close(self) -> None:
@@ -100,14 +118,15 @@ class FoundCamera:
 
 
 Driver = Callable[[], Sequence[FoundCamera]]
-"""Finds the connected cameras of one library. ImportError without it; if it cannot search, what the library raises."""
+"""Finds the connected cameras of one library. ImportError without it; if it cannot search, what the
+library raises."""
 
 
 def failure(error: BaseException) -> str:
     """What a library reports when it fails, in one line.
 
-    Libraries in Rust panic with an exception that `except Exception` does not catch. dv-processing's messages hold a
-    place in its source, the sentence, and a C++ stack.
+    Libraries in Rust panic with an exception that `except Exception` does not catch.
+    dv-processing's messages hold a place in its source, the sentence, and a C++ stack.
 
     Raises
     ------
@@ -143,12 +162,17 @@ def neuromorphic_cameras(library: Any) -> list[FoundCamera]:
         # by its address if it is in a network and its serial number is unknown
         which = {"serial": listed.serial} if listed.serial else {"address": listed.address}
         open_this = partial(NeuromorphicDevice, library.open, which)
-        found.append(FoundCamera(model, NEUROMORPHIC_KINDS.get(model, ()), listed.serial, open_this, listed.error))
+        found.append(
+            FoundCamera(
+                model, NEUROMORPHIC_KINDS.get(model, ()), listed.serial, open_this, listed.error
+            )
+        )
     return found
 
 
 class NeuromorphicDevice:
-    """One camera. The library puts each packet in new memory and keeps no reference: it is not copied."""
+    """One camera. The library puts each packet in new memory and keeps no reference: it is not
+    copied."""
 
     time_field = "t"
 
@@ -187,12 +211,15 @@ def dv_cameras(library: Any) -> list[FoundCamera]:
     for descriptor in library.discover():
         model = descriptor.cameraModel.name
         open_this = partial(DvDevice, library.open, descriptor)
-        found.append(FoundCamera(model, DV_KINDS.get(model, ()), descriptor.serialNumber or None, open_this))
+        found.append(
+            FoundCamera(model, DV_KINDS.get(model, ()), descriptor.serialNumber or None, open_this)
+        )
     return found
 
 
 class DvDevice:
-    """One camera, or any other `dv_processing.io.InputBase`: recordings and network streams are read alike."""
+    """One camera, or any other `dv_processing.io.InputBase`: recordings and network streams are
+    read alike."""
 
     time_field = "timestamp"
 
@@ -209,10 +236,12 @@ class DvDevice:
                 self.settings[name] = getattr(self.handle, f"get{name}")()
 
     def read(self) -> np.ndarray | None:
-        running = self.handle.isRunning()  # first, as events from before the end can be read after it
+        # first, as events from before the end can be read after it
+        running = self.handle.isRunning()
         store = self.handle.getNextEventBatch()
         if store is not None:
-            events: np.ndarray = store.numpy()  # a copy: a store is a list of the driver's own packets
+            # a copy: a store is a list of the driver's own packets
+            events: np.ndarray = store.numpy()
             return events
         if not running:
             raise RuntimeError("it stopped running")
@@ -227,4 +256,5 @@ DRIVERS: Mapping[str, Driver] = {
     "neuromorphic-drivers": lambda: neuromorphic_cameras(import_module("neuromorphic_drivers")),
     "dv-processing": lambda: dv_cameras(import_module("dv_processing").io.camera),
 }
-"""Library -> its `Driver`, in the order in which they are tried: the first waits without polling, and counts losses."""
+"""Library -> its `Driver`, in the order in which they are tried: the first waits without polling,
+and counts losses."""

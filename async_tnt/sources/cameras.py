@@ -1,4 +1,5 @@
-"""Cameras: `open_camera` opens one by name, `Camera` yields its packets until it is closed or unplugged."""
+"""Cameras: `open_camera` opens one by name, `Camera` yields its packets until it is closed or
+unplugged."""
 
 from __future__ import annotations
 
@@ -13,7 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, CameraCounts, Device, Driver, failure
+from async_tnt.sources.camera_drivers import (
+    ALL_KINDS,
+    DRIVERS,
+    CameraCounts,
+    Device,
+    Driver,
+    failure,
+)
 from async_tnt.sources.clock import Clock
 
 MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
@@ -24,17 +32,20 @@ log = logging.getLogger("async_tnt.sources")
 class Camera(AbstractContextManager["Camera"]):
     """Events of a camera. Made by `open_camera`.
 
-    Iterating yields packets: structured arrays with the library's own fields, never empty, each in new memory, in a
-    form that `as_events` and `Processor.push` accept. Frames, IMU samples and triggers are left out. Iterating ends
-    when `close` is called, from any thread, and may be resumed after a `break`. One thread reads at a time.
+    Iterating yields packets: structured arrays with the library's own fields, never empty, each in
+    new memory, in a form that `as_events` and `Processor.push` accept. Frames, IMU samples and
+    triggers are left out. Iterating ends when `close` is called, from any thread, and may be
+    resumed after a `break`. One thread reads at a time.
 
-    If the camera is unplugged, OSError is raised after the packets before it, and the camera is closed.
+    If the camera is unplugged, OSError is raised after the packets before it, and the camera is
+    closed.
 
     Attributes
     ----------
     name : the camera's model and serial number, and the library that reads it.
     sensor : (width, height) in pixels, as the library reports it.
-    settings : name -> value of its biases, filters and the like when it was opened, as far as the library tells.
+    settings : name -> value of its biases, filters and the like when it was opened, as far as the
+        library tells.
     """
 
     def __init__(self, device: Device, name: str) -> None:
@@ -44,7 +55,8 @@ class Camera(AbstractContextManager["Camera"]):
         self._counts = device.counts
         self._clock = Clock(MAX_JUMP_S)
         self._closing = threading.Event()
-        # Held while the device is used. Re-entrant: a signal handler may close, on the thread that reads.
+        # Held while the device is used. Re-entrant: a signal handler may close, on the thread that
+        # reads.
         self._using = threading.RLock()
         self._is_open = True
 
@@ -81,7 +93,7 @@ class Camera(AbstractContextManager["Camera"]):
             lost.append("lost: unknown")
         return f"{counts.packets:,} packets, {counts.events:,} events ({', '.join(lost)})"
 
-    # -- packets -----------------------------------------------------------------------------------------
+    # -- packets -----------------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[np.ndarray]:
         while not self._closing.is_set():
@@ -99,7 +111,8 @@ class Camera(AbstractContextManager["Camera"]):
                 reason = failure(error)
                 self.close()
                 raise OSError(
-                    f"{self.name}: the camera is gone after {self._counts.events:,} events ({reason}); "
+                    f"{self.name}: the camera is gone after {self._counts.events:,} events "
+                    f"({reason}); "
                     "check its cable and power, and open it again"
                 ) from error
             if events is None or not len(events) or not len(events := self._valid(events)):
@@ -109,22 +122,26 @@ class Camera(AbstractContextManager["Camera"]):
             return events
 
     def _valid(self, events: np.ndarray) -> np.ndarray:
-        """The packet without the events that the cable or the driver garbled, which a processor would refuse."""
+        """The packet without the events that the cable or the driver garbled, which a processor
+        would refuse."""
         width, height = self.sensor
-        x, y = events["x"].view(np.uint16), events["y"].view(np.uint16)  # below 0 is beyond any sensor
+        # below 0 is beyond any sensor
+        x, y = events["x"].view(np.uint16), events["y"].view(np.uint16)
         n = len(events)
         if x.max() >= width or y.max() >= height:
             events = events[(x < width) & (y < height)]
             self._counts.off_sensor += n - len(events)
             n = len(events)
         events = self._clock(events, self._device.time_field, time.monotonic_ns() // 1000)
-        self._counts.jumped += n - len(events)  # also times that no clock shows, which `Clock.jumped` leaves out
+        # also times that no clock shows, which `Clock.jumped` leaves out
+        self._counts.jumped += n - len(events)
         return events
 
-    # -- the end -----------------------------------------------------------------------------------------
+    # -- the end -----------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Stop, end every iteration and release the camera, from any thread; counts stay. May be called again.
+        """Stop, end every iteration and release the camera, from any thread; counts stay. May be
+        called again.
 
         Waits for a read in progress, about 0.1 s; after that the camera may be opened again.
         """
@@ -157,8 +174,8 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
     Raises
     ------
     ValueError : no such kind of camera.
-    OSError : no such camera is connected, or it cannot be opened; the message names the libraries that searched, and
-        what to check.
+    OSError : no such camera is connected, or it cannot be opened; the message names the libraries
+        that searched, and what to check.
     ImportError : no library is installed.
     """
     kind, serial = parse_camera_name(name)
@@ -177,17 +194,24 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
             searched.append(package)
         for camera in found:
             # one that hides its serial number may be the right one; opening it shows why it does
-            if (kind and kind not in camera.kinds) or (serial and camera.serial not in (serial, None)):
+            if (kind and kind not in camera.kinds) or (
+                serial and camera.serial not in (serial, None)
+            ):
                 problems.append(f"{package} found {camera}, which is another camera")
                 continue
             try:
                 return Camera(camera.open(), f"{camera} by {package}")
             except BaseException as error:
                 reason = failure(error)
-                problems.append(f"{package} found {camera} but cannot open it: {camera.problem or reason}")
+                problems.append(
+                    f"{package} found {camera} but cannot open it: {camera.problem or reason}"
+                )
                 was_found = True
     if n_missing == len(drivers):
-        raise ImportError(f"{name}: {'; '.join(problems)}: cameras need one of them, pip install 'async_tnt[cameras]'")
+        raise ImportError(
+            f"{name}: {'; '.join(problems)}: cameras need one of them, pip install "
+            "'async_tnt[cameras]'"
+        )
     if searched:
         problems.insert(0, f"{' and '.join(searched)} found none")
     advice = "Is it plugged in, and used by no other program?"
@@ -207,7 +231,9 @@ def parse_camera_name(name: str) -> tuple[str | None, str | None]:
     """
     word, *rest = name.split(":", 2)
     if word != "camera" or "" in rest:
-        raise ValueError(f"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got {name!r}")
+        raise ValueError(
+            f"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got {name!r}"
+        )
     kind = rest[0].lower() if rest else None
     if kind is not None and kind not in ALL_KINDS:
         raise ValueError(f"{name}: no such kind of camera; known are {', '.join(ALL_KINDS)}")

@@ -4,24 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from async_tnt.kernels.clock import ARGUMENTS, INITIAL, JUMPED, LATE, NO_LIMIT, RESTARTS, repair_times
+from async_tnt.kernels.clock import (
+    ARGUMENTS,
+    INITIAL,
+    JUMPED,
+    LATE,
+    NO_LIMIT,
+    RESTARTS,
+    repair_times,
+)
 from async_tnt.kernels.jit import compile_only
 
 
 class Clock:
-    """Drops events whose time jumps, until eight consecutive packets agree that the clock has moved.
+    """Drops events whose time jumps, until eight consecutive packets agree that the clock has
+    moved.
 
-    A processor relies on the events' own times: one time far ahead closes all its windows, and after a fall back all
-    times come too late for them. The rule, for a packet that arrives when `passed` microseconds have gone by here since
-    the newest event so far, n:
+    A processor relies on the events' own times: one time far ahead closes all its windows, and
+    after a fall back all times come too late for them. The rule, for a packet that arrives when
+    `passed` microseconds have gone by here since the newest event so far, n:
 
         an event jumps   iff   t > n + passed + max_jump   or   t < n - max(1 s - passed, 20 ms)
 
-    Such events are dropped and counted. `passed` allows for a camera that sees nothing for an hour, and reveals a short
-    recording that is sent again. Where all events of a packet jump, the packet votes for its oldest time: within
-    `max_jump` of the previous vote, or later by what has passed here since, it adds to it, elsewhere it starts a new
-    one; a packet with an event that does not jump ends the vote. With the eighth vote the clock has moved. A clock that
-    moved ahead keeps its times. After one moved back, by a restart or a wrap, times continue: all are shifted from here
+    Such events are dropped and counted. `passed` allows for a camera that sees nothing for an hour,
+    and reveals a short recording that is sent again. Where all events of a packet jump, the packet
+    votes for its oldest time: within `max_jump` of the previous vote, or later by what has passed
+    here since, it adds to it, elsewhere it starts a new one; a packet with an event that does not
+    jump ends the vote. With the eighth vote the clock has moved. A clock that moved ahead keeps its
+    times. After one moved back, by a restart or a wrap, times continue: all are shifted from here
     on, so that the oldest event of this packet takes the time n.
 
     The first packet starts the clock at its oldest event, which lies before the year 2100.
@@ -55,7 +65,9 @@ class Clock:
 
     def __init__(self, max_jump_s: float | None) -> None:
         if max_jump_s is not None and not 0 < max_jump_s < 1e9:
-            raise ValueError(f"`max_jump_s` must be a positive number of seconds, or None, got {max_jump_s}")
+            raise ValueError(
+                f"`max_jump_s` must be a positive number of seconds, or None, got {max_jump_s}"
+            )
         compile_only(repair_times, *ARGUMENTS)
         self.max_jump_us = NO_LIMIT if max_jump_s is None else round(max_jump_s * 1e6)
         self.state = np.array(INITIAL, np.int64)
@@ -74,7 +86,9 @@ class Clock:
         time_at = events.dtype.fields[field][1]
         records = events.view(np.uint8)
         size = events.itemsize
-        kept = repair_times(records, 0, len(events), size, time_at, arrival_us, self.max_jump_us, self.state)
+        kept = repair_times(
+            records, 0, len(events), size, time_at, arrival_us, self.max_jump_us, self.state
+        )
         return events if kept == len(events) else events[:kept]
 
     @property

@@ -1,7 +1,9 @@
-"""Events as bytes in datagrams, in the formats of other projects. Little-endian; a datagram holds whole events.
+"""Events as bytes in datagrams, in the formats of other projects. Little-endian; a datagram holds
+whole events.
 
 | format            | bytes | one event                                                                         |
-| ----------------- | ----- | --------------------------------------------------------------------------------- |
+| ----------------- | ----- |
+--------------------------------------------------------------------------------- |
 | `t64_x16_y16_on8` | 13    | t u64, x u16, y u16, on u8 (faery)                                                |
 | `t32_x16_y15_on1` | 8     | t u32 (low half of t), x u16, then u16: y in bits 15..1, on in bit 0 (faery)      |
 | `spif`            | 4     | u32: 1 in bit 31, x in 30..16, on in 15, y in 14..0; no time (spiffer, AEStream)  |
@@ -9,8 +11,9 @@
 
 References
 ----------
-faery, https://github.com/aestream/faery (udp_encoder.py); spif, https://github.com/SpiNNakerManchester/spif
-(spiffer/README.md); AEStream, https://github.com/aestream/aestream (dvs_to_udp.cpp).
+faery, https://github.com/aestream/faery (udp_encoder.py); spif,
+https://github.com/SpiNNakerManchester/spif (spiffer/README.md); AEStream,
+https://github.com/aestream/aestream (dvs_to_udp.cpp).
 """
 
 from __future__ import annotations
@@ -48,7 +51,8 @@ def encode(events: Any, format: str = "t64_x16_y16_on8") -> bytes:
     Parameters
     ----------
     events : in any form that `async_tnt.event_forms` lists.
-    format : one of `EVENT_BYTES`. Those with 32 bits of time keep the low ones: the receiver unwraps.
+    format : one of `EVENT_BYTES`. Those with 32 bits of time keep the low ones: the receiver
+        unwraps.
 
     Raises
     ------
@@ -77,27 +81,31 @@ def encode(events: Any, format: str = "t64_x16_y16_on8") -> bytes:
 class Decoder:
     """Decodes the bytes of one stream to events. Invalid bytes never raise; they are counted.
 
-    Times of 32 bits are unwrapped: each is assumed to lie within 2**31 us (36 minutes) of the newest event before it,
-    so that the result does not depend on how the stream was cut. Events of `spif`, which has no time, get the time of
-    arrival.
+    Times of 32 bits are unwrapped: each is assumed to lie within 2**31 us (36 minutes) of the
+    newest event before it, so that the result does not depend on how the stream was cut. Events of
+    `spif`, which has no time, get the time of arrival.
 
     Parameters
     ----------
     format : one of `EVENT_BYTES`.
-    sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can hold.
+    sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format
+        can hold.
     max_jump_s : of the stream's `Clock`.
 
     Attributes
     ----------
-    malformed : events left out so far: cut off, off the sensor, a polarity beyond 1, a time outside [0, 2**62) us, or
-        one that jumps.
+    malformed : events left out so far: cut off, off the sensor, a polarity beyond 1, a time outside
+        [0, 2**62) us, or one that jumps.
     off_sensor : events left out because they lie off the sensor.
     clock : the `Clock`; `clock.jumped` counts the events that it drops.
     event_bytes : bytes of one event.
     """
 
     def __init__(
-        self, format: str = "t64_x16_y16_on8", sensor: tuple[int, int] | None = None, max_jump_s: float | None = None
+        self,
+        format: str = "t64_x16_y16_on8",
+        sensor: tuple[int, int] | None = None,
+        max_jump_s: float | None = None,
     ) -> None:
         self.format = checked_format(format)
         self.clock = Clock(max_jump_s)
@@ -121,8 +129,11 @@ class Decoder:
         self.malformed += rest > 0
         return self.decode_datagrams(np.frombuffer(data, np.uint8), [n], [arrival_us])
 
-    def decode_datagrams(self, raw: np.ndarray, ends: Sequence[int], arrivals: Sequence[int]) -> np.ndarray:
-        """The events of several datagrams of whole events, end to end in `raw`, as `EVENT_DTYPE` in new memory.
+    def decode_datagrams(
+        self, raw: np.ndarray, ends: Sequence[int], arrivals: Sequence[int]
+    ) -> np.ndarray:
+        """The events of several datagrams of whole events, end to end in `raw`, as `EVENT_DTYPE` in
+        new memory.
 
         Parameters
         ----------

@@ -1,4 +1,5 @@
-"""What to do when events outrun the network: decide less often, then skip whole packets, always counted."""
+"""What to do when events outrun the network: decide less often, then skip whole packets, always
+counted."""
 
 from __future__ import annotations
 
@@ -19,18 +20,21 @@ MOST_SLOWER = 1 << 10
 
 
 class KeepUp(BackgroundReader):
-    """A `BackgroundReader` whose packets, but for the newest, are at most `max_delay_us` old when they are handed out.
+    """A `BackgroundReader` whose packets, but for the newest, are at most `max_delay_us` old when
+    they are handed out.
 
-    While packets wait for more than a quarter of that, `every_us` and `every_events` of the processor that reads them
-    are doubled, again and again, up to a window's length and to 1,024 times; while they wait for less than a twentieth,
-    they are halved, down to what they were, and what they were they are again behind the `with` block. Packets that
-    waited for longer than `max_delay_us` all the same are discarded, also while nobody reads. Their
-    events are counted: received = handed_out + skipped + backlog, see `counters`.
+    While packets wait for more than a quarter of that, `every_us` and `every_events` of the
+    processor that reads them are doubled, again and again, up to a window's length and to 1,024
+    times; while they wait for less than a twentieth, they are halved, down to what they were, and
+    what they were they are again behind the `with` block. Packets that waited for longer than
+    `max_delay_us` all the same are discarded, also while nobody reads. Their events are counted:
+    received = handed_out + skipped + backlog, see `counters`.
 
     Parameters
     ----------
     source : any iterable of packets.
-    processor : the `Processor` that is given the packets; its `every_us` and `every_events` are set here.
+    processor : the `Processor` that is given the packets; its `every_us` and `every_events` are set
+        here.
     max_delay_us : in microseconds.
     copy, on_close : as for `BackgroundReader`.
 
@@ -63,10 +67,16 @@ class KeepUp(BackgroundReader):
         self._processor = processor
         self._every = every_us, every_events = processor.every_us, processor.every_events
         most = 1 if every_us is None else -(-processor.config.window_us // every_us)
-        self._most = MOST_SLOWER if every_events is not None else min(most, MOST_SLOWER)  # beyond, nothing changes
+        # beyond, nothing changes
+        self._most = MOST_SLOWER if every_events is not None else min(most, MOST_SLOWER)
         self._changed_ns = 0
         super().__init__(
-            source, latest=True, max_packets=MAX_PACKETS, max_delay_us=max_delay_us, copy=copy, on_close=on_close
+            source,
+            latest=True,
+            max_packets=MAX_PACKETS,
+            max_delay_us=max_delay_us,
+            copy=copy,
+            on_close=on_close,
         )
 
     def close(self, timeout_s: float = 1.0) -> None:
@@ -74,7 +84,8 @@ class KeepUp(BackgroundReader):
         try:
             super().close(timeout_s)
         finally:
-            with contextlib.suppress(RuntimeError):  # the processor is at work: the loop over this reader sets it
+            # the processor is at work: the loop over this reader sets it
+            with contextlib.suppress(RuntimeError):
                 self._set(1, 0)
 
     def _raise_error(self) -> None:
@@ -87,7 +98,8 @@ class KeepUp(BackgroundReader):
         return packet
 
     def _adapt(self) -> None:
-        """Set how often the processor decides, by how long the packet that was handed out has waited."""
+        """Set how often the processor decides, by how long the packet that was handed out has
+        waited."""
         waited, now_ns = self.delay_us / self.max_delay_us, time.monotonic_ns()
         pause = URGENT_PAUSE if waited > URGENT_FROM else PAUSE
         if now_ns - self._changed_ns < 1000 * pause * self.max_delay_us:
@@ -102,7 +114,10 @@ class KeepUp(BackgroundReader):
         self.slowest = max(self.slowest, slower)
         every_us, every_events = self._every
         if every_us is not None:
-            self._processor.every_us = min(slower * every_us, max(every_us, self._processor.config.window_us))
+            self._processor.every_us = min(
+                slower * every_us, max(every_us, self._processor.config.window_us)
+            )
         if every_events is not None:
-            most = self._processor.config.window_events or slower * every_events  # beyond, nothing changes
+            # beyond, nothing changes
+            most = self._processor.config.window_events or slower * every_events
             self._processor.every_events = min(slower * every_events, max(every_events, most))

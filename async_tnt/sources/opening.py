@@ -1,4 +1,5 @@
-"""Open any source by name: a recording, a camera, a stream from the network, or events in memory."""
+"""Open any source by name: a recording, a camera, a stream from the network, or events in
+memory."""
 
 from __future__ import annotations
 
@@ -19,18 +20,23 @@ def is_live(name: str) -> bool:
     return "://" in name or name == "camera" or name.startswith("camera:")
 
 
-def open_source(source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, int] | None = None) -> Any:
-    """Packets of events from a file, a camera, the network or memory: what `stream` and `Processor.push` read.
+def open_source(
+    source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, int] | None = None
+) -> Any:
+    """Packets of events from a file, a camera, the network or memory: what `stream` and
+    `Processor.push` read.
 
     Parameters
     ----------
     source : path of a recording (see docs/reference.md), `camera[:KIND[:SERIAL]]` (docs/guide.md),
         `udp://HOST:PORT[?format=...]`, or a structured array of events.
-    sensor : (width, height) of sources that do not state it. Events off it are left out and counted.
+    sensor : (width, height) of sources that do not state it. Events off it are left out and
+        counted.
 
     Returns
     -------
-    Iterable of packets: a `Recording`, a `Camera` or `UdpSource`, which must be closed, or a list of the one array.
+    Iterable of packets: a `Recording`, a `Camera` or `UdpSource`, which must be closed, or a list
+    of the one array.
 
     Raises
     ------

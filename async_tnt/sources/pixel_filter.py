@@ -38,14 +38,16 @@ class PixelFilter:
     Parameters
     ----------
     sensor : (width, height) of the camera.
-    roi : region of interest (x, y, width, height), its upper left pixel and its size; None: the whole sensor.
-    mask : bool array of shape (H, W), of the whole sensor, True where a pixel's events are dropped; or the path of such
-        a `.npy` file; None: no pixel is masked.
+    roi : region of interest (x, y, width, height), its upper left pixel and its size; None: the
+        whole sensor.
+    mask : bool array of shape (H, W), of the whole sensor, True where a pixel's events are dropped;
+        or the path of such a `.npy` file; None: no pixel is masked.
     crop : shift coordinates to the region's upper left corner.
 
     Attributes
     ----------
-    sensor : (width, height) of the filtered packets: the region's size with `crop`, else the camera's.
+    sensor : (width, height) of the filtered packets: the region's size with `crop`, else the
+        camera's.
 
     Raises
     ------
@@ -90,11 +92,13 @@ class PixelFilter:
 
     @one_at_a_time
     def __call__(self, events: Any) -> np.ndarray:
-        """The events to keep of a packet in any form that `async_tnt.event_forms` lists: a new array of `EVENT_DTYPE`.
+        """The events to keep of a packet in any form that `async_tnt.event_forms` lists: a new
+        array of `EVENT_DTYPE`.
 
         Raises
         ------
-        ValueError, TypeError : invalid events, as for `Processor.push`; such a packet is not counted.
+        ValueError, TypeError : invalid events, as for `Processor.push`; such a packet is not
+            counted.
         """
         t, x, y, p, n = self._decoder.decode(events)
         records = np.empty(n * EVENT_DTYPE.itemsize, np.uint8)
@@ -142,7 +146,8 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
     if min(left, top) < 0 or min(width, height) < 1 or is_beyond:
         pixels = "" if sensor is None else f" of {format_size(sensor)} pixels"
         raise ValueError(
-            f"`roi` (x, y, width, height) must lie on the sensor{pixels}, x and y at least 0, and hold at least one "
+            f"`roi` (x, y, width, height) must lie on the sensor{pixels}, x and y at least 0, and "
+            "hold at least one "
             f"pixel, got ({left}, {top}, {width}, {height})"
         )
     return left, top, width, height

@@ -1,14 +1,15 @@
-"""Masks of pixels: checked, in files, packed so that they are small and comparable; and learned from recordings.
+"""Masks of pixels: checked, in files, packed so that they are small and comparable; and learned
+from recordings.
 
-A hot pixel has far more events than what moves in front of it can explain. Let n be a pixel's count of events in a
-recording. A plausible count for it is
+A hot pixel has far more events than what moves in front of it can explain. Let n be a pixel's count
+of events in a recording. A plausible count for it is
 
     plausible = max(neighbours, mean, 1)
 
-    neighbours   the 4th largest count among the other pixels of the 5x5 block around it (at the sensor's border the
-                 block is shifted inwards): a moving edge, even a line one pixel wide that moves along itself, passes at
-                 least four of them, but at its very ends. A median, as in image filters, would mistake such lines for
-                 hot pixels.
+    neighbours   the 4th largest count among the other pixels of the 5x5 block around it (at the
+                 sensor's border the block is shifted inwards): a moving edge, even a line one pixel
+                 wide that moves along itself, passes at least four of them, but at its very ends. A
+                 median, as in image filters, would mistake such lines for hot pixels.
     mean         the mean count of all pixels: in a still scene neighbours say nothing
     1            a single event is no evidence
 
@@ -17,14 +18,16 @@ and the pixel is hot if both hold:
     n > 5 plausible                                          far above
     n log(n / plausible) - (n - plausible) > log(100 N)      and not by chance
 
-The second is Chernoff's bound on a Poisson count, P(count >= n) <= exp(n - plausible) (plausible / n)^n, so that among
-the N pixels of the sensor one passes it by chance in one of a hundred recordings. Hot pixels raise the mean and hide
-weaker ones nearby: the search is repeated until it finds no more, those found having the largest count of the others
-in their block. (With a lower one the end of a line would move inwards, and the line be found pixel by pixel.)
+The second is Chernoff's bound on a Poisson count, P(count >= n) <= exp(n - plausible) (plausible /
+n)^n, so that among the N pixels of the sensor one passes it by chance in one of a hundred
+recordings. Hot pixels raise the mean and hide weaker ones nearby: the search is repeated until it
+finds no more, those found having the largest count of the others in their block. (With a lower one
+the end of a line would move inwards, and the line be found pixel by pixel.)
 
-Five or more hot pixels in one 5x5 block explain one another, and not all are found: a flickering lamp looks the same.
-Conversely, something small and bright that visits one pixel all the time looks like a hot pixel: learn from
-recordings in which things move, or of a still scene, with some thousand events at least.
+Five or more hot pixels in one 5x5 block explain one another, and not all are found: a flickering
+lamp looks the same. Conversely, something small and bright that visits one pixel all the time looks
+like a hot pixel: learn from recordings in which things move, or of a still scene, with some
+thousand events at least.
 """
 
 from __future__ import annotations
@@ -53,8 +56,9 @@ RANK = 4
 FACTOR = 5.0
 FALSE_ALARMS = 0.01  # over the whole sensor
 MAX_PIXELS = 1 << 24
-"""Pixels of the largest sensor whose events are counted by pixel, which takes up to 40 bytes a pixel. The largest event
-cameras have one or two million; but a file of a few hundred bytes may state a thousand times as many."""
+"""Pixels of the largest sensor whose events are counted by pixel, which takes up to 40 bytes a
+pixel. The largest event cameras have one or two million; but a file of a few hundred bytes may
+state a thousand times as many."""
 
 
 def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
@@ -81,7 +85,8 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 
 
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
-    """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events are dropped.
+    """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events
+    are dropped.
 
     Parameters
     ----------
@@ -98,7 +103,9 @@ def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.
         return np.array(checked_mask(map_npy(path), sensor))
     except ValueError as error:
         why = str(error).removeprefix(f"{path}: ")
-        raise ValueError(f"{path}: not a mask, a .npy file as `async-tnt mask` writes: {why}") from None
+        raise ValueError(
+            f"{path}: not a mask, a .npy file as `async-tnt mask` writes: {why}"
+        ) from None
 
 
 def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
@@ -118,14 +125,15 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class PackedMask:
-    """A mask in little memory: equal to any other of the same size and pixels, whatever file it is from.
+    """A mask in little memory: equal to any other of the same size and pixels, whatever file it is
+    from.
 
     Parameters
     ----------
     size : (width, height) of its sensor.
     sha256 : of the mask's bytes.
-    packed : the pixels as compressed bits. Every recording sent to a worker takes its mask along; hot pixels of a
-        1280x720 sensor pack into 1 to 3 kB instead of 900.
+    packed : the pixels as compressed bits. Every recording sent to a worker takes its mask along;
+        hot pixels of a 1280x720 sensor pack into 1 to 3 kB instead of 900.
     name : its file, for messages.
     """
 
@@ -136,13 +144,15 @@ class PackedMask:
 
     @classmethod
     def of(cls, mask: np.ndarray, name: str = "mask") -> PackedMask:
-        """Pack a `mask`, a bool array of shape (H, W); a ValueError if it is of another type or shape."""
+        """Pack a `mask`, a bool array of shape (H, W); a ValueError if it is of another type or
+        shape."""
         height, width = checked_mask(mask).shape
         packed = zlib.compress(np.packbits(mask).tobytes())
         return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), packed, name)
 
     def pixels(self, sensor: Sensor) -> np.ndarray:
-        """The mask itself: bool, shape (H, W); a ValueError if it is not of this `sensor` (width, height)."""
+        """The mask itself: bool, shape (H, W); a ValueError if it is not of this `sensor` (width,
+        height)."""
         width, height = self.size
         bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
         mask = np.unpackbits(bits, count=width * height).reshape(height, width).view(np.bool_)
@@ -184,12 +194,14 @@ def learn_mask(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
 
 def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
-    """Events of each pixel in a `source` of packets: int64, shape (H, W) of the `sensor` (width, height), which has at
-    most 2**24 pixels."""
+    """Events of each pixel in a `source` of packets: int64, shape (H, W) of the `sensor` (width,
+    height), which has at most 2**24 pixels."""
     width, height = checked_sensor(sensor)
     if width * height > MAX_PIXELS:
         size = format_size((width, height))
-        raise ValueError(f"a sensor must have at most {MAX_PIXELS:,} pixels to count their events, got {size}")
+        raise ValueError(
+            f"a sensor must have at most {MAX_PIXELS:,} pixels to count their events, got {size}"
+        )
     decoder = EventDecoder((width, height))
     counts = np.zeros((height, width), np.int64)
     for events in source:
@@ -226,8 +238,9 @@ def listed_pixels(counts: np.ndarray, hot: np.ndarray) -> list[dict[str, int]]:
 def _largest(counts: np.ndarray, y: np.ndarray, x: np.ndarray, rank: int) -> np.ndarray:
     """The largest count in the 5x5 block around each pixel, after the `rank` largest ones.
 
-    After four it is `neighbours`: if a pixel is larger than its 4th largest neighbour, that is the 5th largest count of
-    the block; if not, the 5th largest of the block is no smaller than the pixel, which is then not hot.
+    After four it is `neighbours`: if a pixel is larger than its 4th largest neighbour, that is the
+    5th largest count of the block; if not, the 5th largest of the block is no smaller than the
+    pixel, which is then not hot.
     """
     height, width = (min(BLOCK, side) for side in counts.shape)
     blocks = sliding_window_view(counts, (height, width))

@@ -1,4 +1,5 @@
-"""Which pixels a model sees: as plain values that can be compared, sent and stored, and applied to sources."""
+"""Which pixels a model sees: as plain values that can be compared, sent and stored, and applied to
+sources."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ Region = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class PixelSelection:
-    """The pixels that a model sees: frozen, picklable and without state; `PixelSelector` applies it.
+    """The pixels that a model sees: frozen, picklable and without state; `PixelSelector` applies
+    it.
 
     Parameters
     ----------
@@ -28,7 +30,8 @@ class PixelSelection:
 
     Raises
     ------
-    ValueError : `crop` without `roi`; an impossible region or sensor; a mask of another size than `sensor`.
+    ValueError : `crop` without `roi`; an impossible region or sensor; a mask of another size than
+        `sensor`.
 
     Example
     -------
@@ -51,13 +54,15 @@ class PixelSelection:
             object.__setattr__(self, "sensor", checked_sensor(self.sensor))
         if self.mask is not None and self.sensor is not None and self.sensor != self.mask.size:
             raise ValueError(
-                f"{self.mask.name}: a mask of {format_size(self.mask.size)} pixels, but the camera's are given as "
+                f"{self.mask.name}: a mask of {format_size(self.mask.size)} pixels, but the "
+                "camera's are given as "
                 f"{format_size(self.sensor)} (`sensor`)"
             )
 
     @property
     def camera(self) -> Sensor | None:
-        """(width, height) of the camera, from `sensor` or the mask's size; None if the source must state it."""
+        """(width, height) of the camera, from `sensor` or the mask's size; None if the source must
+        state it."""
         return self.sensor if self.mask is None else self.mask.size
 
     @property
@@ -68,7 +73,11 @@ class PixelSelection:
     @property
     def origin(self) -> str:
         """Where `camera` comes from, for messages: "... 346x260 pixels"."""
-        return "`sensor` says" if self.mask is None or self.sensor else f"{self.mask.name} is a mask of"
+        return (
+            "`sensor` says"
+            if self.mask is None or self.sensor
+            else f"{self.mask.name} is a mask of"
+        )
 
     @property
     def leaves_out(self) -> bool:
@@ -77,12 +86,15 @@ class PixelSelection:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Option -> value, short and for JSON, of all that decides which events are seen; {} for all events.
+        """Option -> value, short and for JSON, of all that decides which events are seen; {} for
+        all events.
 
-        Results have it so that those of different selections are not mixed, and the record of a trained model has it.
+        Results have it so that those of different selections are not mixed, and the record of a
+        trained model has it.
 
-        With a mask, `sensor` could only repeat its size. Without one, it decides which recordings are of this camera,
-        and so which have results and which errors: results of different sensors must not be mixed.
+        With a mask, `sensor` could only repeat its size. Without one, it decides which recordings
+        are of this camera, and so which have results and which errors: results of different sensors
+        must not be mixed.
         """
         options: dict[str, Any] = {}
         if self.roi is not None:
@@ -107,12 +119,13 @@ class PixelSelector:
 
     Attributes
     ----------
-    expected : (width, height) of the cameras, before any event is dropped; None: the source must state it.
+    expected : (width, height) of the cameras, before any event is dropped; None: the source must
+        state it.
 
     Raises
     ------
-    ValueError : a region of another size than the model's sensor; without `crop`, a camera of another size, if the
-        selection names one; a region off the camera, if that is known.
+    ValueError : a region of another size than the model's sensor; without `crop`, a camera of
+        another size, if the selection names one; a region off the camera, if that is known.
     """
 
     def __init__(self, selection: PixelSelection, model: Sensor, *, any_size: bool = False) -> None:
@@ -123,21 +136,26 @@ class PixelSelector:
         region, camera = selection.region, selection.camera
         if region not in (None, model):
             raise ValueError(
-                f"`crop`: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
+                f"`crop`: the model is for {format_size(model)} pixels, got a region of "
+                f"{format_size(region)}; "
                 f"give `roi` X,Y,{model[0]},{model[1]}"
             )
         if not selection.crop and camera is not None and camera != model:
             raise ValueError(
-                f"{selection.origin} {format_size(camera)} pixels, but the model is for {format_size(model)}"
+                f"{selection.origin} {format_size(camera)} pixels, but the model is for "
+                f"{format_size(model)}"
                 f"{self._advice(camera)}"
             )
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
-    def open(self, path: Path, *, name: str | None = None, **reading: Any) -> tuple[Recording, Callable[[Any], Any]]:
+    def open(
+        self, path: Path, *, name: str | None = None, **reading: Any
+    ) -> tuple[Recording, Callable[[Any], Any]]:
         """A recording and the filter for its packets.
 
-        `path` and `reading` are arguments of `open_recording`. `name` is for messages; by default the path.
+        `path` and `reading` are arguments of `open_recording`. `name` is for messages; by default
+        the path.
 
         Raises
         ------
@@ -156,12 +174,15 @@ class PixelSelector:
 
         Raises
         ------
-        ValueError : not the expected sensor, or an unknown one; the region or the mask does not fit it.
+        ValueError : not the expected sensor, or an unknown one; the region or the mask does not fit
+            it.
         """
         chosen = self.selection
         sensor = self.expected or found
         if sensor is None:
-            raise ValueError(f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`")
+            raise ValueError(
+                f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`"
+            )
         if chosen.crop:
             check_sensor(name, found, sensor, chosen.origin)
         else:
@@ -177,7 +198,8 @@ class PixelSelector:
         return self._filters[sensor]
 
     def summary(self) -> str:
-        """What was dropped of all sources so far, for people; "" if nothing came or could be dropped."""
+        """What was dropped of all sources so far, for people; "" if nothing came or could be
+        dropped."""
         counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
         parts = []
         if any(one.received for one in counts) and self.selection.roi is not None:
@@ -197,6 +219,8 @@ class PixelSelector:
         if self._any_size:
             return f"; give `sensor` {format_size(size)}"
         part = (
-            f", or cut out a part: `roi` X,Y,{width},{height} `crop`" if width <= size[0] and height <= size[1] else ""
+            f", or cut out a part: `roi` X,Y,{width},{height} `crop`"
+            if width <= size[0] and height <= size[1]
+            else ""
         )
         return f"; train one for this camera (async-tnt train){part}"

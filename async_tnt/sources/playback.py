@@ -16,13 +16,16 @@ LONGEST_S = 1e6  # of one sleep: the system refuses some centuries
 
 
 def replay(
-    source: Iterable[Any] | np.ndarray | str | os.PathLike[str], speed: float = 1.0, *, packet_us: int = 1000
+    source: Iterable[Any] | np.ndarray | str | os.PathLike[str],
+    speed: float = 1.0,
+    *,
+    packet_us: int = 1000,
 ) -> Iterator[np.ndarray]:
     """Yield the events of a recording in real time, counted from the first event.
 
-    A packet is yielded when its last event is due, never before. It spans less than `packet_us`, which bounds how late
-    its first event is. Deadlines are absolute: oversleeping does not add up, and a slow reader gets overdue packets at
-    once.
+    A packet is yielded when its last event is due, never before. It spans less than `packet_us`,
+    which bounds how late its first event is. Deadlines are absolute: oversleeping does not add up,
+    and a slow reader gets overdue packets at once.
 
     Parameters
     ----------
@@ -77,6 +80,7 @@ def _replay(source: Iterable[Any], speed: float, packet_us: int) -> Iterator[np.
 
 
 def wait_until(deadline_ns: float) -> None:
-    """Sleep until `time.monotonic_ns()` reaches this; no core is kept busy, at the price of waking 0.1 ms late."""
+    """Sleep until `time.monotonic_ns()` reaches this; no core is kept busy, at the price of waking
+    0.1 ms late."""
     while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
         time.sleep(min(left_ns / 1e9, LONGEST_S))

@@ -1,4 +1,5 @@
-"""A bounded queue of packets between threads that put them and a reader, in a loop or in asyncio."""
+"""A bounded queue of packets between threads that put them and a reader, in a loop or in
+asyncio."""
 
 from __future__ import annotations
 
@@ -39,18 +40,19 @@ class QueueCounters:
 class PacketQueue:
     """A bounded queue of packets.
 
-    Any thread may `put`; one reader iterates, with `for` or with `async for`, until `end` was called and the queue is
-    empty.
+    Any thread may `put`; one reader iterates, with `for` or with `async for`, until `end` was
+    called and the queue is empty.
 
     Parameters
     ----------
     max_packets : packets that wait at most.
-    latest : what happens when the queue is full. False: `put` waits until there is room. True: `put` never waits; the
-        oldest packets are discarded and their events counted, so that the reader skips ahead.
-    max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest one, also while
-        nobody reads.
-    copy : whether `put` copies packets, as drivers often reuse the memory of one for the next. False is for sources
-        that put each packet in new memory.
+    latest : what happens when the queue is full. False: `put` waits until there is room. True:
+        `put` never waits; the oldest packets are discarded and their events counted, so that the
+        reader skips ahead.
+    max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest
+        one, also while nobody reads.
+    copy : whether `put` copies packets, as drivers often reuse the memory of one for the next.
+        False is for sources that put each packet in new memory.
 
     Attributes
     ----------
@@ -58,7 +60,8 @@ class PacketQueue:
 
     Raises
     ------
-    TypeError, ValueError : a limit that is not a whole number, or below 1; `max_delay_us` without `latest`.
+    TypeError, ValueError : a limit that is not a whole number, or below 1; `max_delay_us` without
+        `latest`.
 
     Example
     -------
@@ -71,10 +74,17 @@ class PacketQueue:
     """
 
     def __init__(
-        self, *, max_packets: int = 64, latest: bool = False, max_delay_us: int | None = None, copy: bool = True
+        self,
+        *,
+        max_packets: int = 64,
+        latest: bool = False,
+        max_delay_us: int | None = None,
+        copy: bool = True,
     ) -> None:
         self.max_packets = positive_int("max_packets", max_packets)
-        self.max_delay_us = math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)
+        self.max_delay_us = (
+            math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)
+        )
         if max_delay_us is not None and not latest:
             raise ValueError("`max_delay_us` discards packets, which `latest=True` must allow")
         self.latest = bool(latest)
@@ -83,7 +93,8 @@ class PacketQueue:
         lock = threading.RLock()
         self._came = threading.Condition(lock)  # a packet, or the end
         self._room = threading.Condition(lock)
-        self._waiting: deque[tuple[Any, int, int]] = deque()  # packet, events, time of arrival in ns
+        # packet, events, time of arrival in ns
+        self._waiting: deque[tuple[Any, int, int]] = deque()
         self._sleepers: list[asyncio.Future[None]] = []
         self._ended = self._closed = False
         self._error: BaseException | None = None
@@ -96,10 +107,11 @@ class PacketQueue:
         state = "closed" if self._closed else "ended" if self._ended else "open"
         return f"{type(self).__name__}({state}, {self.backlog} events waiting, {self.n_skipped} skipped)"
 
-    # -- packets in --------------------------------------------------------------------------------------
+    # -- packets in --------------------------------------------------------------------------------
 
     def put(self, packet: Any) -> bool:
-        """Add a `packet`, in any form that `async_tnt.event_forms` lists; without `latest`, wait for room first.
+        """Add a `packet`, in any form that `async_tnt.event_forms` lists; without `latest`, wait
+        for room first.
 
         Returns
         -------
@@ -115,7 +127,9 @@ class PacketQueue:
             if not self.latest:
                 self.wait_for_room()
             if self._ended and not self._closed:
-                raise ValueError("a packet after the end: this queue's end() was called; make a new PacketQueue")
+                raise ValueError(
+                    "a packet after the end: this queue's end() was called; make a new PacketQueue"
+                )
             self._received += n
             self.backlog += n
             self._waiting.append((packet, n, arrived_ns))
@@ -130,16 +144,19 @@ class PacketQueue:
         return True
 
     def wait_for_room(self) -> bool:
-        """Wait until there is room; with `latest` there always is. Returns False if the queue is closed."""
+        """Wait until there is room; with `latest` there always is. Returns False if the queue is
+        closed."""
         with self._room:
             while not (self._ended or self.latest) and len(self._waiting) >= self.max_packets:
                 self._room.wait()
             return not self._closed
 
     def end(self, error: BaseException | None = None) -> None:
-        """Announce that no packets follow: the reader's loop ends after the last one, or raises `error` there."""
+        """Announce that no packets follow: the reader's loop ends after the last one, or raises
+        `error` there."""
         with self._came:
-            if not self._ended:  # closing ends it, too: a source that fails because of that is no error
+            # closing ends it, too: a source that fails because of that is no error
+            if not self._ended:
                 self._ended, self._error = True, error
             self._wake_all()
 
@@ -151,7 +168,7 @@ class PacketQueue:
             self._skip_all()
             self._wake_all()
 
-    # -- packets out -------------------------------------------------------------------------------------
+    # -- packets out -------------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[Any]:
         return self
@@ -190,11 +207,12 @@ class PacketQueue:
                     if sleeper in self._sleepers:  # cancelled
                         self._sleepers.remove(sleeper)
 
-    # -- counts ------------------------------------------------------------------------------------------
+    # -- counts ------------------------------------------------------------------------------------
 
     @property
     def delay_us(self) -> int:
-        """Age of the newest packet handed out: microseconds from its arrival until now. 0 before the first."""
+        """Age of the newest packet handed out: microseconds from its arrival until now. 0 before
+        the first."""
         return 0 if self._newest_ns is None else (time.monotonic_ns() - self._newest_ns) // 1000
 
     @property
@@ -202,10 +220,14 @@ class PacketQueue:
         """All counts, at one moment."""
         with self._came:
             return QueueCounters(
-                self._received, self._handed_out, self.n_skipped, self.backlog, self._longest_wait_ns // 1000
+                self._received,
+                self._handed_out,
+                self.n_skipped,
+                self.backlog,
+                self._longest_wait_ns // 1000,
             )
 
-    # -- with the lock held ------------------------------------------------------------------------------
+    # -- with the lock held ------------------------------------------------------------------------
 
     def _is_ready(self) -> bool:
         return bool(self._waiting) or self._ended
@@ -213,7 +235,9 @@ class PacketQueue:
     def _hand_out(self) -> Any:
         self._skip_outdated()
         # a signal handler may have closed it meanwhile: then no packet
-        packet, n, arrived_ns = self._waiting.popleft() if self._waiting else (None, 0, time.monotonic_ns())
+        packet, n, arrived_ns = (
+            self._waiting.popleft() if self._waiting else (None, 0, time.monotonic_ns())
+        )
         self.backlog -= n
         self._handed_out += n
         self._newest_ns = arrived_ns
@@ -259,10 +283,12 @@ def _resolve(future: asyncio.Future[None]) -> None:
 
 
 def measured(packet: Any, copy: bool) -> tuple[Any, int]:
-    """A packet of any form that `async_tnt.event_forms` lists, or a copy of it, and how many events it holds.
+    """A packet of any form that `async_tnt.event_forms` lists, or a copy of it, and how many events
+    it holds.
 
-    A structured array and a tuple of four columns keep their form when they are copied; other objects become a tuple of
-    four columns (t, x, y, p). What is not a packet of events counts 0 and is left to its reader to refuse.
+    A structured array and a tuple of four columns keep their form when they are copied; other
+    objects become a tuple of four columns (t, x, y, p). What is not a packet of events counts 0 and
+    is left to its reader to refuse.
     """
     if isinstance(packet, np.ndarray) and packet.dtype.names is not None and packet.ndim == 1:
         return _copied(packet) if copy else packet, len(packet)
@@ -273,10 +299,13 @@ def measured(packet: Any, copy: bool) -> tuple[Any, int]:
     if columns is None:
         return packet, 0
     is_one_event = isinstance(packet, tuple) and all(type(value) is int for value in packet)
-    return tuple(column.copy() for column in columns) if copy and not is_one_event else packet, columns[0].size
+    return tuple(
+        column.copy() for column in columns
+    ) if copy and not is_one_event else packet, columns[0].size
 
 
 def _copied(packet: np.ndarray) -> np.ndarray:
     if type(packet) is not np.ndarray or not packet.flags.c_contiguous or packet.dtype.hasobject:
         return packet.copy()
-    return packet.view(np.uint8).copy().view(packet.dtype)  # NumPy copies records field by field, 5x slower
+    # NumPy copies records field by field, 5x slower
+    return packet.view(np.uint8).copy().view(packet.dtype)

@@ -29,14 +29,18 @@ class RecordingSummary:
     recording, format, bytes : the file, the name of its format, and its size.
     sensor : (width, height) as the file states it or the caller does; None: neither does.
     sensor_stated : whether the file, or its format, states it.
-    extent : the smallest (width, height) that holds all events but strays, see `likely_side`; (0, 0) without events.
+    extent : the smallest (width, height) that holds all events but strays, see `likely_side`; (0,
+        0) without events.
     reach : the smallest (width, height) that holds all events; (0, 0) without events.
     off_sensor : how many events lie off the sensor; these are left out of all other numbers.
-    events, on, unsorted : how many there are, are ON, and are earlier than the one before them in the file.
+    events, on, unsorted : how many there are, are ON, and are earlier than the one before them in
+        the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
     events_a_second : in each of N_PARTS equal parts of the recording; empty without events.
-    topics : `name`, `type`, `messages` and `is_read` of each topic of a ROS bag; empty for other files.
-    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixel_masks`; empty where the sensor is not known.
+    topics : `name`, `type`, `messages` and `is_read` of each topic of a ROS bag; empty for other
+        files.
+    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixel_masks`; empty where the
+        sensor is not known.
     """
 
     recording: str
@@ -57,7 +61,9 @@ class RecordingSummary:
     topics: list[dict[str, Any]]
 
 
-def summarize(path: str | os.PathLike[str], sensor: Sensor | None = None, **reading: Any) -> RecordingSummary:
+def summarize(
+    path: str | os.PathLike[str], sensor: Sensor | None = None, **reading: Any
+) -> RecordingSummary:
     """Read a recording, in little memory.
 
     Parameters

@@ -1,4 +1,5 @@
-"""A camera's sensor, (width, height) in pixels: checked, compared with the one that is expected, and in messages."""
+"""A camera's sensor, (width, height) in pixels: checked, compared with the one that is expected,
+and in messages."""
 
 from __future__ import annotations
 
@@ -34,7 +35,11 @@ def checked_sensor(sensor: Any) -> Sensor:
 
 
 def check_sensor(
-    name: Any, found: Sensor | None, wanted: Sensor | None, origin: str = "the model is for", advice: str = ""
+    name: Any,
+    found: Sensor | None,
+    wanted: Sensor | None,
+    origin: str = "the model is for",
+    advice: str = "",
 ) -> None:
     """Refuse a source that states another sensor than the wanted one.
 
@@ -45,4 +50,7 @@ def check_sensor(
     origin : where `wanted` comes from, and `advice`: what to do about another one, for messages.
     """
     if found is not None and wanted is not None and tuple(found) != wanted:
-        raise ValueError(f"{name}: a sensor of {format_size(found)} pixels, but {origin} {format_size(wanted)}{advice}")
+        raise ValueError(
+            f"{name}: a sensor of {format_size(found)} pixels, but {origin} "
+            f"{format_size(wanted)}{advice}"
+        )

@@ -23,7 +23,8 @@ from async_tnt.sources.datagrams import Decoder
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
 MAX_DATAGRAMS = 64  # in one packet
-WARN_AFTER = 1000  # malformed events without a single good one, after which a warning names possible reasons
+# malformed events without a single good one, after which a warning names possible reasons
+WARN_AFTER = 1000
 LONGEST_S = 1e6  # the system sleeps for no longer than some weeks
 
 log = logging.getLogger("async_tnt.sources")
@@ -54,20 +55,23 @@ class NetworkCounts:
 class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
     """Listens for datagrams of events.
 
-    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of the datagrams that were waiting,
-    64 at most, or of the one that ended a wait. It ends when `close` is called, from any thread, or after `timeout_s`
-    without a valid event. Invalid events never raise; they are dropped, see `counts`. One thread iterates at a time;
-    asyncio reads it through a `BackgroundReader`.
+    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of the datagrams
+    that were waiting, 64 at most, or of the one that ended a wait. It ends when `close` is called,
+    from any thread, or after `timeout_s` without a valid event. Invalid events never raise; they
+    are dropped, see `counts`. One thread iterates at a time; asyncio reads it through a
+    `BackgroundReader`.
 
     Parameters
     ----------
-    address, port : where to listen; by default only this machine can send. Port 0 picks a free one: read `port`.
+    address, port : where to listen; by default only this machine can send. Port 0 picks a free one:
+        read `port`.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
     buffer_bytes : receive buffer to ask the system for; the attribute has what it gives.
-    timeout_s : seconds without a valid event, below 1e6, after which iterating ends; None waits forever.
-    max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
-        starts again. None: every time is trusted.
+    timeout_s : seconds without a valid event, below 1e6, after which iterating ends; None waits
+        forever.
+    max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the
+        times of a sender that starts again. None: every time is trusted.
 
     Raises
     ------
@@ -98,7 +102,10 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         port = whole_number("port", port, 0, 1 << 16)
         buffer_bytes = whole_number("buffer_bytes", buffer_bytes, 1, 1 << 30, "in [1, 2**30)")
         if timeout_s is not None and not 0 < timeout_s < LONGEST_S:
-            raise ValueError(f"`timeout_s` must be a positive number of seconds below {LONGEST_S:g}, got {timeout_s}")
+            raise ValueError(
+                f"`timeout_s` must be a positive number of seconds below {LONGEST_S:g}, got "
+                f"{timeout_s}"
+            )
         self.timeout_s = timeout_s
         self.format, self.sensor = format, sensor
         # before the decoder, which may have to be compiled: an address that is taken shows at once
@@ -113,15 +120,17 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         self._datagrams = self._bytes = self._events = self._cut = 0
         self._started_ns = time.monotonic_ns()
         self._closed = self._has_warned = False
-        # Held while a thread reads or waits, so that `close` does not free the socket's number meanwhile: the system
-        # may give it to another socket. Re-entrant: a signal handler may close, too.
+        # Held while a thread reads or waits, so that `close` does not free the socket's number
+        # meanwhile: the system may give it to another socket. Re-entrant: a signal handler may
+        # close, too.
         self._reading = threading.RLock()
         self.address, self.port = self._socket.getsockname()[:2]
         with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
         overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles what is asked for
         self.buffer_bytes = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // overhead
-        self._wake_out, self._wake_in = socket.socketpair()  # one end becomes readable when the other is closed
+        # one end becomes readable when the other is closed
+        self._wake_out, self._wake_in = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
         self._selector.register(self._wake_out, selectors.EVENT_READ)
@@ -159,7 +168,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         of_them += f"{counts.off_sensor:,} of them off the sensor, " if counts.off_sensor else ""
         restarts = f", clock restarts: {counts.clock_restarts:,}" if counts.clock_restarts else ""
         return (
-            f"{counts.datagrams:,} datagrams, {counts.events:,} events ({counts.malformed:,} malformed, {of_them}"
+            f"{counts.datagrams:,} datagrams, {counts.events:,} events ({counts.malformed:,} "
+            f"malformed, {of_them}"
             f"{counts.late:,} out of order{restarts})"
         )
 
@@ -167,10 +177,11 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         state = "closed" if self._closed else "open"
         return f"UdpSource(udp://{self.address}:{self.port}?format={self.format}, {state}, {self.counts})"
 
-    # -- packets -----------------------------------------------------------------------------------------
+    # -- packets -----------------------------------------------------------------------------------
 
     def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
-        """The next packet; None if none came within `timeout_s` (None: wait forever) or the source was closed."""
+        """The next packet; None if none came within `timeout_s` (None: wait forever) or the source
+        was closed."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         most = MAX_DATAGRAMS
         with self._reading:
@@ -183,8 +194,9 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
                     return None
                 with contextlib.suppress(OSError, ValueError):  # a signal handler closed the source
                     self._selector.select(left)
-                # The datagram that ended the sleep is handed over alone: asking for more takes as long as a plain
-                # `recv`, once its data have left the processor's caches. The next call reads all the others.
+                # The datagram that ended the sleep is handed over alone: asking for more takes as
+                # long as a plain `recv`, once its data have left the processor's caches. The next
+                # call reads all the others.
                 most = 1
         return None
 
@@ -222,7 +234,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         if not self._events and not self._has_warned and self._decoder.malformed >= WARN_AFTER:
             self._has_warned = True
             log.warning(
-                "udp://%s:%s: none of the first %s events can be used, %s of them lie off the sensor; does the sender "
+                "udp://%s:%s: none of the first %s events can be used, %s of them lie off the "
+                "sensor; does the sender "
                 "use another format than %s (?format=...), or a larger camera?",
                 self.address,
                 self.port,
@@ -232,10 +245,11 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             )
         return events if len(events) else None
 
-    # -- the end -----------------------------------------------------------------------------------------
+    # -- the end -----------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Stop listening and end every iteration, from any thread; counts stay. May be called again."""
+        """Stop listening and end every iteration, from any thread; counts stay. May be called
+        again."""
         self._closed = True
         self._wake_in.close()
         with self._reading:  # a thread that waited has been woken
@@ -248,7 +262,8 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
 
 
 def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
-    """A `UdpSource` of a `url`, udp://HOST:PORT[?format=...&timeout_s=...]; `sensor` is its argument.
+    """A `UdpSource` of a `url`, udp://HOST:PORT[?format=...&timeout_s=...]; `sensor` is its
+    argument.
 
     Raises
     ------
@@ -258,7 +273,13 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
-        if parts.scheme != "udp" or not host or port is None or parts.path not in ("", "/") or "@" in parts.netloc:
+        if (
+            parts.scheme != "udp"
+            or not host
+            or port is None
+            or parts.path not in ("", "/")
+            or "@" in parts.netloc
+        ):
             raise ValueError("expected udp://HOST:PORT, such as udp://127.0.0.1:3333")
         options: dict[str, Any] = dict(parse_qsl(parts.query, keep_blank_values=True))
         if unknown := options.keys() - {"format", "timeout_s"}:
@@ -271,7 +292,8 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
 
 
 def _bound_socket(address: str, port: int) -> socket.socket:
-    """A socket that does not block; an OSError if there is no such host, or its address cannot be used."""
+    """A socket that does not block; an OSError if there is no such host, or its address cannot be
+    used."""
     try:
         family, _, _, _, where = socket.getaddrinfo(address, port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError, OverflowError) as error:

@@ -1,7 +1,9 @@
-"""Worker processes, which call one function after another and may crash or hang without harm to this process.
+"""Worker processes, which call one function after another and may crash or hang without harm to
+this process.
 
-`subprocess` starts them: a process of `multiprocessing` imports the user's script again, which then needs the line
-`if __name__ == "__main__":`, and a daemonic process, such as a worker of torch's DataLoader, may not start any.
+`subprocess` starts them: a process of `multiprocessing` imports the user's script again, which then
+needs the line `if __name__ == "__main__":`, and a daemonic process, such as a worker of torch's
+DataLoader, may not start any.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ class Worker:
 
     Attributes
     ----------
-    pipe : ready, for `multiprocessing.connection.wait`, when there is an answer or the process has ended.
+    pipe : ready, for `multiprocessing.connection.wait`, when there is an answer or the process has
+        ended.
     """
 
     def __init__(self) -> None:
@@ -59,23 +62,31 @@ class Worker:
         return self._process.poll() is None
 
     def submit(self, function: Callable[..., Any], *args: Any, limit_s: float = 0.0) -> None:
-        """Call a function after those before have returned; a call that takes more than `limit_s` ends the process."""
+        """Call a function after those before have returned; a call that takes more than `limit_s`
+        ends the process."""
         call = pickle.dumps((function, args, limit_s))
         with contextlib.suppress(OSError):  # the process has ended: `result` raises
             self.pipe.send_bytes(call)
 
     def result(self, limit_s: float | None = None) -> Any:
-        """What the oldest call returned, or its error, raised, with the worker's traceback as a note.
+        """What the oldest call returned, or its error, raised, with the worker's traceback as a
+        note.
 
         Raises
         ------
         WorkerEnded : no answer within `limit_s` (None: however long it takes), or none any more.
         """
         try:
-            answer = self.pipe.recv_bytes(MAX_ANSWER_BYTES) if connection.wait([self.pipe], limit_s) else b""
+            answer = (
+                self.pipe.recv_bytes(MAX_ANSWER_BYTES)
+                if connection.wait([self.pipe], limit_s)
+                else b""
+            )
             is_error, value = pickle.loads(answer)
         except (EOFError, OSError, pickle.UnpicklingError):
-            raise WorkerEnded("a worker process crashed, hung, was killed, or ran out of memory") from None
+            raise WorkerEnded(
+                "a worker process crashed, hung, was killed, or ran out of memory"
+            ) from None
         if is_error:
             raise value
         return value
@@ -88,7 +99,8 @@ class Worker:
 
 
 def serve() -> None:
-    """In a worker: answer the calls that come through its standard input, a pipe in both directions."""
+    """In a worker: answer the calls that come through its standard input, a pipe in both
+    directions."""
     fd = os.dup(0)  # nothing that is called may read it
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if sys.platform == "win32":

@@ -1,11 +1,15 @@
-"""Train classifiers on recordings. Needs torch (extra `train`), which is imported when a name that uses it is.
+"""Train classifiers on recordings. Needs torch (extra `train`), which is imported when a name that
+uses it is.
 
 dataset_data                windows of class folders to train, validate and test on
-fit, train                  a finished model, with its record, from these; or the training loop alone
+fit, train                  a finished model, with its record, from these; or the training loop
+                            alone
 settings_for                `TrainSettings` for a data set of any size; `default_config`, the volume
-evaluate                    the accuracy of a model on windows; `pipeline_of` makes a torch module of the model
+evaluate                    the accuracy of a model on windows; `pipeline_of` makes a torch module
+                            of the model
 read_dataset, make_windows  the steps between: recordings in memory, and their windows
-VolumeDataset               a folder's windows as volumes, for torch's DataLoader and networks of one's own
+VolumeDataset               a folder's windows as volumes, for torch's DataLoader and networks of
+                            one's own
 """
 
 TYPE_CHECKING = False

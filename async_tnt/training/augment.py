@@ -1,20 +1,23 @@
 """Augmentation of events: every epoch changes every window at random. All of it is our choice.
 
-A window is moved in time and on the sensor, thinned, and sometimes mirrored, cut short, or made to show nothing:
+A window is moved in time and on the sensor, thinned, and sometimes mirrored, cut short, or made to
+show nothing:
 
-    start      a live stream's windows start at its first event, some milliseconds into N-MNIST's saccade;
-               TNT magnifies what happens near the start, so the network must not rely on it
+    start      a live stream's windows start at its first event, some milliseconds into N-MNIST's
+               saccade; TNT magnifies what happens near the start, so the network must not rely on
+               it
     position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale * mirror, c the middle of the pixels
                between the recording's outermost events: what is mirrored stays where it was
     thinning   each event is kept with a probability that is drawn per window
     partial    the window ends early, as training for decisions before its end
     late start the window begins in the middle of what happens
-    nothing    the events stand somewhere else: anywhere, as noise, at hot pixels, on a patch that twinkles, or along a
-               straight edge that crosses the sensor. No class is there, but there are as many events as ever
+    nothing    the events stand somewhere else: anywhere, as noise, at hot pixels, on a patch that
+               twinkles, or along a straight edge that crosses the sensor. No class is there, but
+               there are as many events as ever
 
-After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume, so augmented events
-are on a sensor `FINE` times finer (see `fineness`) with the same corners; as the grid is mapped from corner to corner,
-it stays the same.
+After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume,
+so augmented events are on a sensor `FINE` times finer (see `fineness`) with the same corners; as
+the grid is mapped from corner to corner, it stays the same.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ class Draws:
     matrix : float64, (N, 2, 3). (x', y') = matrix @ (x, y, 1), rounded, in pixels of `sensor`.
     keep : float64, (N,). Probability that an event is kept.
     seed : uint64, (N,). Decides which events are kept, and where those of nothing are.
-    nothing : int64, (N,). SHOWN, or what stands in place of the recording, see `kernels.window_batches`.
+    nothing : int64, (N,). SHOWN, or what stands in place of the recording, see
+        `kernels.window_batches`.
     place : float64, (N, 8). Where that is, in pixels of `sensor`.
     sensor : (width, height) of the augmented events' sensor; events beyond it are dropped.
     """
@@ -71,7 +75,8 @@ class Draws:
 
 
 def fineness(sensor: tuple[int, int]) -> int:
-    """How many times finer the sensor of augmented events is: `FINE`, or less for a sensor of over 1024 pixels.
+    """How many times finer the sensor of augmented events is: `FINE`, or less for a sensor of over
+    1024 pixels.
 
     Examples
     --------
@@ -98,14 +103,20 @@ def unchanged(n: int, config: TNTConfig) -> Draws:
 
 
 def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
-    """The same for an image of times, which takes an event between pixels for one of all of them."""
+    """The same for an image of times, which takes an event between pixels for one of all of
+    them."""
     if config.representation not in TIME_IMAGES:
         return draws
-    return replace(draws, matrix=draws.matrix * (config.sensor[0] - 1) / (draws.sensor[0] - 1), sensor=config.sensor)
+    return replace(
+        draws,
+        matrix=draws.matrix * (config.sensor[0] - 1) / (draws.sensor[0] - 1),
+        sensor=config.sensor,
+    )
 
 
 def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
-    """The same windows, but that they show nothing where `kinds`, int64 of shape (N,), is not SHOWN."""
+    """The same windows, but that they show nothing where `kinds`, int64 of shape (N,), is not
+    SHOWN."""
     n, sensor = len(kinds), np.array(draws.sensor, np.float64)
     place = np.zeros((n, 8))
     place[:, 2:4] = sensor  # all of it, from (0, 0) on
@@ -118,7 +129,9 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
     place[hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((hot.sum(), 6)))
     some = rng.integers(1, 4, hot.sum())  # one, two or three different ones
     for k in (1, 2):
-        place[hot, 2 * k : 2 * k + 2] = np.where((some > k)[:, None], place[hot, 2 * k : 2 * k + 2], place[hot, :2])
+        place[hot, 2 * k : 2 * k + 2] = np.where(
+            (some > k)[:, None], place[hot, 2 * k : 2 * k + 2], place[hot, :2]
+        )
     edge = kinds == EDGE
     angle = rng.uniform(0.0, 2 * np.pi, edge.sum())
     place[edge, :2] = sensor * rng.uniform(0.25, 0.75, (edge.sum(), 2))
@@ -126,7 +139,8 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
     place[edge, 4] = sensor.max() * rng.uniform(*EDGE_WAY, edge.sum())
     place[edge, 5] = sensor.max() * rng.uniform(*EDGE_THICKNESS, edge.sum())
     place[edge, 6] = sensor.max() * rng.uniform(*EDGE_LENGTH, edge.sum())
-    on[edge] = np.where(rng.random(edge.sum()) < 0.5, np.rint(on[edge]), on[edge])  # often of one polarity
+    # often of one polarity
+    on[edge] = np.where(rng.random(edge.sum()) < 0.5, np.rint(on[edge]), on[edge])
     place[:, 7] = on
     return replace(draws, nothing=kinds, place=place)
 
@@ -139,16 +153,18 @@ class Augmentation:
     ----------
     start_ms : shift of the window's start, in milliseconds, either way.
     shift_px : shift in x and in y, in sensor pixels.
-    translate_px : an additional shift by a whole number of pixels, in x and in y (the thesis' augmentation).
+    translate_px : an additional shift by a whole number of pixels, in x and in y (the thesis'
+        augmentation).
     rotation_deg : rotation, in degrees, either way.
     scale : change of size, as a fraction.
     shear : shift of x, as a fraction of y.
     drop : fraction of the events that is dropped.
-    partial : fraction of windows that end early, but not before `partial_from_ms`; the logarithm of their length is
-        uniform.
+    partial : fraction of windows that end early, but not before `partial_from_ms`; the logarithm of
+        their length is uniform.
     late_start : fraction of windows that begin up to `LATEST` of their length later.
     mirror : half of the windows are mirrored from left to right.
-    nothing : fraction of windows that show nothing, of `KINDS` in equal parts. They belong to no class.
+    nothing : fraction of windows that show nothing, of `KINDS` in equal parts. They belong to no
+        class.
     """
 
     start_ms: float = 5.0
@@ -167,13 +183,18 @@ class Augmentation:
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            limit = 1.0 if name in ("scale", "drop", "partial", "late_start", "mirror", "nothing") else np.inf
+            limit = (
+                1.0
+                if name in ("scale", "drop", "partial", "late_start", "mirror", "nothing")
+                else np.inf
+            )
             if not 0 <= value <= limit:
                 raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
 
     @classmethod
     def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
-        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor and window.
+        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor
+        and window.
 
         Parameters
         ----------
@@ -183,7 +204,9 @@ class Augmentation:
         larger = (min(config.sensor) - 1) / 33
         longer = config.window_us / 105_000
         scaled = cls(
-            start_ms=cls.start_ms * longer, shift_px=cls.shift_px * larger, partial_from_ms=cls.partial_from_ms * longer
+            start_ms=cls.start_ms * longer,
+            shift_px=cls.shift_px * larger,
+            partial_from_ms=cls.partial_from_ms * longer,
         )
         return replace(scaled, **changes)
 
@@ -202,7 +225,9 @@ class Augmentation:
             shift += rng.integers(-self.translate_px, self.translate_px + 1, (n, 2))
         keep = 1.0 - rng.uniform(0.0, self.drop, n)
         shortest = np.clip(1e3 * self.partial_from_ms, 1.0, config.window_us)
-        until_us = np.rint(np.exp(rng.uniform(np.log(shortest), np.log(config.window_us), n))).astype(np.int64)
+        until_us = np.rint(
+            np.exp(rng.uniform(np.log(shortest), np.log(config.window_us), n))
+        ).astype(np.int64)
         until_us[rng.random(n) >= self.partial] = config.window_us
         if self.late_start:
             later_us = np.rint(rng.uniform(0.0, LATEST * config.window_us, n)).astype(np.int64)
@@ -220,7 +245,14 @@ class Augmentation:
         fine = 1 if config.representation in TIME_IMAGES else fineness(config.sensor)
         sensor = ((config.sensor[0] - 1) * fine + 1, (config.sensor[1] - 1) * fine + 1)
         draws = Draws(
-            start_us, until_us, fine * matrix, keep, seed, np.full(n, SHOWN, np.int64), np.zeros((n, 8)), sensor
+            start_us,
+            until_us,
+            fine * matrix,
+            keep,
+            seed,
+            np.full(n, SHOWN, np.int64),
+            np.zeros((n, 8)),
+            sensor,
         )
         if not self.nothing:
             return draws

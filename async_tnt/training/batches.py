@@ -1,6 +1,7 @@
 """Volumes of many windows at once, by the kernels that also process streams.
 
-Without augmentation a window's volume is bit for bit what `TNTVolume.array` holds after the same events.
+Without augmentation a window's volume is bit for bit what `TNTVolume.array` holds after the same
+events.
 """
 
 from __future__ import annotations
@@ -31,14 +32,20 @@ class BatchVolumes:
 
     def __init__(self, config: TNTConfig) -> None:
         if config.window_events is not None:
-            raise ValueError(f"windows of a duration can be trained on, but not of {config.window_events} events")
+            raise ValueError(
+                f"windows of a duration can be trained on, but not of {config.window_events} events"
+            )
         self.config = config
-        self._about = {"window": MEAN, "regressor": GIVEN}[config.landmark] if config.defers_landmark else OWN
+        self._about = (
+            {"window": MEAN, "regressor": GIVEN}[config.landmark] if config.defers_landmark else OWN
+        )
         self._states: dict[tuple[int, int], np.ndarray] = {}
         self._scratch = empty_columns(1 << 12)[:4]
         self._out = np.empty((0, *config.shape), np.float32)
 
-    def __call__(self, windows: Windows, draws: Draws | None = None, landmarks: np.ndarray | None = None) -> np.ndarray:
+    def __call__(
+        self, windows: Windows, draws: Draws | None = None, landmarks: np.ndarray | None = None
+    ) -> np.ndarray:
         """The volumes of N windows.
 
         Parameters
@@ -54,17 +61,22 @@ class BatchVolumes:
         n = len(windows)
         draws = unchanged(n, self.config) if draws is None else draws
         if (landmarks is not None) != (self._about == GIVEN):
-            raise ValueError("`landmarks` must be given with landmark 'regressor', and with no other")
+            raise ValueError(
+                "`landmarks` must be given with landmark 'regressor', and with no other"
+            )
         if n > len(self._out):
             self._out = np.empty((n, *self.config.shape), np.float32)
         out = self._out[:n]
-        window_volumes(*self._arguments(windows, draws), self._about, self._to_sensor(landmarks, n, draws), out)
+        window_volumes(
+            *self._arguments(windows, draws), self._about, self._to_sensor(landmarks, n, draws), out
+        )
         return out
 
     def landmark_gradient(
         self, windows: Windows, draws: Draws | None, landmarks: np.ndarray, gradient: np.ndarray
     ) -> np.ndarray:
-        """dL/dl from dL/dV, where V is what this object makes of `windows`, `draws` and `landmarks`.
+        """dL/dl from dL/dV, where V is what this object makes of `windows`, `draws` and
+        `landmarks`.
 
         Parameters
         ----------
@@ -79,13 +91,18 @@ class BatchVolumes:
         draws = unchanged(n, self.config) if draws is None else draws
         out = np.empty((n, 2))
         gradient = np.ascontiguousarray(gradient, np.float32)
-        landmark_gradients(*self._arguments(windows, draws), self._to_sensor(landmarks, n, draws), gradient, out)
+        landmark_gradients(
+            *self._arguments(windows, draws), self._to_sensor(landmarks, n, draws), gradient, out
+        )
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
         """The first arguments of both kernels."""
         recordings = windows.recordings
-        first, last = recordings.offsets[windows.recording], recordings.offsets[windows.recording + 1]
+        first, last = (
+            recordings.offsets[windows.recording],
+            recordings.offsets[windows.recording + 1],
+        )
         longest = int((last - first).max(initial=0))
         if longest > self._scratch[0].size:
             self._scratch = empty_columns(2 * longest)[:4]
@@ -95,17 +112,30 @@ class BatchVolumes:
             self._state(draws.sensor),
             self._scratch,
             (recordings.t, recordings.x, recordings.y, recordings.p),
-            (first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed, draws.nothing, draws.place),
+            (
+                first,
+                last,
+                start_us,
+                limit_us,
+                draws.matrix,
+                draws.keep,
+                draws.seed,
+                draws.nothing,
+                draws.place,
+            ),
         )
 
     def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:
         if landmarks is None:
             return np.zeros((n, 2))
-        return np.ascontiguousarray(landmarks * (np.array(draws.sensor) - 1) / (np.array(self.config.grid) - 1))
+        return np.ascontiguousarray(
+            landmarks * (np.array(draws.sensor) - 1) / (np.array(self.config.grid) - 1)
+        )
 
     def _state(self, sensor: tuple[int, int]) -> np.ndarray:
         """The kernels' state, with the parameters for events of this sensor."""
         if sensor not in self._states:
-            fixed = self.config.landmark if self._about == OWN else "center"  # its position is set for each window
+            # its position is set for each window
+            fixed = self.config.landmark if self._about == OWN else "center"
             self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=fixed))
         return self._states[sensor]

@@ -18,7 +18,12 @@ from async_tnt.sources.files.source import ReadOptions
 from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
-from async_tnt.training.groups import groups_by_pattern, hold_out_end, hold_out_groups, hold_out_last
+from async_tnt.training.groups import (
+    groups_by_pattern,
+    hold_out_end,
+    hold_out_groups,
+    hold_out_last,
+)
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.settings import default_grid, with_bins
 from async_tnt.training.simulated_pictures import check_pictures, find_pictures, with_pictures
@@ -76,24 +81,28 @@ def dataset_data(
     workers: int = 1,
     progress: Callable[..., Bar] = Bar,
 ) -> TrainingData:
-    """A folder of class folders, split by groups of recordings. Windows start at each recording's first event.
+    """A folder of class folders, split by groups of recordings. Windows start at each recording's
+    first event.
 
-    Class folders may hold pictures, too, which are split like recordings and then recorded by `simulate_pictures`.
+    Class folders may hold pictures, too, which are split like recordings and then recorded by
+    `simulate_pictures`.
 
     Parameters
     ----------
     folder : has a folder for each class.
     config : its sensor is replaced by that of the events.
     pixels, reading, sensor_source, classes : as for `read_dataset`.
-    validation : share of each class's recordings to hold out; at least one, if there are two groups.
-    groups : a regular expression, see `groups_by_pattern`; by default the last recordings of each class by number, or
-        some at random.
-    fitted : what of `config` becomes the default of this data set. "grid": that of the sensor, see `default_grid`;
-        "window_us": where no recording is as long as a window, windows become as long as the longest one; "bins": time
-        bins where pixels fire often, see `with_bins`.
+    validation : share of each class's recordings to hold out; at least one, if there are two
+        groups.
+    groups : a regular expression, see `groups_by_pattern`; by default the last recordings of each
+        class by number, or some at random.
+    fitted : what of `config` becomes the default of this data set. "grid": that of the sensor, see
+        `default_grid`; "window_us": where no recording is as long as a window, windows become as
+        long as the longest one; "bins": time bins where pixels fire often, see `with_bins`.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
-    store : a folder for the events, see `read_dataset`; without it, pictures are recorded in a temporary one.
+    store : a folder for the events, see `read_dataset`; without it, pictures are recorded in a
+        temporary one.
     begin : called before pictures are recorded, when what is learned from has been read and split.
     scenes : of `SceneSettings`, what differs from its defaults.
     workers : processes that record pictures.
@@ -114,14 +123,19 @@ def dataset_data(
     config = config.replace(sensor=dataset.sensor, grid=grid)
     recordings, n_real, classes = dataset.recordings, len(dataset.recordings), dataset.classes
     notes = _notes(dataset, "the recordings")
-    longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1 if n_real else config.window_us
+    longest_us = (
+        int(recordings.t[recordings.offsets[1:] - 1].max()) + 1 if n_real else config.window_us
+    )
     if "window_us" in fitted and longest_us < config.window_us:
         config = config.replace(window_us=-(-longest_us // 1000) * 1000)
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
     of_pictures, bad_pictures = check_pictures(pictures, classes, recordings.labels, progress)
     names = (*recordings.names, *(picture.name for picture in of_pictures))
-    labels = np.concatenate([recordings.labels, np.array([one.label for one in of_pictures], np.int64)])
-    kinds = 2 * labels + (np.arange(len(labels)) >= n_real)  # of pictures as large a share as of recordings
+    labels = np.concatenate(
+        [recordings.labels, np.array([one.label for one in of_pictures], np.int64)]
+    )
+    # of pictures as large a share as of recordings
+    kinds = 2 * labels + (np.arange(len(labels)) >= n_real)
     learned, held_out, how, counted = _split(names, kinds, groups, validation, seed)
     held_out_names = tuple(names[r] for r in held_out)
     about: dict[str, Any] = {}
@@ -139,7 +153,9 @@ def dataset_data(
             progress=progress,
         )
         seconds = time.monotonic() - began
-        words = "pictures: {pictures}, those to learn from recorded {takes} times each (took {:.0f} s)"
+        words = (
+            "pictures: {pictures}, those to learn from recorded {takes} times each (took {:.0f} s)"
+        )
         notes.append(words.format(seconds, **about))
 
     def windows_of(of: Recordings, which: np.ndarray | None = None) -> Windows:
@@ -153,7 +169,10 @@ def dataset_data(
         events_a_pixel = training.events_a_pixel(config.window_us)
         config = with_bins(config, events_a_pixel)
         if config.representation == "volume":
-            notes.append(f"{config.bins} time bins, as an active pixel fires {events_a_pixel:.1f} times in a window")
+            notes.append(
+                f"{config.bins} time bins, as an active pixel fires {events_a_pixel:.1f} times in "
+                "a window"
+            )
     record: dict[str, Any] = {
         "source": f"recordings of own classes, held out by {how}",
         "classes": counts,
@@ -164,22 +183,34 @@ def dataset_data(
         **({"pictures": about} if about else {}),
     }
     if pixels.leaves_out:
-        record["pixels"] = {**pixels.about, "camera": list(dataset.camera), **dataset.left_out_events}
+        record["pixels"] = {
+            **pixels.about,
+            "camera": list(dataset.camera),
+            **dataset.left_out_events,
+        }
     of_events = {"left_out_late": dataset.n_late, "left_out_off_sensor": dataset.n_off_sensor}
     record |= {name: n for name, n in of_events.items() if n}
     of_each = ", ".join(f"{name} {n}" for name, n in counts.items())
     notes.append(f"recordings{' and pictures' if about else ''}: {of_each}")
     notes.append(f"held out by {how}: {counted}")
     if how == BY_NUMBER and record["held_out_recordings"]:
-        notes.append("the first of them may follow the last learned ones within seconds: such recordings need groups")
+        notes.append(
+            "the first of them may follow the last learned ones within seconds: such recordings "
+            "need groups"
+        )
     single = [one for k, one in enumerate(classes) if counts[one] and k not in validating.labels]
     if single and validation:
-        notes.append(f"not held out, as there is only one short recording, picture or group: {', '.join(single)}")
+        notes.append(
+            f"not held out, as there is only one short recording, picture or group: "
+            f"{', '.join(single)}"
+        )
     if ended:
         alone = ", ".join(classes[k] for k in ended)
         notes.append(
-            f"held out in time, as there is only one recording, or one group of them: the last windows of {alone}; "
-            "they are of the day, place and person that was learned from: only another session tells more"
+            f"held out in time, as there is only one recording, or one group of them: the last "
+            f"windows of {alone}; "
+            "they are of the day, place and person that was learned from: only another session "
+            "tells more"
         )
         record["held_out_in_time"] = [classes[k] for k in ended]
     left_out, tests, mask = [*dataset.left_out, *bad_pictures], {}, _masked(pixels, dataset)
@@ -199,14 +230,28 @@ def dataset_data(
         left_out += [f"Test/{line}" for line in testing.left_out]
         notes += _notes(testing, "Test")
     return TrainingData(
-        config, classes, training, validating, record, tests, held_out_names, mask, tuple(left_out), tuple(notes)
+        config,
+        classes,
+        training,
+        validating,
+        record,
+        tests,
+        held_out_names,
+        mask,
+        tuple(left_out),
+        tuple(notes),
     )
 
 
 def _check_windows(training: Windows, config: TNTConfig, counts: Mapping[str, int]) -> None:
-    """Refuse a class of which there are recordings or pictures, but no window; warn of times in another unit."""
-    if silent := [name for k, name in enumerate(counts) if counts[name] and k not in training.labels]:
-        raise ValueError(f"no window of class {', '.join(silent)} has an event; `window_us` = {config.window_us}")
+    """Refuse a class of which there are recordings or pictures, but no window; warn of times in
+    another unit."""
+    if silent := [
+        name for k, name in enumerate(counts) if counts[name] and k not in training.labels
+    ]:
+        raise ValueError(
+            f"no window of class {', '.join(silent)} has an event; `window_us` = {config.window_us}"
+        )
     check = TimeUnitCheck(config)
     for i in range(len(training[:N_JUDGED])):
         check.add(len(training.events(i, config.window_us)[0]))
@@ -215,7 +260,8 @@ def _check_windows(training: Windows, config: TNTConfig, counts: Mapping[str, in
 def _with_ends(
     training: Windows, validation: Windows, share: float, n_real: int, window_us: int
 ) -> tuple[Windows, Windows, list[int]]:
-    """Hold out the last windows of each class whose recordings are all learned from, as there is only one group.
+    """Hold out the last windows of each class whose recordings are all learned from, as there is
+    only one group.
 
     Parameters
     ----------
@@ -227,10 +273,16 @@ def _with_ends(
     """
     names = training.recordings.names
     session_us = np.array(
-        [int(name.rpartition("[")[2].partition(":")[0]) if file_of(name) != name else 0 for name in names]
+        [
+            int(name.rpartition("[")[2].partition(":")[0]) if file_of(name) != name else 0
+            for name in names
+        ]
     )
     times_us = training.start_us + session_us[training.recording]
-    numbered = [re.sub(r"\d+", lambda n: n[0].zfill(20), file_of(name)) + " " + file_of(name) for name in names]
+    numbered = [
+        re.sub(r"\d+", lambda n: n[0].zfill(20), file_of(name)) + " " + file_of(name)
+        for name in names
+    ]
     files = np.unique(numbered, return_inverse=True)[1][training.recording]
     keep, ended, ends = np.ones(len(training), bool), [], []
     for label in np.setdiff1d(training.labels, validation.labels) if share else ():
@@ -239,14 +291,20 @@ def _with_ends(
         learned, held_out = hold_out_end(len(mine), share)
         if len(held_out):
             first = mine[held_out[0]]
-            keep[mine] = False  # parts of a session may overlap: nor is what reaches beyond the first one's start kept
-            keep[mine[learned]] = ((files != files[first]) | (times_us + window_us <= times_us[first]))[mine[learned]]
+            # parts of a session may overlap: nor is what reaches beyond the first one's start kept
+            keep[mine] = False
+            keep[mine[learned]] = (
+                (files != files[first]) | (times_us + window_us <= times_us[first])
+            )[mine[learned]]
             ended.append(int(label))
             ends.append(mine[held_out])
     if not ended:
         return training, validation, ended
     more = training[np.concatenate(ends)]
-    columns = (np.concatenate([getattr(w, name) for w in (validation, more)]) for name in ("recording", "start_us"))
+    columns = (
+        np.concatenate([getattr(w, name) for w in (validation, more)])
+        for name in ("recording", "start_us")
+    )
     return training[np.flatnonzero(keep)], Windows(training.recordings, *columns), ended
 
 

@@ -37,9 +37,10 @@ class Dataset:
     camera : (width, height) of the camera.
     sensor : (width, height) of these events: the camera's, or that of the region that was cropped.
     left_out : which recordings were left out and why, one line each.
-    left_out_events : how many events of `recordings` were left out by their pixels: `left_out_outside` of the region,
-        `left_out_masked`. Empty without a region and a mask.
-    n_late : how many were left out because they are older than their recording's first one, where windows begin.
+    left_out_events : how many events of `recordings` were left out by their pixels:
+        `left_out_outside` of the region, `left_out_masked`. Empty without a region and a mask.
+    n_late : how many were left out because they are older than their recording's first one, where
+        windows begin.
     n_off_sensor : how many were left out because they lie off the camera's sensor.
     known : what a second part of the data set must not hold, see `read_dataset`.
     """
@@ -70,34 +71,35 @@ def read_dataset(
 ) -> Dataset:
     """Read the recordings that `find_recordings` finds.
 
-    The recordings state their sensor and agree, or `pixels.camera` gives it to those that do not state one. Recordings
-    that cannot be read, have no events, or have so many events off the sensor that they must be of another are left
-    out. So are single events off the sensor, and those older than their recording's first one, as in a stream; the
-    others are sorted by time.
+    The recordings state their sensor and agree, or `pixels.camera` gives it to those that do not
+    state one. Recordings that cannot be read, have no events, or have so many events off the sensor
+    that they must be of another are left out. So are single events off the sensor, and those older
+    than their recording's first one, as in a stream; the others are sorted by time.
 
-    The same recording in two classes is an error: one of its labels is wrong. In one class, the second one is left out:
-    it might be learned on one side of the split and asked about on the other. All events are compared, also those that
-    are removed.
+    The same recording in two classes is an error: one of its labels is wrong. In one class, the
+    second one is left out: it might be learned on one side of the split and asked about on the
+    other. All events are compared, also those that are removed.
 
     Parameters
     ----------
     folder : the data set.
     part : the folder in it that is read, where there is one.
-    pixels : which events to learn from; by default all. The others are removed as if they had never been recorded:
-        times count from the first event that is left.
+    pixels : which events to learn from; by default all. The others are removed as if they had never
+        been recorded: times count from the first event that is left.
     reading : how files are read that do not say it themselves; its sensor is that of `pixels`.
     sensor_source : where `pixels.camera` comes from, for messages.
     classes : the class names that may occur; by default the folders there are, at least two.
     with_pictures : classes that need no recordings, as they have pictures.
-    known : of the part to train on: its recordings are left out here, and refused in another class. With `classes`.
+    known : of the part to train on: its recordings are left out here, and refused in another class.
+        With `classes`.
     store : a folder for the events, see `RecordingsWriter`; None: in memory.
     progress : makes the progress bar, which counts recordings.
 
     Raises
     ------
-    ValueError : fewer than two classes, or others than `classes`; a class without recordings, or with none left; the
-        same recording in two classes; recordings of different sensors, or of an unknown one; a region or a mask that
-        does not fit the sensor; a recording that is too long.
+    ValueError : fewer than two classes, or others than `classes`; a class without recordings, or
+        with none left; the same recording in two classes; recordings of different sensors, or of an
+        unknown one; a region or a mask that does not fit the sensor; a recording that is too long.
     OSError : no such folder.
     """
     pixels = PixelSelection() if pixels is None else pixels
@@ -116,16 +118,22 @@ def read_dataset(
             try:
                 writer.add(reader.read(file, label), label, file.name)
             except _LeftOut as error:
-                # by name, not by path: the reason goes into the model's record, which may be published
+                # by name, not by path: the reason goes into the model's record, which may be
+                # published
                 left_out.append((label, str(error).replace(str(file.path), file.name)))
             bar.update()
         recordings = writer.finish()
-    empty = [name for k, name in enumerate(names) if k not in recordings.labels and name not in with_pictures]
+    empty = [
+        name
+        for k, name in enumerate(names)
+        if k not in recordings.labels and name not in with_pictures
+    ]
     # of given classes, some may have no recordings
     if empty and (classes is None or not (len(recordings) or with_pictures)):
         out = [line.removesuffix(".") for label, line in left_out if names[label] in empty]
         raise ValueError(
-            f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the folder "
+            f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove "
+            "the folder "
             f"(left out: {out[0]}{f'; and {len(out) - 1} more' if len(out) > 1 else ''})"
         )
     if camera is None:  # without a recording
@@ -149,7 +157,9 @@ def read_dataset(
     )
 
 
-def _stated_sensor(files: list[LabelledRecording], reading: ReadOptions) -> tuple[Sensor | None, str]:
+def _stated_sensor(
+    files: list[LabelledRecording], reading: ReadOptions
+) -> tuple[Sensor | None, str]:
     """The sensor of the first recording that states one, and its name."""
     for file in files:
         with contextlib.suppress(ValueError, OSError):  # told when it is read
@@ -160,7 +170,9 @@ def _stated_sensor(files: list[LabelledRecording], reading: ReadOptions) -> tupl
 
 def _opened(file: LabelledRecording, reading: ReadOptions) -> Recording:
     """A recording, or the part that is labelled."""
-    return open_recording(file.path, strict=True, between_us=file.between_us, off_sensor="count", **asdict(reading))
+    return open_recording(
+        file.path, strict=True, between_us=file.between_us, off_sensor="count", **asdict(reading)
+    )
 
 
 class _LeftOut(Exception):
@@ -168,7 +180,8 @@ class _LeftOut(Exception):
 
 
 class _Reader:
-    """Reads recordings of one camera, as the network will see them, and counts the events that it removes.
+    """Reads recordings of one camera, as the network will see them, and counts the events that it
+    removes.
 
     Parameters
     ----------
@@ -202,7 +215,8 @@ class _Reader:
         Raises
         ------
         _LeftOut : it cannot be read, or is not for training.
-        ValueError : another sensor, or none; the same recording is in another class; it is too long.
+        ValueError : another sensor, or none; the same recording is in another class; it is too
+            long.
         """
         try:
             recording = _opened(file, self._reading)
@@ -217,14 +231,16 @@ class _Reader:
         if self._camera is None:
             width, height = (likely_side(np.bincount(events[axis])) for axis in "xy")
             raise ValueError(
-                f"{self._folder}: no recording states its sensor; give `sensor` ({file.name} needs at least "
+                f"{self._folder}: no recording states its sensor; give `sensor` ({file.name} needs "
+                "at least "
                 f"{width}x{height})"
             )
         mine = label, file.name
         first = self.known.setdefault(fingerprint(events), mine)
         if first[0] != label:
             raise ValueError(
-                f"{first[1]} and {file.name} hold the same events but are in two classes; remove the wrong one"
+                f"{first[1]} and {file.name} hold the same events but are in two classes; remove "
+                "the wrong one"
             )
         if first is not mine:
             raise _LeftOut(f"{file.name}: the same events as {first[1]}")
@@ -233,12 +249,14 @@ class _Reader:
     def _check_sensor(self, file: LabelledRecording, stated: Sensor | None) -> None:
         if stated is not None and self._camera is not None and tuple(stated) != self._camera:
             raise ValueError(
-                f"{self._folder}: all recordings must be of one sensor, got {format_size(self._camera)} "
+                f"{self._folder}: all recordings must be of one sensor, got "
+                f"{format_size(self._camera)} "
                 f"({self._source}) and {format_size(stated)} ({file.name})"
             )
 
     def _selected(self, file: LabelledRecording, events: np.ndarray) -> np.ndarray:
-        """What is seen of `events`, whose times are changed: in order, from the first on, without older ones."""
+        """What is seen of `events`, whose times are changed: in order, from the first on, without
+        older ones."""
         keep, kept = self._filter, events
         if keep is not None:
             keep.reset()
@@ -252,7 +270,8 @@ class _Reader:
             seen = seen[np.argsort(seen["t"], kind="stable")]
         if seen["t"][-1] >= MAX_US:
             raise ValueError(
-                f"{file.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that training supports; "
+                f"{file.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that "
+                "training supports; "
                 "cut it into shorter recordings"
             )
         self.n_late += len(kept) - len(seen)
@@ -263,7 +282,8 @@ class _Reader:
 
 
 def _times_of(file: LabelledRecording, reading: ReadOptions) -> str:
-    """For a part without events: which times the file has. Often they count from another origin, or in another unit."""
+    """For a part without events: which times the file has. Often they count from another origin, or
+    in another unit."""
     if file.between_us is None:
         return ""
     whole = open_recording(file.path, off_sensor="count", **asdict(reading))
@@ -273,7 +293,8 @@ def _times_of(file: LabelledRecording, reading: ReadOptions) -> str:
 
 
 def fingerprint(events: np.ndarray) -> bytes:
-    """The same for the same events, whatever their file and the time they begin at. At least one event."""
+    """The same for the same events, whatever their file and the time they begin at. At least one
+    event."""
     hashed = hashlib.blake2b(digest_size=16)
     hashed.update((events["t"].astype(np.int64) - np.int64(events["t"][0])).tobytes())
     for name, dtype in (("x", np.uint16), ("y", np.uint16), ("p", np.uint8)):
@@ -289,13 +310,19 @@ def _check_classes(
 ) -> None:
     if classes is not None:
         if unknown := [name for name in found if name not in classes]:
-            raise ValueError(f"{folder}: unknown class {', '.join(unknown)}; known are {', '.join(classes)}")
+            raise ValueError(
+                f"{folder}: unknown class {', '.join(unknown)}; known are {', '.join(classes)}"
+            )
         if not any(found.values()) and not with_pictures:
             raise ValueError(f"{folder}: no recordings in any class folder")
         return
     if len(found) < 2:
-        raise ValueError(f"{folder}: there must be at least two class folders, got {', '.join(found)}")
-    if without := [name for name, paths in found.items() if not paths and name not in with_pictures]:
+        raise ValueError(
+            f"{folder}: there must be at least two class folders, got {', '.join(found)}"
+        )
+    if without := [
+        name for name, paths in found.items() if not paths and name not in with_pictures
+    ]:
         raise ValueError(
             f"{folder}: no recordings in the class folder {', '.join(without)}; expected files in "
             f"{', '.join(sorted(READERS))} there, or pictures, or remove the folder"

@@ -1,14 +1,16 @@
-"""When a training ends before its last epoch: where nothing that is measured on held-out windows can improve.
+"""When a training ends before its last epoch: where nothing that is measured on held-out windows
+can improve.
 
-The weights of the last epoch are kept, and the learning rate falls to 0 by then. So a training does not stop where it
-stands: it is given `COOLING` more epochs, over which the rate falls.
+The weights of the last epoch are kept, and the learning rate falls to 0 by then. So a training does
+not stop where it stands: it is given `COOLING` more epochs, over which the rate falls.
 
-    settled at epoch e   every share of what is held out was 1 after each of the epochs e - PATIENCE + 1 .. e, and no
-                         held-out loss has fallen in these by the share GAIN or more of what it was when it last did
+    settled at epoch e   every share of what is held out was 1 after each of the epochs e - PATIENCE
+                         + 1 .. e, and no held-out loss has fallen in these by the share GAIN or
+                         more of what it was when it last did
     last epoch           min(e + COOLING, as many as were asked for), of the first such e
 
-All of it follows from the history alone, so that a training that was interrupted ends in the same epoch. Without
-anything held out, a training never settles.
+All of it follows from the history alone, so that a training that was interrupted ends in the same
+epoch. Without anything held out, a training never settles.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ from collections.abc import Mapping, Sequence
 PATIENCE = 10
 """Epochs."""
 GAIN = 0.1
-"""Share of the held-out loss. Where few windows are held out, all are soon right, and only their loss still tells that
-the network learns: of three of N-MNIST's digits, with 18 windows held out, .876 of 540 others were right after 15
-epochs, .898 after 34 and .915 after 98, though all that were held out were right from the tenth on."""
+"""Share of the held-out loss. Where few windows are held out, all are soon right, and only their
+loss still tells that the network learns: of three of N-MNIST's digits, with 18 windows held out,
+.876 of 540 others were right after 15 epochs, .898 after 34 and .915 after 98, though all that were
+held out were right from the tenth on."""
 COOLING = 5
 """Epochs over which the learning rate falls to 0."""
 SHARES = ("per_window", "per_recording", "f1", "motions_per_window")
@@ -28,7 +31,8 @@ LOSSES = ("validation_loss", "motions_validation_loss")
 
 
 def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
-    """The epoch, from 1 on, after which nothing that is measured could improve; None: there is none yet.
+    """The epoch, from 1 on, after which nothing that is measured could improve; None: there is none
+    yet.
 
     Parameters
     ----------
@@ -56,7 +60,8 @@ def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
 
 
 def share_while_cooling(step: int, first: int, last: int) -> float:
-    """The share that is left of the learning rate of step `first`, at a step in first .. last - 1. It falls to 0.
+    """The share that is left of the learning rate of step `first`, at a step in first .. last - 1.
+    It falls to 0.
 
     Examples
     --------

@@ -1,4 +1,5 @@
-"""How well a network classifies windows: by window, by recording, against time, and whether it knows how well."""
+"""How well a network classifies windows: by window, by recording, against time, and whether it
+knows how well."""
 
 from __future__ import annotations
 
@@ -16,21 +17,23 @@ from async_tnt.training.temperature import fit_temperature, softened
 from async_tnt.training.windows import Windows
 
 BATCH = 64
-"""Windows at a time. With 256, layers no longer fit into caches: 240 us a window in place of 150."""
+"""Windows at a time. With 256, layers no longer fit into caches: 240 us a window in place of
+150."""
 SURE = 0.9
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What `evaluate` found: the probabilities of N windows' classes at moments, and what follows from them.
+    """What `evaluate` found: the probabilities of N windows' classes at moments, and what follows
+    from them.
 
     Parameters
     ----------
     windows : the N windows.
     times_ms : M moments, in milliseconds since a window's start; the last one is its end.
     probabilities : float64, shape (M, N, n_classes). At these moments.
-    nothing : kind, of `augment.KINDS` -> float64, shape (N, n_classes). At the windows' ends, their events somewhere
-        else, so that nothing is shown.
+    nothing : kind, of `augment.KINDS` -> float64, shape (N, n_classes). At the windows' ends, their
+        events somewhere else, so that nothing is shown.
     """
 
     windows: Windows
@@ -72,14 +75,18 @@ class Evaluation:
 
     @property
     def calibration_error(self) -> float:
-        """Expected difference between a decision's probability and the share right, over all moments together."""
+        """Expected difference between a decision's probability and the share right, over all
+        moments together."""
         probabilities, labels = self._everywhere
         return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 
     @property
     def sure_of_nothing(self) -> dict[str, float]:
         """Kind of nothing -> share of windows with a class of probability `SURE`."""
-        return {kind: float((probabilities.max(1) >= SURE).mean()) for kind, probabilities in self.nothing.items()}
+        return {
+            kind: float((probabilities.max(1) >= SURE).mean())
+            for kind, probabilities in self.nothing.items()
+        }
 
     @property
     def temperature(self) -> float:
@@ -89,7 +96,9 @@ class Evaluation:
     def at_temperature(self, temperature: float) -> Evaluation:
         """The same with all logits divided by `temperature`."""
         nothing = {kind: softened(p, temperature) for kind, p in self.nothing.items()}
-        return replace(self, probabilities=softened(self.probabilities, temperature), nothing=nothing)
+        return replace(
+            self, probabilities=softened(self.probabilities, temperature), nothing=nothing
+        )
 
     @property
     def _everywhere(self) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +113,9 @@ class Evaluation:
             "per_recording": round(self.per_recording, 5),
             "against_time_ms": {f"{ms:g}": round(a, 5) for ms, a in self.against_time.items()},
             "calibration_error": round(self.calibration_error, 5),
-            "sure_of_nothing": {kind: round(share, 5) for kind, share in self.sure_of_nothing.items()},
+            "sure_of_nothing": {
+                kind: round(share, 5) for kind, share in self.sure_of_nothing.items()
+            },
             "confusion": self.confusion.tolist(),
             "windows": int(self.confusion.sum()),
             "recordings": int(self.recording_confusion.sum()),
@@ -156,18 +167,24 @@ def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
     return confusion
 
 
-def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...] = ()) -> Evaluation:
+def evaluate(
+    pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...] = ()
+) -> Evaluation:
     """Classify all windows, complete and after each of `times_ms`.
 
     Parameters
     ----------
     pipeline : the model, see `pipeline_of`.
     windows : what to classify.
-    times_ms : milliseconds since the window's start; those from its end on are left out. A window without any event by
-        then is decided from the empty volume.
+    times_ms : milliseconds since the window's start; those from its end on are left out. A window
+        without any event by then is decided from the empty volume.
     """
     end_ms = pipeline.config.window_us / 1e3
     times = (*(float(ms) for ms in times_ms if ms < end_ms), end_ms)
-    probabilities = np.stack([class_probabilities(pipeline, windows, until_us=round(1e3 * ms)) for ms in times])
-    nothing = {name: class_probabilities(pipeline, windows, nothing=kind) for name, kind in KINDS.items()}
+    probabilities = np.stack(
+        [class_probabilities(pipeline, windows, until_us=round(1e3 * ms)) for ms in times]
+    )
+    nothing = {
+        name: class_probabilities(pipeline, windows, nothing=kind) for name, kind in KINDS.items()
+    }
     return Evaluation(windows, times, probabilities, nothing)

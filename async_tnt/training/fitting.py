@@ -1,4 +1,5 @@
-"""From windows to a finished model: trained, calibrated on what was held out, with a record of how it was made."""
+"""From windows to a finished model: trained, calibrated on what was held out, with a record of how
+it was made."""
 
 from __future__ import annotations
 
@@ -31,8 +32,10 @@ class Fitted:
 
     Parameters
     ----------
-    model : calibrated; its record says what it was trained on, how, and how accurate it is on what was held out.
-    scores : of the held-out recordings, see `scores_of`; None where nothing is held out, and of a map model.
+    model : calibrated; its record says what it was trained on, how, and how accurate it is on what
+        was held out.
+    scores : of the held-out recordings, see `scores_of`; None where nothing is held out, and of a
+        map model.
     history : one dict per epoch, see `train`.
     """
 
@@ -64,12 +67,14 @@ def fit(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
-    """Train on `data.training`; choose the temperature and measure the accuracy on `data.validation`.
+    """Train on `data.training`; choose the temperature and measure the accuracy on
+    `data.validation`.
 
     Parameters
     ----------
     record : more for the model's record.
-    data, settings, run_folder, start, motions, teachers, progress, report : see `train`, whose errors pass through.
+    data, settings, run_folder, start, motions, teachers, progress, report : see `train`, whose
+        errors pass through.
     """
     result = train(
         data.config,
@@ -88,7 +93,9 @@ def fit(
     summary: dict[str, Any] = {
         "data": data.record,
         **(record or {}),
-        "network": Path(settings.network).name if start is None else "that of the model it started from",
+        "network": Path(settings.network).name
+        if start is None
+        else "that of the model it started from",
         "multiplications": model.multiplications,
         "seed": settings.seed,
         "epochs": len(history),
@@ -99,10 +106,14 @@ def fit(
     if motions is not None:
         summary["motions"] = motions.record
     if start is not None:
-        summary["started_from"] = {name: start.record[name] for name in STARTED_FROM if name in start.record}
+        summary["started_from"] = {
+            name: start.record[name] for name in STARTED_FROM if name in start.record
+        }
     scores = None
     if settings.everywhere and len(data.validation):
-        summary["validation"] = SceneScores(data.config, model, data.validation).to_dict(pipeline_of(model))
+        summary["validation"] = SceneScores(data.config, model, data.validation).to_dict(
+            pipeline_of(model)
+        )
     elif len(data.validation):
         found = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
         model, temperature = calibrated(model, found.temperature)
@@ -110,11 +121,16 @@ def fit(
         summary |= {"validation": found.to_dict(), "temperature": round(temperature, 5)}
         scores = scores_of(data.classes, found.recording_confusion, found.confusion)
     if motions is not None and len(motions.validation) >= MIN_MOVED:
-        moved = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
-        summary["validation_motions"] = {name: moved[name] for name in moved if "recording" not in name}
+        moved = evaluate(
+            pipeline_of(model), motions.validation, times_ms=moments_ms(model)
+        ).to_dict()
+        summary["validation_motions"] = {
+            name: moved[name] for name in moved if "recording" not in name
+        }
     return Fitted(replace(model, record=summary), scores, history)
 
 
 def moments_ms(model: Model) -> tuple[float, ...]:
-    """The moments at which accuracy is reported against time: each tenth of a window but its end, in milliseconds."""
+    """The moments at which accuracy is reported against time: each tenth of a window but its end,
+    in milliseconds."""
     return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

@@ -1,7 +1,8 @@
-"""Which recordings stay together when some are held out: those of one person, car or session look alike.
+"""Which recordings stay together when some are held out: those of one person, car or session look
+alike.
 
-An accuracy on held-out recordings says what new recordings will give only as far as these differ from the learned ones
-as new ones will.
+An accuracy on held-out recordings says what new recordings will give only as far as these differ
+from the learned ones as new ones will.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ MIN_WINDOWS = 10
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
-    """What a regular expression finds in each name, `class/file`: its groups in parentheses, or else all of it.
+    """What a regular expression finds in each name, `class/file`: its groups in parentheses, or
+    else all of it.
 
     Raises
     ------
@@ -28,20 +30,28 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
     try:
         compiled = re.compile(pattern)
     except re.error as error:
-        raise ValueError(f"`groups` must be a regular expression, got {pattern!r}: {error}") from None
+        raise ValueError(
+            f"`groups` must be a regular expression, got {pattern!r}: {error}"
+        ) from None
     groups = []
     for name in names:
         if (found := compiled.search(name)) is None:
-            raise ValueError(f"`groups` must be found in the name of every recording, but {pattern!r} is not in {name}")
+            raise ValueError(
+                f"`groups` must be found in the name of every recording, but {pattern!r} is not in "
+                f"{name}"
+            )
         groups.append("/".join(part or "" for part in found.groups()) or found[0])
     return groups
 
 
-def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray] | None:
+def hold_out_last(
+    names: Sequence[str], labels: np.ndarray, share: float
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Hold out the last recordings of each class by number; None where recordings are not numbered.
 
-    They are if those of a class differ in numbers only; several numbers count from left to right. Parts of sessions are
-    not. What leaks are the neighbours where a class is cut, and people or places that recur.
+    They are if those of a class differ in numbers only; several numbers count from left to right.
+    Parts of sessions are not. What leaks are the neighbours where a class is cut, and people or
+    places that recur.
 
     Returns
     -------
@@ -57,7 +67,10 @@ def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tup
         texts = {re.sub(r"\d+", "0", PurePosixPath(names[r]).stem) for r in members}
         if len(texts) != 1 or "0" not in texts.pop():
             return None
-        numbers = [[int(number) for number in re.findall(r"\d+", PurePosixPath(names[r]).stem)] for r in members]
+        numbers = [
+            [int(number) for number in re.findall(r"\d+", PurePosixPath(names[r]).stem)]
+            for r in members
+        ]
         ordered = [r for _, r in sorted(zip(numbers, members, strict=True))]
         wanted = max(1, round(share * len(ordered))) if share else 0
         held_out[ordered[max(1, len(ordered) - wanted) :]] = True
@@ -72,12 +85,13 @@ def hold_out_groups(
     Parameters
     ----------
     labels, groups : of each recording.
-    share : of each class, rounded to whole recordings but at least one; 0: none. Large groups give more.
+    share : of each class, rounded to whole recordings but at least one; 0: none. Large groups give
+        more.
 
     Returns
     -------
-    train, held_out : int64 indices, increasing. Each class keeps a recording to train on: one that has a single group
-        is not held out.
+    train, held_out : int64 indices, increasing. Each class keeps a recording to train on: one that
+        has a single group is not held out.
     """
     of = np.unique(np.asarray(groups), return_inverse=True)[1]
     place = np.argsort(rng.permutation(of.max(initial=-1) + 1))  # of each group in a random order
@@ -108,8 +122,8 @@ def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    train, held_out : indices. A window between them is in neither: its neighbours share no moment. With fewer than
-        `MIN_WINDOWS`, nothing is held out.
+    train, held_out : indices. A window between them is in neither: its neighbours share no moment.
+        With fewer than `MIN_WINDOWS`, nothing is held out.
 
     Examples
     --------

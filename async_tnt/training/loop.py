@@ -1,4 +1,5 @@
-"""The training loop: the same settings, data and machine give the same weights, interrupted or not."""
+"""The training loop: the same settings, data and machine give the same weights, interrupted or
+not."""
 
 from __future__ import annotations
 
@@ -52,35 +53,41 @@ def train(
 ) -> TrainResult:
     """Train a classifier, or a map model.
 
-    After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from it and ends with
-    the same weights as if it had never stopped: all randomness is drawn from (seed, epoch). The weights of the last
-    epoch are kept, whatever its accuracy.
+    After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from
+    it and ends with the same weights as if it had never stopped: all randomness is drawn from
+    (seed, epoch). The weights of the last epoch are kept, whatever its accuracy.
 
     Parameters
     ----------
     config : how events become volumes.
     training : windows to learn from.
-    validation : windows whose accuracy each epoch tells. They choose nothing but, where `settings.ends_early`, the last
-        epoch. May be empty.
+    validation : windows whose accuracy each epoch tells. They choose nothing but, where
+        `settings.ends_early`, the last epoch. May be empty.
     run_folder : for checkpoint and history; made if missing.
     classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.
     motions : other motions of the training windows, shown among these.
-    teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
+    teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015,
+        arXiv:1503.02531).
     progress : makes the progress bar, which counts optimizer steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
 
     Raises
     ------
-    ValueError : no training windows, `start` has another configuration or other classes, or the run folder
-        holds a run with other settings or data.
+    ValueError : no training windows, `start` has another configuration or other classes, or the run
+        folder holds a run with other settings or data.
     BlockingIOError : another process is training there.
     """
     _check(config, training, validation, classes, start, teachers)
     if settings.everywhere and (start is not None or motions is not None or teachers):
-        raise ValueError("`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on scenes")
+        raise ValueError(
+            "`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on "
+            "scenes"
+        )
     windowed = ClassOfWindows(config, validation, settings, len(classes), teachers)
-    objective = ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
+    objective = (
+        ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
+    )
     device = "cuda" if torch.cuda.is_available() else "cpu"
     pipeline = (
         new_pipeline(
@@ -97,11 +104,20 @@ def train(
     ).to(device)
     placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
-    averaged = AveragedModel(pipeline, avg_fn=partial(_average, settings.averaging), use_buffers=True)
+    averaged = AveragedModel(
+        pipeline, avg_fn=partial(_average, settings.averaging), use_buffers=True
+    )
     final: Any = averaged.module if settings.averaging else pipeline
     optimizer = _optimizer(pipeline, settings)
     identity = identity_of(
-        config, settings, training, validation, start, classes, motions and motions.settings, teachers
+        config,
+        settings,
+        training,
+        validation,
+        start,
+        classes,
+        motions and motions.settings,
+        teachers,
     )
     state = load_checkpoint(run_folder, identity)
     history: list[dict[str, float]] = []
@@ -127,7 +143,8 @@ def train(
                 break
             cooling = None if settled is None else (settled * steps, (settled + COOLING) * steps)
             pipeline.train()
-            torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])  # of dropout
+            # of dropout
+            torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])
             total_loss, n_right, n_counted, n_seen = 0.0, 0, 0, 0
             n_steps = min(steps, n_iterations - epoch * steps)
             batches = batches_of(config, training, settings, epoch, motions)
@@ -145,7 +162,10 @@ def train(
                 n_seen += len(windows)
                 bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
             if not math.isfinite(total_loss):
-                raise ValueError(f"the loss of epoch {epoch + 1} is not finite: the network's numbers grow too large")
+                raise ValueError(
+                    f"the loss of epoch {epoch + 1} is not finite: the network's numbers grow too "
+                    "large"
+                )
             del windows, draws, batches  # the events of an epoch, before those of the next are read
             history.append(
                 {
@@ -158,7 +178,9 @@ def train(
             )
             if motions is not None and len(motions.validation) >= MIN_MOVED:
                 moved = windowed.of_windows(final, motions.validation)
-                history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
+                history[-1] |= {
+                    f"motions_{name}": moved[name] for name in moved if name != "per_recording"
+                }
             checkpoint = {
                 "identity": identity,
                 "pipeline": pipeline.state_dict(),
@@ -186,28 +208,39 @@ def _check(
         raise ValueError("`training` must hold at least one window, got none")
     for windows in (training, validation):
         if len(windows) and not 0 <= windows.labels.min() <= windows.labels.max() < len(classes):
-            raise ValueError(f"labels must be in [0, {len(classes)}), one for each class, got {windows.labels.max()}")
+            raise ValueError(
+                f"labels must be in [0, {len(classes)}), one for each class, got "
+                f"{windows.labels.max()}"
+            )
     if start is not None and (start.config, start.classes) != (config, classes):
         raise ValueError(
-            f"`start` must have the configuration and classes of this training (classes {', '.join(classes)}), "
+            f"`start` must have the configuration and classes of this training (classes "
+            f"{', '.join(classes)}), "
             f"got {start.config} and classes {', '.join(start.classes)}"
         )
     for teacher in teachers:
         if (teacher.config.sensor, teacher.classes) != (config.sensor, classes):
             raise ValueError(
-                f"each `teacher` must have the sensor {config.sensor} and the classes {', '.join(classes)}, got "
+                f"each `teacher` must have the sensor {config.sensor} and the classes "
+                f"{', '.join(classes)}, got "
                 f"{teacher.config.sensor} and classes {', '.join(teacher.classes)}"
             )
 
 
 def batches_of(
-    config: TNTConfig, windows: Windows, settings: TrainSettings, epoch: int, motions: Motions | None = None
+    config: TNTConfig,
+    windows: Windows,
+    settings: TrainSettings,
+    epoch: int,
+    motions: Motions | None = None,
 ) -> Iterator[tuple[Windows, Draws | None]]:
     """The batches of one epoch, and how each is augmented."""
     rng = np.random.default_rng((settings.seed, epoch))
     order = np.concatenate(
         [
-            balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
+            balanced_order(windows.labels, rng)
+            if settings.balance
+            else rng.permutation(len(windows))
             for _ in range(settings.passes)
         ]
     )
@@ -221,9 +254,10 @@ def batches_of(
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """As many indices as there are labels, every class equally often (within one), in random order.
 
-    A class with fewer windows than its share is repeated, each time in another order; of a class with more, each epoch
-    shows a different part. We sample rather than weight the loss: a rare class in every batch gives steadier steps than
-    one that is seldom shown with a large weight, and augmentation makes each repetition different.
+    A class with fewer windows than its share is repeated, each time in another order; of a class
+    with more, each epoch shows a different part. We sample rather than weight the loss: a rare
+    class in every batch gives steadier steps than one that is seldom shown with a large weight, and
+    augmentation makes each repetition different.
 
     Examples
     --------
@@ -252,8 +286,11 @@ def _is_fast_at_bfloat16(device: str) -> bool:
     return not {"amx_bf16", "avx512_bf16", "bf16"}.isdisjoint(words)
 
 
-def _average(share: float, before: torch.Tensor, now: torch.Tensor, n: int | torch.Tensor) -> torch.Tensor:
-    """Of the weights after n + 1 steps. The first ones keep less than `share`, or they would count for hundreds."""
+def _average(
+    share: float, before: torch.Tensor, now: torch.Tensor, n: int | torch.Tensor
+) -> torch.Tensor:
+    """Of the weights after n + 1 steps. The first ones keep less than `share`, or they would count
+    for hundreds."""
     kept = min(share, (1 + int(n)) / (10 + int(n)))
     return before * kept + now * (1 - kept)
 
@@ -274,7 +311,8 @@ def _set_rate(
 ) -> None:
     """Set the learning rate of a step.
 
-    cooling : of a training that ends early: the first step in which the rate falls, and the step where it is 0.
+    cooling : of a training that ends early: the first step in which the rate falls, and the step
+        where it is 0.
     """
     share = _share_of_rate(settings, step if cooling is None else cooling[0], n_steps)
     if cooling is not None:

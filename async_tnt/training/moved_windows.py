@@ -1,12 +1,14 @@
-"""Windows to train on under other motions, as an epoch shows them, and their files. `resynthesis` makes them.
+"""Windows to train on under other motions, as an epoch shows them, and their files. `resynthesis`
+makes them.
 
 An .npz file has n consecutive windows:
 
-    moved_0, moved_1, ...   structured (t, x, y, p): events of all n under one random motion each, end to end: those of
-                            window i from i * window_us on
-    refused                 str, (n,): why its path may not be relied on, empty where it may; without one a window has
-                            no events here
-    spans                   int64, (n,): of how many windows its path is, see `MotionPath`; 0 where it is refused
+    moved_0, moved_1, ...   structured (t, x, y, p): events of all n under one random motion each,
+                            end to end: those of window i from i * window_us on
+    refused                 str, (n,): why its path may not be relied on, empty where it may;
+                            without one a window has no events here
+    spans                   int64, (n,): of how many windows its path is, see `MotionPath`; 0 where
+                            it is refused
     positions               float64, (n, K, 2): its path, see `MotionPath`
 """
 
@@ -65,12 +67,16 @@ class Motions:
     ----------
     files : their other motions, one file after the other.
     training : as recorded.
-    refused : str, (N,): why there is no path to rely on, and so no other motions; empty where there is.
-    spans, paths : int64, (N,), and float64, (N, K, 2): how they moved, see `MotionPath`; a span of 0 where refused.
-    validation : the windows that are held out, under another motion each; those whose path was found.
+    refused : str, (N,): why there is no path to rely on, and so no other motions; empty where there
+        is.
+    spans, paths : int64, (N,), and float64, (N, K, 2): how they moved, see `MotionPath`; a span of
+        0 where refused.
+    validation : the windows that are held out, under another motion each; those whose path was
+        found.
     config : of the volumes; its sensor and the length of its windows are used.
     settings : how they were made.
-    record : how many paths were found, what was measured, and how well it matches, for a model's record.
+    record : how many paths were found, what was measured, and how well it matches, for a model's
+        record.
     """
 
     files: list[Path]
@@ -84,11 +90,13 @@ class Motions:
     record: dict[str, Any]
 
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
-        """The windows `order` as an epoch shows them: under another motion, or as they were recorded, with the events
-        around them, as augmentation moves their starts."""
+        """The windows `order` as an epoch shows them: under another motion, or as they were
+        recorded, with the events around them, as augmentation moves their starts."""
         is_moved = (self.spans[order] > 0) & (rng.random(len(order)) >= self.settings.recorded)
         window_us = self.config.window_us
-        margin_us = round(LATEST * window_us) + max(window_us // 10, round(1e3 * Augmentation().start_ms))
+        margin_us = round(LATEST * window_us) + max(
+            window_us // 10, round(1e3 * Augmentation().start_ms)
+        )
         recorded = self.training[order[~is_moved]].cut(window_us, margin_us)
         variation = epoch % self.settings.variations
         moved = moved_recordings(self.files, variation, self.training.labels, self.config)
@@ -98,7 +106,9 @@ class Motions:
         return Windows(recorded.recordings + moved, recording, start_us)
 
 
-def write_moved(path: Path, moved: Sequence[Sequence[np.ndarray]], paths: Sequence[MotionPath], window_us: int) -> None:
+def write_moved(
+    path: Path, moved: Sequence[Sequence[np.ndarray]], paths: Sequence[MotionPath], window_us: int
+) -> None:
     """Write a file: the events of each variation's windows, times from the window's start."""
     times = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
     stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
@@ -124,7 +134,9 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
         raise damaged(path, type(error).__name__) from error
 
 
-def moved_recordings(files: Sequence[Path], variation: int, labels: np.ndarray, config: TNTConfig) -> Recordings:
+def moved_recordings(
+    files: Sequence[Path], variation: int, labels: np.ndarray, config: TNTConfig
+) -> Recordings:
     """The windows of several files under one of their motions, a recording each.
 
     Raises
@@ -132,7 +144,9 @@ def moved_recordings(files: Sequence[Path], variation: int, labels: np.ndarray, 
     ValueError : a damaged file, or not one window for each label.
     """
     decoder = EventDecoder(config.sensor, late="raise")
-    parts: dict[str, list[np.ndarray]] = {name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()}
+    parts: dict[str, list[np.ndarray]] = {
+        name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()
+    }
     offsets = [np.zeros(1, np.int64)]
     for path in files:
         refused, events = read_arrays(path, "refused", f"moved_{variation}")
@@ -151,7 +165,9 @@ def moved_recordings(files: Sequence[Path], variation: int, labels: np.ndarray, 
     if len(bounds) != len(labels) + 1:
         raise damaged(files[0].parent, f"{len(bounds) - 1} windows, expected {len(labels)}")
     together = {name: np.concatenate(part) for name, part in parts.items()}
-    return Recordings(**together, offsets=bounds, labels=labels, names=tuple(map(str, range(len(labels)))))
+    return Recordings(
+        **together, offsets=bounds, labels=labels, names=tuple(map(str, range(len(labels))))
+    )
 
 
 def damaged(path: Path, what: object) -> ValueError:

@@ -1,7 +1,7 @@
 """Networks to train: a few that suit small sensors and small machines, or one's own.
 
-Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes), `map` to maps of them (N, n_classes + 1, R,
-C), of layers that have a compiled form.
+Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes), `map` to maps of them (N,
+n_classes + 1, R, C), of layers that have a compiled form.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ Build = Callable[[int, tuple[int, int], int], nn.Module]
 
 
 def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """The thesis' classifier: two convolutions with average pooling, two dense layers. Widths are ours."""
+    """The thesis' classifier: two convolutions with average pooling, two dense layers. Widths are
+    ours."""
     width, height = grid
     return nn.Sequential(
         OrderedDict(
@@ -46,7 +47,8 @@ def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
 
 
 def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Four convolutions with batch norm, three max poolings, the mean over all places, a dense layer."""
+    """Four convolutions with batch norm, three max poolings, the mean over all places, a dense
+    layer."""
     return nn.Sequential(
         *_conv(channels, 16),
         nn.MaxPool2d(2),
@@ -60,9 +62,13 @@ def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
 
 
 def residual(
-    channels: int, grid: tuple[int, int], n_classes: int, widths: tuple[int, int, int, int] = (24, 32, 48, 96)
+    channels: int,
+    grid: tuple[int, int],
+    n_classes: int,
+    widths: tuple[int, int, int, int] = (24, 32, 48, 96),
 ) -> nn.Module:
-    """A 5x5 convolution with stride 2, two residual blocks, max poolings between: one more on larger grids."""
+    """A 5x5 convolution with stride 2, two residual blocks, max poolings between: one more on
+    larger grids."""
     first, second, third, last = widths
     return nn.Sequential(
         *_conv(channels, first, 5, stride=2),
@@ -94,8 +100,8 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
 
 
 def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A map of logits, a channel for each class and a last one for nothing: a place for 4x4 pixels, each of which sees
-    about 40x40. Wide where a change reaches few places."""
+    """A map of logits, a channel for each class and a last one for nothing: a place for 4x4 pixels,
+    each of which sees about 40x40. Wide where a change reaches few places."""
     return nn.Sequential(
         *_conv(channels, 32, 5, stride=2),
         nn.MaxPool2d(2),
@@ -124,15 +130,21 @@ class Residual(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.first = nn.Sequential(*_conv(channels, channels))
-        self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, padding=1, bias=False), nn.BatchNorm2d(channels))
+        self.second = nn.Sequential(
+            nn.Conv2d(channels, channels, 3, padding=1, bias=False), nn.BatchNorm2d(channels)
+        )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return torch.relu(x + self.second(self.first(x)))
 
 
-def _conv(channels: int, n_filters: int, side: int = 3, stride: int = 1, groups: int = 1) -> list[nn.Module]:
+def _conv(
+    channels: int, n_filters: int, side: int = 3, stride: int = 1, groups: int = 1
+) -> list[nn.Module]:
     """Convolution, batch norm, ReLU."""
-    conv = nn.Conv2d(channels, n_filters, side, stride, padding=side // 2, groups=groups, bias=False)
+    conv = nn.Conv2d(
+        channels, n_filters, side, stride, padding=side // 2, groups=groups, bias=False
+    )
     return [conv, nn.BatchNorm2d(n_filters), nn.ReLU()]
 
 
@@ -171,11 +183,14 @@ def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: in
 
     Raises
     ------
-    ValueError : as `find_network`; the grid is too small; or one's own function fails, or returns no module.
+    ValueError : as `find_network`; the grid is too small; or one's own function fails, or returns
+        no module.
     """
     build, smallest = find_network(name)
     if min(grid) < smallest:
-        raise ValueError(f"network {name!r} needs a grid of at least {smallest}x{smallest}, got {grid}")
+        raise ValueError(
+            f"network {name!r} needs a grid of at least {smallest}x{smallest}, got {grid}"
+        )
     try:
         network = build(channels, grid, n_classes)
     except Exception as error:  # anything that the user's own code raises
@@ -190,8 +205,8 @@ def find_network(name: str) -> tuple[Build, int]:
 
     Parameters
     ----------
-    name : of `NETWORKS`, or "module.py:build": a Python file and a function in it, which gets the arguments of `Build`
-        and returns a module.
+    name : of `NETWORKS`, or "module.py:build": a Python file and a function in it, which gets the
+        arguments of `Build` and returns a module.
 
     Raises
     ------
@@ -199,7 +214,9 @@ def find_network(name: str) -> tuple[Build, int]:
     """
     if ":" not in name:
         if name not in NETWORKS:
-            raise ValueError(f"a network must be one of {', '.join(NETWORKS)}, or FILE.py:FUNCTION; got {name!r}")
+            raise ValueError(
+                f"a network must be one of {', '.join(NETWORKS)}, or FILE.py:FUNCTION; got {name!r}"
+            )
         return NETWORKS[name]
     file, function = name.rsplit(":", 1)
     path = Path(file)
@@ -208,7 +225,8 @@ def find_network(name: str) -> tuple[Build, int]:
     spec = importlib.util.spec_from_file_location(f"async_tnt network {path.stem}", path)
     if spec is None or spec.loader is None:
         raise ValueError(f"{name}: {path} is not a Python file")
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # where dataclasses look for their types
+    # where dataclasses look for their types
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # likewise

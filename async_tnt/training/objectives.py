@@ -1,4 +1,5 @@
-"""What a training minimizes, and what it measures after each epoch: the class of windows, or objects in scenes."""
+"""What a training minimizes, and what it measures after each epoch: the class of windows, or
+objects in scenes."""
 
 from __future__ import annotations
 
@@ -41,7 +42,8 @@ class ClassOfWindows:
     ----------
     config : of the volumes that the finished model takes.
     validation : windows that are held out; may be empty.
-    teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015, arXiv:1503.02531).
+    teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015,
+        arXiv:1503.02531).
     """
 
     def __init__(
@@ -66,9 +68,10 @@ class ClassOfWindows:
         return BatchLoss(loss, int(is_right[of_a_class].sum()), int(of_a_class.sum()))
 
     def _targets(self, windows: Windows, draws: Draws | None) -> torch.Tensor:
-        """(N, n_classes): all on the class; the same on all classes where nothing is shown (Hendrycks, Mazeika,
-        Dietterich 2019, arXiv:1812.04606), so that no class is decided with confidence. With teachers half of it is
-        what they say of the same windows, but where nothing is shown."""
+        """(N, n_classes): all on the class; the same on all classes where nothing is shown
+        (Hendrycks, Mazeika, Dietterich 2019, arXiv:1812.04606), so that no class is decided with
+        confidence. With teachers half of it is what they say of the same windows, but where nothing
+        is shown."""
         targets = np.eye(self._n_classes, dtype=np.float32)[windows.labels]
         nothing = np.zeros(len(windows), bool) if draws is None else draws.nothing != SHOWN
         targets[nothing] = 1.0 / self._n_classes
@@ -76,7 +79,10 @@ class ClassOfWindows:
         if not self._masters:
             return target
         with torch.no_grad():
-            answers = [m(windows, None if draws is None else on_pixels(draws, m.config)) for m in self._masters]
+            answers = [
+                m(windows, None if draws is None else on_pixels(draws, m.config))
+                for m in self._masters
+            ]
             said = torch.softmax(torch.stack(answers), 2).mean(0)
         return torch.where(torch.from_numpy(nothing)[:, None], target, (target + said) / 2)
 
@@ -85,7 +91,8 @@ class ClassOfWindows:
         return self.of_windows(pipeline, self._validation)
 
     def of_windows(self, pipeline: Pipeline, windows: Windows) -> dict[str, float]:
-        """Accuracy and loss at the windows' ends; with `balance`, the loss is the mean over classes."""
+        """Accuracy and loss at the windows' ends; with `balance`, the loss is the mean over
+        classes."""
         if len(windows) == 0:
             return {}
         probabilities = class_probabilities(pipeline, windows)
@@ -101,7 +108,8 @@ class ClassOfWindows:
 
 
 REACH = 0.15
-"""Of a recording's shorter side: an object counts as found where one of its class is found so near."""
+"""Of a recording's shorter side: an object counts as found where one of its class is found so
+near."""
 N_SCENES = 400
 SHARES = 0.3, 0.5
 """Of a window, after which scenes are also scored."""
@@ -143,7 +151,9 @@ class SceneScores:
                 n = self._reader.read(logits, self._tracks, 0, False)
                 objects = self._reader.found[: max(0, n)]  # none where a logit is not finite
                 inside = scenes.scene == k
-                scores += score_objects(objects, scenes.label[inside], scenes.position[inside], self._within, n_classes)
+                scores += score_objects(
+                    objects, scenes.label[inside], scenes.position[inside], self._within, n_classes
+                )
         pipeline.train(was_training)
         return scores
 
@@ -154,13 +164,16 @@ class SceneScores:
         window_ms = self._maker.config.window_us / 1e3
         return {
             **whole.to_dict(self._classes),
-            "f1_against_time_ms": {f"{share * window_ms:g}": round(f1, 5) for share, f1 in early.items()},
+            "f1_against_time_ms": {
+                f"{share * window_ms:g}": round(f1, 5) for share, f1 in early.items()
+            },
         }
 
 
 LEFT_OUT, WEIGHT = 0.2, 4.0
-"""A share of a recording's shorter side: a place within `REACH` of an object, or the nearest one, is to name its class;
-one that is so near is left out; others are to say nothing. And what an object's places weigh, by those of nothing."""
+"""A share of a recording's shorter side: a place within `REACH` of an object, or the nearest one,
+is to name its class; one that is so near is left out; others are to say nothing. And what an
+object's places weigh, by those of nothing."""
 
 
 class ObjectsInScenes:
@@ -177,30 +190,46 @@ class ObjectsInScenes:
     """
 
     def __init__(
-        self, config: TNTConfig, validation: Windows, settings: TrainSettings, classes: tuple[str, ...]
+        self,
+        config: TNTConfig,
+        validation: Windows,
+        settings: TrainSettings,
+        classes: tuple[str, ...],
     ) -> None:
         self._maker = SceneMaker(config)
         self.config = self._maker.config
         with torch.random.fork_rng(devices=[]):
-            network = build_network(settings.network, config.channels, self.config.grid, len(classes))
+            network = build_network(
+                settings.network, config.channels, self.config.grid, len(classes)
+            )
         model = Model.from_torch(network, self.config, classes)
         if model.places is None:
-            raise ValueError(f"`network` {settings.network} must compute a map of {len(classes) + 1} channels")
+            raise ValueError(
+                f"`network` {settings.network} must compute a map of {len(classes) + 1} channels"
+            )
         self._places, self._map = model.places, model.logits_shape
         self._shorter = min(config.sensor)
         self._scores = SceneScores(config, model, validation) if len(validation) else None
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
         """Of scenes of a batch of windows, augmented by `draws`."""
-        rng = np.random.default_rng([*windows.recording.tolist()] if draws is None else draws.seed[:1])
-        scenes = self._maker(windows, unchanged(len(windows), self._maker.crops) if draws is None else draws, rng)
+        rng = np.random.default_rng(
+            [*windows.recording.tolist()] if draws is None else draws.seed[:1]
+        )
+        scenes = self._maker(
+            windows, unchanged(len(windows), self._maker.crops) if draws is None else draws, rng
+        )
         logits = pipeline.classify(torch.from_numpy(scenes.volumes))
         target, weight = map(torch.from_numpy, self._targets(scenes))
         weight = weight.to(logits.device)
         losses = F.cross_entropy(logits, target.to(logits.device), reduction="none")
         is_object = target < self._map[0] - 1
         is_right = logits.detach().argmax(1).cpu() == target
-        return BatchLoss((losses * weight).sum() / weight.sum(), int(is_right[is_object].sum()), int(is_object.sum()))
+        return BatchLoss(
+            (losses * weight).sum() / weight.sum(),
+            int(is_right[is_object].sum()),
+            int(is_object.sum()),
+        )
 
     def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
         """Class and weight of each place, int64 and float32, (M, R, C)."""
@@ -210,7 +239,10 @@ class ObjectsInScenes:
         nearest = np.full(shape, np.inf)
         x0, dx, y0, dy = self._places
         for scene, label, (x, y) in zip(scenes.scene, scenes.label, scenes.position, strict=True):
-            across, down = np.abs(x0 + dx * np.arange(columns) - x), np.abs(y0 + dy * np.arange(rows) - y)
+            across, down = (
+                np.abs(x0 + dx * np.arange(columns) - x),
+                np.abs(y0 + dy * np.arange(rows) - y),
+            )
             away = np.maximum(down[:, None], across)
             away[away.argmin() // columns, away.argmin() % columns] = 0.0
             is_nearest = away < nearest[scene]

@@ -1,12 +1,15 @@
-"""The pipeline from windows to logits: trainable from end to end, and its way into a model file and back.
+"""The pipeline from windows to logits: trainable from end to end, and its way into a model file and
+back.
 
 Volumes come from the kernels, networks are torch modules.
 
-    events -> volume -> classifier                                             every landmark but one
+    events -> volume -> classifier                                             every landmark but
+                                                                               one
     events -> raw volume -> regressor -> landmark -> volume -> classifier      landmark `regressor`
 
-With landmark `regressor`, the loss reaches the regressor through the volume (`BatchVolumes.landmark_gradient`). Only
-the landmark's two numbers are learned there, so the backward pass costs about as much as the splat.
+With landmark `regressor`, the loss reaches the regressor through the volume
+(`BatchVolumes.landmark_gradient`). Only the landmark's two numbers are learned there, so the
+backward pass costs about as much as the splat.
 """
 
 from __future__ import annotations
@@ -39,7 +42,8 @@ class Pipeline(nn.Module):
     ----------
     config : how events become volumes.
     classifier : (N, C, H, W) -> (N, n_classes).
-    regressor : with landmark `regressor`: (N, C, H, W), raw volumes, -> (N, 2), landmarks in grid pixels.
+    regressor : with landmark `regressor`: (N, C, H, W), raw volumes, -> (N, 2), landmarks in grid
+        pixels.
     scale, raw_scale : what the classifier's and the regressor's input is multiplied with first.
     """
 
@@ -60,7 +64,9 @@ class Pipeline(nn.Module):
         self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
         self.register_buffer("raw_scale", torch.tensor(raw_scale, dtype=torch.float32))
         self._volumes = BatchVolumes(config)
-        self._raw_volumes = BatchVolumes(config.replace(landmark="center", transform="none", remove_flow=False))
+        self._raw_volumes = BatchVolumes(
+            config.replace(landmark="center", transform="none", remove_flow=False)
+        )
 
     def forward(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
         """Logits (N, n_classes) of N windows, augmented by `draws`."""
@@ -89,7 +95,8 @@ class Pipeline(nn.Module):
         return landmarks.double()
 
     def _on_device(self, volumes: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-        # A new array: the kernels write the next batch into the old one. Channels last is a third faster.
+        # A new array: the kernels write the next batch into the old one. Channels last is a third
+        # faster.
         return (volumes.to(scale.device) * scale).contiguous(memory_format=torch.channels_last)
 
 
@@ -98,7 +105,11 @@ class _SplatAbout(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, landmarks: torch.Tensor, volumes: BatchVolumes, windows: Windows, draws: Draws | None
+        ctx: Any,
+        landmarks: torch.Tensor,
+        volumes: BatchVolumes,
+        windows: Windows,
+        draws: Draws | None,
     ) -> torch.Tensor:
         ctx.volumes, ctx.windows, ctx.draws = volumes, windows, draws
         ctx.save_for_backward(landmarks)
@@ -130,7 +141,8 @@ def new_pipeline(
     logarithm: bool = False,
     grid: tuple[int, int] | None = None,
 ) -> Pipeline:
-    """Networks with PyTorch's initial weights, which depend on the seed alone; input scales measured on `windows`.
+    """Networks with PyTorch's initial weights, which depend on the seed alone; input scales
+    measured on `windows`.
 
     Torch's global generator is left as it was.
 
@@ -146,13 +158,19 @@ def new_pipeline(
         regressor = landmark_network(config.channels) if config.needs_regressor else None
     scales = input_scales(config, windows)
     if logarithm:
-        classifier, scales["scale"] = nn.Sequential(OrderedDict(logarithm=Logarithm(), network=classifier)), 1.0
+        classifier, scales["scale"] = (
+            nn.Sequential(OrderedDict(logarithm=Logarithm(), network=classifier)),
+            1.0,
+        )
     return Pipeline(config, classifier, regressor, **scales)
 
 
-def check_network(name: str, config: TNTConfig, n_classes: int = 2, *, everywhere: bool = False) -> None:
-    """Refuse a network that cannot be built for this configuration, has no compiled form, takes no batch, or computes a
-    map where there is none to learn, or none where there is, before it is trained.
+def check_network(
+    name: str, config: TNTConfig, n_classes: int = 2, *, everywhere: bool = False
+) -> None:
+    """Refuse a network that cannot be built for this configuration, has no compiled form, takes no
+    batch, or computes a map where there is none to learn, or none where there is, before it is
+    trained.
 
     Raises
     ------
@@ -166,8 +184,15 @@ def check_network(name: str, config: TNTConfig, n_classes: int = 2, *, everywher
     except (NotImplementedError, RuntimeError) as error:
         raise ValueError(f"`network` {name}: {one_line(error)}") from None
     if everywhere != (model.places is not None):
-        wanted = "a map of a channel for each class and one for nothing" if everywhere else "one logit for each class"
-        raise ValueError(f"`network` {name} must compute {wanted}, got {model.logits_shape} for {n_classes} classes")
+        wanted = (
+            "a map of a channel for each class and one for nothing"
+            if everywhere
+            else "one logit for each class"
+        )
+        raise ValueError(
+            f"`network` {name} must compute {wanted}, got {model.logits_shape} for {n_classes} "
+            "classes"
+        )
 
 
 def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
@@ -182,20 +207,26 @@ def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
 
 
 def input_scale(config: TNTConfig, windows: Windows) -> float:
-    """1 / root mean square of all cells, over 512 windows spread evenly; `export` folds it into the weights.
+    """1 / root mean square of all cells, over 512 windows spread evenly; `export` folds it into the
+    weights.
 
-    One number for all bins. A scale per bin would fit the training motion's event rate over time, amplify the bins
-    with few events (31 times in N-MNIST's first, after TNT), and be wrong for every other motion. TNT does worse with
-    it even on held-out digits of the training motions.
+    One number for all bins. A scale per bin would fit the training motion's event rate over time,
+    amplify the bins with few events (31 times in N-MNIST's first, after TNT), and be wrong for
+    every other motion. TNT does worse with it even on held-out digits of the training motions.
     """
-    some = windows[np.unique(np.linspace(0, len(windows) - 1, min(512, len(windows))).astype(np.int64))]
+    some = windows[
+        np.unique(np.linspace(0, len(windows) - 1, min(512, len(windows))).astype(np.int64))
+    ]
     volumes = BatchVolumes(config)  # one after another: together they may be large
-    mean_square = np.mean([np.square(volumes(some[k : k + 1]), dtype=np.float64).mean() for k in range(len(some))])
+    mean_square = np.mean(
+        [np.square(volumes(some[k : k + 1]), dtype=np.float64).mean() for k in range(len(some))]
+    )
     return float(1.0 / np.sqrt(max(mean_square, 1e-12)))
 
 
 def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | None = None) -> Model:
-    """The finished model; its first layers absorb their input's scale, so that they take raw volumes.
+    """The finished model; its first layers absorb their input's scale, so that they take raw
+    volumes.
 
     conv1(scale V) = w * (scale V) = (scale w) * V
 
@@ -216,14 +247,16 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
         for tensor in first:
             weights[tensor] = weights[tensor] * scale.cpu().numpy()
         if not first:  # a layer of its own, before the others
-            network[name], tensors = _scaled(name, network[name], pipeline.config.channels, float(scale))
+            network[name], tensors = _scaled(
+                name, network[name], pipeline.config.channels, float(scale)
+            )
             weights |= tensors
     return replace(model, weights=weights, network=network)
 
 
 def first_weights(layers: Sequence[Layer]) -> list[str]:
-    """The weights that multiply the volume; none where a layer other than a convolution reads it, too, or where another
-    layer has the same weights."""
+    """The weights that multiply the volume; none where a layer other than a convolution reads it,
+    too, or where another layer has the same weights."""
     readers = [layer for layer in layers if VOLUME in layer["inputs"]]
     tensors = [layer["weights"]["weight"] for layer in readers if layer["op"] == "conv"]
     used = [name for layer in layers for name in layer.get("weights", {}).values()]
@@ -231,13 +264,24 @@ def first_weights(layers: Sequence[Layer]) -> list[str]:
     return tensors if alone and len(tensors) == len(readers) else []
 
 
-def _scaled(name: str, layers: Sequence[Layer], channels: int, scale: float) -> tuple[list[Layer], dict[str, Any]]:
-    """Layers that read the volume times a number, which is computed as a batch norm; and the tensors of that."""
+def _scaled(
+    name: str, layers: Sequence[Layer], channels: int, scale: float
+) -> tuple[list[Layer], dict[str, Any]]:
+    """Layers that read the volume times a number, which is computed as a batch norm; and the
+    tensors of that."""
     values = {"mean": 0.0, "variance": 1.0, "weight": scale}
     roles = {role: f"{name}.scale.{role}" for role in values}
-    first = {"op": "batch_norm", "name": "scaled volume", "inputs": [VOLUME], "weights": roles, "epsilon": 0.0}
+    first = {
+        "op": "batch_norm",
+        "name": "scaled volume",
+        "inputs": [VOLUME],
+        "weights": roles,
+        "epsilon": 0.0,
+    }
     sources = {VOLUME: "scaled volume"}
-    others = [{**layer, "inputs": [sources.get(of, of) for of in layer["inputs"]]} for layer in layers]
+    others = [
+        {**layer, "inputs": [sources.get(of, of) for of in layer["inputs"]]} for layer in layers
+    ]
     tensors = {roles[role]: np.full(channels, value, np.float32) for role, value in values.items()}
     return [first, *others], tensors
 
@@ -248,7 +292,8 @@ def pipeline_of(model: Model) -> Pipeline:
 
 
 def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
-    """The inverse of `export`: a model's pipeline, with input scales measured on `windows`, to train it on.
+    """The inverse of `export`: a model's pipeline, with input scales measured on `windows`, to
+    train it on.
 
     Batch norms keep their statistics.
     """
@@ -256,7 +301,10 @@ def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
     pipeline = Pipeline(model.config, torch_classifier(model), torch_regressor(model), **scales)
     network: Any
     with torch.no_grad():
-        for network, scale in ((pipeline.classifier, pipeline.scale), (pipeline.regressor, pipeline.raw_scale)):
+        for network, scale in (
+            (pipeline.classifier, pipeline.scale),
+            (pipeline.regressor, pipeline.raw_scale),
+        ):
             if network is None:
                 continue
             first = first_weights(network.layers)

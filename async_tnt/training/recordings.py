@@ -1,7 +1,7 @@
 """Labelled recordings as four long columns with offsets, in memory or mapped from files.
 
-Mapped columns are read page by page, when a window needs them: the operating system keeps what fits, so that a data set
-may be larger than the memory.
+Mapped columns are read page by page, when a window needs them: the operating system keeps what
+fits, so that a data set may be larger than the memory.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ class Recordings:
 
     Parameters
     ----------
-    t : int32, shape (E,), microseconds since the recording's start, never decreasing within a recording.
+    t : int32, shape (E,), microseconds since the recording's start, never decreasing within a
+        recording.
     x, y : uint16, shape (E,).
     p : uint8, shape (E,), 0 or 1.
     offsets : int64, shape (R + 1,). Recording r has the events `offsets[r] <= i < offsets[r + 1]`.
@@ -57,21 +58,29 @@ class Recordings:
         middles = np.zeros((len(self), 2))
         some = np.flatnonzero(np.diff(self.offsets))  # `reduceat` knows no empty slices
         for axis, column in enumerate((self.x, self.y) if len(some) else ()):
-            least, most = (extreme.reduceat(column, self.offsets[some]) for extreme in (np.minimum, np.maximum))
+            least, most = (
+                extreme.reduceat(column, self.offsets[some]) for extreme in (np.minimum, np.maximum)
+            )
             middles[some, axis] = (least.astype(np.float64) + most) / 2
         return middles
 
     def __add__(self, other: Recordings) -> Recordings:
-        both = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in (*COLUMNS, "labels")}
+        both = {
+            name: np.concatenate([getattr(self, name), getattr(other, name)])
+            for name in (*COLUMNS, "labels")
+        }
         offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
         return Recordings(**both, offsets=offsets, names=self.names + other.names)
 
     @classmethod
     def from_events(
-        cls, events: Iterable[np.ndarray], labels: Sequence[int] | np.ndarray, names: Sequence[str] | None = None
+        cls,
+        events: Iterable[np.ndarray],
+        labels: Sequence[int] | np.ndarray,
+        names: Sequence[str] | None = None,
     ) -> Recordings:
-        """From `events` in any accepted form, see `event_forms`; `labels`, and `names` (by default numbers), have one
-        entry for each.
+        """From `events` in any accepted form, see `event_forms`; `labels`, and `names` (by default
+        numbers), have one entry for each.
 
         Raises
         ------
@@ -79,7 +88,9 @@ class Recordings:
         """
         names = tuple(str(i) for i in range(len(labels))) if names is None else tuple(names)
         if len(labels) != len(names):
-            raise ValueError(f"`labels` must have one per recording, got {len(labels)} for {len(names)}")
+            raise ValueError(
+                f"`labels` must have one per recording, got {len(labels)} for {len(names)}"
+            )
         with RecordingsWriter() as writer:
             for recording, label, name in zip(events, labels, names, strict=True):
                 writer.add(as_events(recording, ANY_SENSOR), int(label), name)
@@ -91,8 +102,8 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
     Parameters
     ----------
-    folder : for the columns, which are then mapped into memory: 9 bytes an event. Their files have no names, so they
-        are gone with the program, however it ends. None: in memory.
+    folder : for the columns, which are then mapped into memory: 9 bytes an event. Their files have
+        no names, so they are gone with the program, however it ends. None: in memory.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -107,7 +118,8 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
     def __exit__(self, *_: object) -> None:
         for file in self._files.values():
-            with contextlib.suppress(BufferError, OSError):  # holds columns; or is not whole, as `add` said
+            # holds columns; or is not whole, as `add` said
+            with contextlib.suppress(BufferError, OSError):
                 file.close()
 
     def add(self, events: np.ndarray, label: int, name: str) -> None:
@@ -119,7 +131,9 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         """
         t = events["t"]
         if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):
-            raise ValueError(f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}")
+            raise ValueError(
+                f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}"
+            )
         with naming(self._folder):
             for field, dtype in COLUMNS.items():
                 self._files[field].write(events[field].astype(dtype).tobytes())
@@ -139,10 +153,16 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._names += recordings.names
 
     def finish(self) -> Recordings:
-        """All recordings that were added; ends the writer. What is mapped stays when the files are closed."""
+        """All recordings that were added; ends the writer. What is mapped stays when the files are
+        closed."""
         columns = {name: self._column(file, COLUMNS[name]) for name, file in self._files.items()}
         offsets = np.array(self._offsets, np.int64)
-        return Recordings(**columns, offsets=offsets, labels=np.array(self._labels, np.int64), names=tuple(self._names))
+        return Recordings(
+            **columns,
+            offsets=offsets,
+            labels=np.array(self._labels, np.int64),
+            names=tuple(self._names),
+        )
 
     def _column(self, file: Any, dtype: type) -> np.ndarray:
         n = self._offsets[-1]

@@ -1,4 +1,5 @@
-"""Other motions of the windows to train on: made once by several processes, kept in files beside the run.
+"""Other motions of the windows to train on: made once by several processes, kept in files beside
+the run.
 
     <folder>/motions.json          how they were made, and how well they match the recordings
     <folder>/training_000000.npz   windows from 0 on under other motions, see `moved_windows`
@@ -73,16 +74,20 @@ def resynthesize(
     training, held_out : windows as recorded; the latter may be empty.
     config : of which the sensor and the window's length are used.
     folder : for the files; made if missing.
-    masked : bool, (H, W): pixels whose events are left out, of the recordings already; None: no pixel.
+    masked : bool, (H, W): pixels whose events are left out, of the recordings already; None: no
+        pixel.
     workers : processes.
 
     Raises
     ------
-    ValueError : windows shorter than 104 us; the folder holds other motions, or a damaged file; no window's motion
-        was found.
+    ValueError : windows shorter than 104 us; the folder holds other motions, or a damaged file; no
+        window's motion was found.
     """
     if config.window_us < 2 * N_PICTURES:
-        raise ValueError(f"`window_us` must be at least {2 * N_PICTURES} for re-synthesis, got {config.window_us}")
+        raise ValueError(
+            f"`window_us` must be at least {2 * N_PICTURES} for re-synthesis, got "
+            f"{config.window_us}"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     manifest = folder / MANIFEST
     made_from = {
@@ -100,11 +105,15 @@ def resynthesize(
     chunks += _chunks("held-out", held_out, config, folder, 1)
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     if missing or not manifest.exists():
-        some = np.sort(np.random.default_rng(settings.seed).permutation(len(training))[:N_CALIBRATION])
+        some = np.sort(
+            np.random.default_rng(settings.seed).permutation(len(training))[:N_CALIBRATION]
+        )
         around_us = config.window_us * training.neighbours(config.window_us)
         columns = [training.events(i, config.window_us, around_us[i]) for i in some]
         cell = cell_for(columns, config.sensor)
-        calibration = calibrate(Reconstruction(config.sensor, config.window_us, cell), columns, settings.seed)
+        calibration = calibrate(
+            Reconstruction(config.sensor, config.window_us, cell), columns, settings.seed
+        )
         content = {
             "made_from": made_from,
             "pixels": asdict(calibration.pixels),
@@ -113,7 +122,14 @@ def resynthesize(
             "match": calibration.match,
         }
         write_text(manifest, json.dumps(content, indent=1) + "\n")
-        job = partial(_move, config=config, cell=cell, calibration=calibration, masked=masked, seed=settings.seed)
+        job = partial(
+            _move,
+            config=config,
+            cell=cell,
+            calibration=calibration,
+            masked=masked,
+            seed=settings.seed,
+        )
         n_all, n_missing = (sum(len(chunk.windows) for chunk in some) for some in (chunks, missing))
         bar = progress(n_all, "re-synthesizing motions", done=n_all - n_missing)
         run_counted(job, missing, workers, bar)
@@ -133,11 +149,17 @@ class _Chunk:
     file: Path
 
     def __getstate__(self) -> dict[str, Any]:
-        """For another process: with the events of these windows and their neighbours instead of all."""
-        return {**self.__dict__, "windows": self.windows.cut(self.window_us, int(self.around_us.max(initial=0)))}
+        """For another process: with the events of these windows and their neighbours instead of
+        all."""
+        return {
+            **self.__dict__,
+            "windows": self.windows.cut(self.window_us, int(self.around_us.max(initial=0))),
+        }
 
 
-def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int) -> list[_Chunk]:
+def _chunks(
+    part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int
+) -> list[_Chunk]:
     """All windows of a part, those of one file in each."""
     n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
     step = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
@@ -145,18 +167,32 @@ def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variat
     chunks = []
     for first in range(0, len(windows), step):
         some, file = slice(first, first + step), folder / f"{part}_{first:06}.npz"
-        chunks.append(_Chunk(part, first, windows[some], around_us[some], config.window_us, variations, file))
+        chunks.append(
+            _Chunk(part, first, windows[some], around_us[some], config.window_us, variations, file)
+        )
     return chunks
 
 
 def _move(
-    chunk: _Chunk, *, config: TNTConfig, cell: int, calibration: Calibration, masked: np.ndarray | None, seed: int
+    chunk: _Chunk,
+    *,
+    config: TNTConfig,
+    cell: int,
+    calibration: Calibration,
+    masked: np.ndarray | None,
+    seed: int,
 ) -> int:
-    """Find the paths and images of a chunk's windows, and write its file. Returns how many windows it has."""
+    """Find the paths and images of a chunk's windows, and write its file. Returns how many windows
+    it has."""
     windows = chunk.windows
     reconstruction = Reconstruction(config.sensor, config.window_us, cell)
-    columns = [windows.events(i, config.window_us, around_us) for i, around_us in enumerate(chunk.around_us)]
-    moved: list[list[np.ndarray]] = [[np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)]
+    columns = [
+        windows.events(i, config.window_us, around_us)
+        for i, around_us in enumerate(chunk.around_us)
+    ]
+    moved: list[list[np.ndarray]] = [
+        [np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)
+    ]
     paths = []
     for i, (path, image) in enumerate(reconstruction(columns, calibration.pixels.measured)):
         paths.append(path)
@@ -199,7 +235,9 @@ def _open(
         **{name: content[name] for name in ("cell", "length_px", "pixels", "match")},
     }
     validation = Windows(moved, moving, np.zeros(len(moving), np.int64))
-    return Motions(files["training"], training, refused, spans, paths, validation, config, settings, record)
+    return Motions(
+        files["training"], training, refused, spans, paths, validation, config, settings, record
+    )
 
 
 def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
@@ -209,7 +247,11 @@ def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
         refused, spans, positions = read_arrays(path, "refused", "spans", "positions")
         n = refused.size
         shapes = refused.shape, spans.shape, positions.shape
-        if refused.dtype.kind != "U" or spans.dtype != np.int64 or shapes != ((n,), (n,), (n, N_FRAMES, 2)):
+        if (
+            refused.dtype.kind != "U"
+            or spans.dtype != np.int64
+            or shapes != ((n,), (n,), (n, N_FRAMES, 2))
+        ):
             raise damaged(path, f"`refused`, `spans` and `positions` have shapes {shapes}")
         parts.append((refused, spans, positions))
     return tuple(map(np.concatenate, zip(*parts, strict=True)))
@@ -218,7 +260,9 @@ def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
         content = parse_json(read_regular(path))
-        wanted = {name: content[name] for name in ("made_from", "cell", "length_px", "pixels", "match")}
+        wanted = {
+            name: content[name] for name in ("made_from", "cell", "length_px", "pixels", "match")
+        }
         _check_made(wanted)
         return {**wanted, "made_from": dict(wanted["made_from"])}
     except (ValueError, LookupError, TypeError, AttributeError) as error:
@@ -234,7 +278,9 @@ def _check_made(wanted: Mapping[str, Any]) -> None:
     """
     whole_number("cell", wanted["cell"], 1, MAX_SIDE + 1)
     if not 0 <= real_number("length_px", wanted["length_px"]) < math.inf:
-        raise ValueError(f"`length_px` must be finite and at least 0, got {short(wanted['length_px'])}")
+        raise ValueError(
+            f"`length_px` must be finite and at least 0, got {short(wanted['length_px'])}"
+        )
     pixels = wanted["pixels"]
     numbers = {name: real_number(name, value) for name, value in pixels["measured"].items()}
     simulated = SimulatedPixels(MeasuredPixels(**numbers), real_number("scale", pixels["scale"]))
@@ -247,25 +293,40 @@ def _check_made(wanted: Mapping[str, Any]) -> None:
         real_number(name, resynthesized[name])
 
 
-def examples(motions: Motions, classes: tuple[str, ...]) -> tuple[list[ResynthesizedWindow], list[RefusedWindow]]:
-    """For a picture: windows of different classes, as far as there are, with their first variations, made once more;
-    and one for each of the most frequent reasons that there are none."""
+def examples(
+    motions: Motions, classes: tuple[str, ...]
+) -> tuple[list[ResynthesizedWindow], list[RefusedWindow]]:
+    """For a picture: windows of different classes, as far as there are, with their first
+    variations, made once more; and one for each of the most frequent reasons that there are
+    none."""
     found = np.flatnonzero(motions.spans)
     labels, firsts = np.unique(motions.training.labels[found], return_index=True)
-    which = found[firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]]
-    reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us, motions.record["cell"])
+    which = found[
+        firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]
+    ]
+    reconstruction = Reconstruction(
+        motions.config.sensor, motions.config.window_us, motions.record["cell"]
+    )
     around_us = motions.config.window_us * motions.training.neighbours(motions.config.window_us)
-    shown = [_example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in which]
+    shown = [
+        _example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in which
+    ]
     refused = []
     for reason in list(motions.record["without_path"])[:N_REFUSED]:
         i = int(np.flatnonzero(motions.refused == reason)[0])
         columns = motions.training.events(i, motions.config.window_us)
-        refused.append(RefusedWindow(classes[motions.training.labels[i]], structured(columns), reason))
+        refused.append(
+            RefusedWindow(classes[motions.training.labels[i]], structured(columns), reason)
+        )
     return shown, refused
 
 
 def _example(
-    motions: Motions, reconstruction: Reconstruction, i: int, around_us: Sequence[int], classes: tuple[str, ...]
+    motions: Motions,
+    reconstruction: Reconstruction,
+    i: int,
+    around_us: Sequence[int],
+    classes: tuple[str, ...],
 ) -> ResynthesizedWindow:
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
@@ -276,7 +337,8 @@ def _example(
     halfway = found.before + path[len(path) // 2 : len(path) // 2 + 1]
     seed, n_others = motions.settings.seed, min(N_OTHERS, motions.settings.variations)
     others = [
-        image.moved(motions.record["length_px"], pixels, _generator(seed, "training", i, v)) for v in range(n_others)
+        image.moved(motions.record["length_px"], pixels, _generator(seed, "training", i, v))
+        for v in range(n_others)
     ]
     return ResynthesizedWindow(
         classes[motions.training.labels[i]],

@@ -1,4 +1,5 @@
-"""The run folder of a training: its checkpoint, history and learning curves, and which training may resume there."""
+"""The run folder of a training: its checkpoint, history and learning curves, and which training may
+resume there."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     """
     import torch
 
-    content = io.BytesIO()  # as an error of writing the file itself, such as a full disk, torch raises a RuntimeError
+    # as an error of writing the file itself, such as a full disk, torch raises a RuntimeError
+    content = io.BytesIO()
     torch.save(dict(state), content)
     with replacing(run_folder / CHECKPOINT) as part:
         part.write_bytes(content.getbuffer())
@@ -55,7 +57,8 @@ def begin_again(run_folder: Path) -> None:
 def discard_made(run_folder: Path, name: str) -> None:
     """Delete what was made from the data for a training.
 
-    name : of its folder, "motions" or "pictures"; motions.json or pictures.json in it says what it was made from.
+    name : of its folder, "motions" or "pictures"; motions.json or pictures.json in it says what it
+        was made from.
     """
     if (run_folder / name / f"{name}.json").is_file():
         shutil.rmtree(run_folder / name)
@@ -66,11 +69,13 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
 
     Parameters
     ----------
-    known : of the run to be started: all of `identity_of`, or what is known of it before the data is read.
+    known : of the run to be started: all of `identity_of`, or what is known of it before the data
+        is read.
 
     Raises
     ------
-    ValueError : the folder holds another run, and what differs; the checkpoint is damaged, or of another release.
+    ValueError : the folder holds another run, and what differs; the checkpoint is damaged, or of
+        another release.
     OSError : the checkpoint is no regular file, or cannot be read.
     """
     path = run_folder / CHECKPOINT
@@ -88,10 +93,16 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
             written = state["identity"]["format"]
         except Exception as error:  # a damaged archive surfaces as any of a dozen types
             kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
-            raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
+            raise ValueError(
+                f"{path} is not a readable checkpoint ({kind}); remove it to start again"
+            ) from error
     if written != FORMAT:
-        raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
-    if differ := [name for name, value in _plain(known).items() if state["identity"].get(name) != value]:
+        raise ValueError(
+            f"{path} was written by another release of async_tnt; remove it to start again"
+        )
+    if differ := [
+        name for name, value in _plain(known).items() if state["identity"].get(name) != value
+    ]:
         raise other_run(run_folder, ", ".join(sorted(differ)))
     return state
 
@@ -106,7 +117,8 @@ def identity_of(
     motions: Any = None,
     teachers: Sequence[Model] = (),
 ) -> dict[str, Any]:
-    """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it is the same."""
+    """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it
+    is the same."""
     own_file = settings.network.rpartition(":")[0]  # "module.py:build"
     return _plain(
         {
@@ -132,12 +144,15 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:
-    """A checksum of windows and of all events of their recordings, which may be larger than the memory."""
+    """A checksum of windows and of all events of their recordings, which may be larger than the
+    memory."""
     data = 0
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
             data = zlib.crc32(column.tobytes(), data)
-    recordings = [training.recordings] + [validation.recordings] * (validation.recordings is not training.recordings)
+    recordings = [training.recordings] + [validation.recordings] * (
+        validation.recordings is not training.recordings
+    )
     for column in (getattr(one, name) for one in recordings for name in ("offsets", *COLUMNS)):
         for first in range(0, len(column), CHUNK):
             data = zlib.crc32(np.ascontiguousarray(column[first : first + CHUNK]).data, data)
@@ -147,13 +162,15 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
 def other_run(run_folder: Path, what: str) -> ValueError:
     """The error about a run folder whose run differs in `what`."""
     return ValueError(
-        f"{run_folder}: the folder holds a run with other {what}; delete it (`restart`) to start again, or train "
+        f"{run_folder}: the folder holds a run with other {what}; delete it (`restart`) to start "
+        "again, or train "
         "into another file (`out`)"
     )
 
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
-    """Loss and accuracy against epochs, as PNG. Returns False, and writes nothing, without matplotlib."""
+    """Loss and accuracy against epochs, as PNG. Returns False, and writes nothing, without
+    matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -166,11 +183,18 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
         "f1": "validation, F1 of scenes",
     }
     figure = Figure(figsize=(8, 3.2), layout="constrained")
-    panels = zip(figure.subplots(1, 2), ("cross entropy", "accuracy"), (losses, accuracies), strict=True)
+    panels = zip(
+        figure.subplots(1, 2), ("cross entropy", "accuracy"), (losses, accuracies), strict=True
+    )
     for axes, quantity, labels in panels:
         for name, label in labels.items():
             if all(name in row for row in history):
-                axes.plot([row["epoch"] for row in history], [row[name] for row in history], marker=".", label=label)
+                axes.plot(
+                    [row["epoch"] for row in history],
+                    [row[name] for row in history],
+                    marker=".",
+                    label=label,
+                )
         axes.set(xlabel="epoch", ylabel=quantity)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")

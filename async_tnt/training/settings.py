@@ -24,11 +24,12 @@ CHANGES = MappingProxyType(
         "drop": 0.0,
     }
 )
-"""Of `Augmentation` for a data set by default: windows end early or begin late, as in a stream, or show nothing; they
-are shifted and scaled. Rotation by 10 degrees, shear by .1 and thinning by .3 cost .01 on N-CARS' held-out
-recordings."""
+"""Of `Augmentation` for a data set by default: windows end early or begin late, as in a stream, or
+show nothing; they are shifted and scaled. Rotation by 10 degrees, shear by .1 and thinning by .3
+cost .01 on N-CARS' held-out recordings."""
 OF_PICTURES = MappingProxyType({"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3})
-"""Further changes where a data set holds pictures, whose recordings are simulated once for all epochs."""
+"""Further changes where a data set holds pictures, whose recordings are simulated once for all
+epochs."""
 EARLIEST = 0.05
 """The earliest end of such a window, as a share of the complete one."""
 RECIPE = MappingProxyType(
@@ -48,13 +49,14 @@ EVERYWHERE = MappingProxyType({"network": "map", "balance": False})
 LONGER_SIDE = 120
 """Of a default grid."""
 BINS, OFTEN = 5, 2.25
-"""Of a default volume: time bins where an active pixel fires `OFTEN` or more times in a window. Its counts blur what
-moves that far, and cost up to .1; where pixels fire less (N-CARS 1.7; N-MNIST 3.2), bins cost .03. In motions that are
-simulated again there are always bins: of digits with a fifth of their events .922 are right that are held out in other
-motions, by counts .897 (`experiments/unseen_motions.py`)."""
+"""Of a default volume: time bins where an active pixel fires `OFTEN` or more times in a window. Its
+counts blur what moves that far, and cost up to .1; where pixels fire less (N-CARS 1.7; N-MNIST
+3.2), bins cost .03. In motions that are simulated again there are always bins: of digits with a
+fifth of their events .922 are right that are held out in other motions, by counts .897
+(`experiments/unseen_motions.py`)."""
 MIN_EPOCHS, MIN_STEPS, STEPS_AN_EPOCH = 20, 4_000, 50
-"""Of a data set by default: epochs; steps of the optimizer, which decide where windows are few; steps between two
-checkpoints."""
+"""Of a data set by default: epochs; steps of the optimizer, which decide where windows are few;
+steps between two checkpoints."""
 
 
 @dataclass(frozen=True)
@@ -64,27 +66,30 @@ class TrainSettings:
     Parameters
     ----------
     epochs : of `passes` over the training windows; after each a checkpoint is saved.
-    iterations : steps of the optimizer, instead of `epochs`; the last epoch may be cut short. The thesis has
-        60,000, with a batch of 64.
+    iterations : steps of the optimizer, instead of `epochs`; the last epoch may be cut short. The
+        thesis has 60,000, with a batch of 64.
     batch : windows per step.
     passes : of an epoch.
     learning_rate : the highest; it rises over the first steps and falls along a cosine to 0.
     warm_up : the share of steps over which it rises.
     weight_decay : of AdamW, on weights, not on biases.
     label_smoothing : share of the target spread over all classes.
-    averaging : the model has the exponential moving average of the weights of all steps, each of which keeps this
-        share of the average before; 0: the last weights.
+    averaging : the model has the exponential moving average of the weights of all steps, each of
+        which keeps this share of the average before; 0: the last weights.
     logarithm : the classifier takes log(1 + V) of each cell of the volume; not of signed ones.
     seed : of weights, order and augmentation.
     augmentation : None trains on the windows as they are.
-    precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. Half the time or
-        less where the hardware is fast at it (AMX, AVX512-BF16, GPUs), slower elsewhere; "auto" finds out.
-    balance : each epoch shows every class equally often, and the validation loss weights classes equally; else
-        windows count equally.
-    network : the classifier, see `training.networks.build_network`. Not used where a model is trained further.
-    everywhere : train a map model, on scenes of several windows, see `scenes`; `batch` counts these windows.
-    ends_early : end before the last epoch where nothing that is measured on held-out windows can improve, see
-        `training.early_end`.
+    precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. Half
+        the time or less where the hardware is fast at it (AMX, AVX512-BF16, GPUs), slower
+        elsewhere; "auto" finds out.
+    balance : each epoch shows every class equally often, and the validation loss weights classes
+        equally; else windows count equally.
+    network : the classifier, see `training.networks.build_network`. Not used where a model is
+        trained further.
+    everywhere : train a map model, on scenes of several windows, see `scenes`; `batch` counts these
+        windows.
+    ends_early : end before the last epoch where nothing that is measured on held-out windows can
+        improve, see `training.early_end`.
     """
 
     epochs: int = 10
@@ -106,12 +111,20 @@ class TrainSettings:
     ends_early: bool = False
 
     def __post_init__(self) -> None:
-        for name, low in (("epochs", 1), ("iterations", 1), ("passes", 1), ("batch", 1), ("seed", 0)):
+        for name, low in (
+            ("epochs", 1),
+            ("iterations", 1),
+            ("passes", 1),
+            ("batch", 1),
+            ("seed", 0),
+        ):
             value = getattr(self, name)
             if value is not None and value < low:
                 raise ValueError(f"`{name}` must be at least {low}, got {value}")
         if self.precision not in PRECISIONS:
-            raise ValueError(f"`precision` must be one of {', '.join(PRECISIONS)}, got {self.precision!r}")
+            raise ValueError(
+                f"`precision` must be one of {', '.join(PRECISIONS)}, got {self.precision!r}"
+            )
         if not 0 < self.learning_rate < math.inf:
             raise ValueError(f"`learning_rate` must be positive, got {self.learning_rate}")
         if not 0 <= self.weight_decay < math.inf:
@@ -121,7 +134,8 @@ class TrainSettings:
                 raise ValueError(f"`{name}` must be in [0, 1), got {getattr(self, name)}")
 
     def n_steps(self, n_windows: int) -> int:
-        """Steps of an epoch of `n_windows`. A last batch of a single window is left out: batch norm needs two."""
+        """Steps of an epoch of `n_windows`. A last batch of a single window is left out: batch norm
+        needs two."""
         n_full, n_rest = divmod(self.passes * n_windows, self.batch)
         return max(1, n_full + (n_rest > 1))
 
@@ -135,7 +149,8 @@ class TrainSettings:
 
 
 def default_config(**changes: Any) -> TNTConfig:
-    """The volume that a data set is trained on by default: how many ON and OFF events each pixel has.
+    """The volume that a data set is trained on by default: how many ON and OFF events each pixel
+    has.
 
     changes : values of other fields. For the grid see `default_grid`, for time bins `with_bins`.
     """
@@ -158,8 +173,8 @@ def with_bins(config: TNTConfig, events_a_pixel: float = OFTEN) -> TNTConfig:
 
 
 def default_grid(sensor: Sensor) -> Sensor:
-    """In the shape of the sensor: its own pixels, or `LONGER_SIDE` of them along the longer side. At least
-    16x16, which the networks need.
+    """In the shape of the sensor: its own pixels, or `LONGER_SIDE` of them along the longer side.
+    At least 16x16, which the networks need.
 
     Examples
     --------
@@ -170,16 +185,18 @@ def default_grid(sensor: Sensor) -> Sensor:
     return max(16, round(shrink * sensor[0])), max(16, round(shrink * sensor[1]))
 
 
-def settings_for(config: TNTConfig, n_windows: int, *, epochs: int | None = None, **settings: Any) -> TrainSettings:
+def settings_for(
+    config: TNTConfig, n_windows: int, *, epochs: int | None = None, **settings: Any
+) -> TrainSettings:
     """Settings for a data set of any size: enough small steps even for few windows.
 
     Parameters
     ----------
     n_windows : windows to train on.
-    epochs : None: `MIN_EPOCHS`, or as many as give `MIN_STEPS` steps, or fewer where all that is held out is right
-        (`ends_early`).
-    settings : others of `TrainSettings`, instead of ours; `augmentation` may be a mapping, of the fields of
-        `Augmentation` that differ from ours.
+    epochs : None: `MIN_EPOCHS`, or as many as give `MIN_STEPS` steps, or fewer where all that is
+        held out is right (`ends_early`).
+    settings : others of `TrainSettings`, instead of ours; `augmentation` may be a mapping, of the
+        fields of `Augmentation` that differ from ours.
     """
     batch = settings.setdefault("batch", min(64, max(8, n_windows // 32)))
     passes = settings.setdefault("passes", max(1, STEPS_AN_EPOCH * batch // n_windows))
@@ -190,7 +207,9 @@ def settings_for(config: TNTConfig, n_windows: int, *, epochs: int | None = None
     augmentation = settings.pop("augmentation", {})
     if isinstance(augmentation, Mapping):
         earliest_ms = EARLIEST * config.window_us / 1e3
-        augmentation = Augmentation.for_sensor(config, **{"partial_from_ms": earliest_ms, **CHANGES, **augmentation})
+        augmentation = Augmentation.for_sensor(
+            config, **{"partial_from_ms": earliest_ms, **CHANGES, **augmentation}
+        )
     ours = {**RECIPE, "logarithm": config.polarity != "signed"}
     if settings.get("everywhere"):
         ours |= EVERYWHERE

@@ -1,9 +1,11 @@
-"""Pictures of a data set as recordings: simulated by several processes, kept in files beside the run.
+"""Pictures of a data set as recordings: simulated by several processes, kept in files beside the
+run.
 
     <folder>/pictures.json          what they are made of
     <folder>/training_000000.npz    recordings from 0 on, those of a picture one after the other
 
-Each picture is recorded several times, each time by another camera and in another motion, see `picture_scene`.
+Each picture is recorded several times, each time by another camera and in another motion, see
+`picture_scene`.
 """
 
 from __future__ import annotations
@@ -38,15 +40,17 @@ from async_tnt.training.moved_windows import read_arrays
 from async_tnt.training.recordings import COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
 
-MANIFEST, FORMAT = "pictures.json", 4  # of the recordings: a change of what is simulated counts it up
+# of the recordings: a change of what is simulated counts it up
+MANIFEST, FORMAT = "pictures.json", 4
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
 """Of all pictures together, about; of each at least `LEAST_TAKES`, and at most `MOST_TAKES`."""
 LEAST_TAKES, MOST_TAKES = {"training": 2, "held-out": 1}, 200
 FULL_PIXELS, FOLLOWED, FEWEST = 128 * 128, 6, 0.1
-"""Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many times; but at least this
-share."""
+"""Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many
+times; but at least this share."""
 CHUNK = 200
-"""Recordings of a file; of a larger sensor fewer, likewise, as a process has all of a file in memory."""
+"""Recordings of a file; of a larger sensor fewer, likewise, as a process has all of a file in
+memory."""
 PAUSE = 100  # windows without any event
 N_EXAMPLES, N_TAKES = 5, 6
 """Classes of a figure, and recordings of each."""
@@ -76,17 +80,23 @@ def find_pictures(folder: Path) -> dict[str, list[Path]]:
     found = {}
     for c in class_folders(folder):
         paths = [path for path in sorted(c.glob("[!.]*")) if path.suffix.lower() in SUFFIXES]
-        if pictures := [path for path in paths if path.is_file() or path.is_symlink()]:  # broken links are told later
+        # broken links are told later
+        if pictures := [path for path in paths if path.is_file() or path.is_symlink()]:
             found[c.name] = pictures
     sessions = [one.path.name for some in recordings.values() for one in some if one.between_us]
     if sessions and (both := recordings.keys() & found):  # folders of other names may hold figures
         picture = found[min(both)][0].relative_to(folder)
-        raise ValueError(f"{folder}: expected pictures or sessions, got both: {picture} and {sessions[0]}")
+        raise ValueError(
+            f"{folder}: expected pictures or sessions, got both: {picture} and {sessions[0]}"
+        )
     return {} if sessions else found
 
 
 def check_pictures(
-    found: Mapping[str, Sequence[Path]], classes: Sequence[str], others: np.ndarray, progress: Callable[..., Bar] = Bar
+    found: Mapping[str, Sequence[Path]],
+    classes: Sequence[str],
+    others: np.ndarray,
+    progress: Callable[..., Bar] = Bar,
 ) -> tuple[list[LabelledPicture], list[str]]:
     """The pictures that can be read, and why the others are left out, one line each.
 
@@ -98,9 +108,12 @@ def check_pictures(
 
     Raises
     ------
-    ValueError : the same picture in two classes; a class with nothing else has no picture that can be read.
+    ValueError : the same picture in two classes; a class with nothing else has no picture that can
+        be read.
     """
-    pictures = [LabelledPicture(path, k) for k, name in enumerate(classes) for path in found.get(name, [])]
+    pictures = [
+        LabelledPicture(path, k) for k, name in enumerate(classes) for path in found.get(name, [])
+    ]
     good: list[LabelledPicture] = []
     left_out: list[str] = []
     known: dict[bytes, LabelledPicture] = {}
@@ -110,14 +123,21 @@ def check_pictures(
         for picture in pictures:
             try:
                 read_picture(picture.path)
-                same = known.setdefault(hashlib.sha256(read_regular(picture.path)).digest(), picture)
+                same = known.setdefault(
+                    hashlib.sha256(read_regular(picture.path)).digest(), picture
+                )
             except (ValueError, OSError) as error:
-                left_out.append(f"{picture.name}: {error}.".replace(str(picture.path), picture.name))
+                left_out.append(
+                    f"{picture.name}: {error}.".replace(str(picture.path), picture.name)
+                )
                 continue
             finally:
                 bar.update()
             if same.label != picture.label:
-                raise ValueError(f"{same.name} and {picture.name} are the same picture in two classes; remove one")
+                raise ValueError(
+                    f"{same.name} and {picture.name} are the same picture in two classes; remove "
+                    "one"
+                )
             if same is picture:
                 good.append(picture)
             else:
@@ -125,7 +145,10 @@ def check_pictures(
     left = {*others.tolist(), *(picture.label for picture in good)}
     if empty := [name for k, name in enumerate(classes) if name in found and k not in left]:
         why = next(line for line in left_out if line.startswith(f"{empty[0]}/"))
-        raise ValueError(f"no picture of class {', '.join(empty)} is left ({why}); add some, or remove the folder")
+        raise ValueError(
+            f"no picture of class {', '.join(empty)} is left ({why}); add some, or remove the "
+            "folder"
+        )
     return good, left_out
 
 
@@ -144,8 +167,10 @@ def with_pictures(
 
     Parameters
     ----------
-    split : what is learned and what is held out, as indices of `recordings` and of `pictures` after them.
-    store : a folder for all events, see `RecordingsWriter`, and for what was simulated; None: kept in memory.
+    split : what is learned and what is held out, as indices of `recordings` and of `pictures` after
+        them.
+    store : a folder for all events, see `RecordingsWriter`, and for what was simulated; None: kept
+        in memory.
 
     Returns
     -------
@@ -182,8 +207,8 @@ def simulate_pictures(
 ) -> int:
     """Append the recordings of pictures to a writer, those of a picture one after the other.
 
-    The same pictures, settings and seed give the same recordings, for any number of workers; what of them is in the
-    folder is not made again.
+    The same pictures, settings and seed give the same recordings, for any number of workers; what
+    of them is in the folder is not made again.
 
     Parameters
     ----------
@@ -199,11 +224,17 @@ def simulate_pictures(
     """
     pixels = settings.sensor[0] * settings.sensor[1] * (FOLLOWED if settings.follow else 1)
     share = float(np.clip(FULL_PIXELS / pixels, FEWEST, 1))
-    takes = int(np.clip(round(share * RECORDINGS[part] / max(1, len(pictures))), LEAST_TAKES[part], MOST_TAKES))
+    takes = int(
+        np.clip(
+            round(share * RECORDINGS[part] / max(1, len(pictures))), LEAST_TAKES[part], MOST_TAKES
+        )
+    )
     folder.mkdir(parents=True, exist_ok=True)
     checksum = 0
     for picture in pictures:
-        checksum = zlib.crc32(read_regular(picture.path), zlib.crc32(os.fsencode(picture.name), checksum))
+        checksum = zlib.crc32(
+            read_regular(picture.path), zlib.crc32(os.fsencode(picture.name), checksum)
+        )
     made_from = {
         "format": FORMAT,
         "settings": asdict(settings),
@@ -215,19 +246,29 @@ def simulate_pictures(
     chunks = [
         _Chunk(
             folder / f"{part}_{first:06}.npz",
-            [(pictures[i // takes], i // takes, i % takes) for i in range(first, min(first + size, n_all))],
+            [
+                (pictures[i // takes], i // takes, i % takes)
+                for i in range(first, min(first + size, n_all))
+            ],
         )
         for first in range(0, n_all, size)
     ]
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     job = partial(_record, settings=settings, seed=(seed, list(RECORDINGS).index(part)))
     n_missing = sum(len(chunk.takes) for chunk in missing)
-    run_counted(job, missing, workers, progress(n_all, "simulating pictures", done=n_all - n_missing))
+    run_counted(
+        job, missing, workers, progress(n_all, "simulating pictures", done=n_all - n_missing)
+    )
     for chunk in chunks:
         *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
-        whole = [column.dtype for column in columns] == list(COLUMNS.values()) and sizes.shape == (len(chunk.takes),)
+        whole = [column.dtype for column in columns] == list(COLUMNS.values()) and sizes.shape == (
+            len(chunk.takes),
+        )
         if not whole or any(column.shape != (sizes.sum(),) for column in columns):
-            raise ValueError(f"{chunk.file}: not the {len(chunk.takes)} recordings that belong there; remove {folder}")
+            raise ValueError(
+                f"{chunk.file}: not the {len(chunk.takes)} recordings that belong there; remove "
+                f"{folder}"
+            )
         recordings = np.split(structured(columns), np.cumsum(sizes)[:-1])
         for one, (picture, _, take) in zip(recordings, chunk.takes, strict=True):
             writer.add(one, picture.label, f"{picture.name}, take {take + 1}")
@@ -248,9 +289,13 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
     for _, of_one in groupby(chunk.takes, key=itemgetter(1)):
         takes = list(of_one)
         picture = read_picture(takes[0][0].path)
-        recordings += [record_picture(picture, settings, np.random.default_rng((*seed, i, k))) for _, i, k in takes]
+        recordings += [
+            record_picture(picture, settings, np.random.default_rng((*seed, i, k)))
+            for _, i, k in takes
+        ]
     columns: dict[str, Any] = {
-        name: np.concatenate([one[name].astype(dtype) for one in recordings]) for name, dtype in COLUMNS.items()
+        name: np.concatenate([one[name].astype(dtype) for one in recordings])
+        for name, dtype in COLUMNS.items()
     }
     with replacing(chunk.file) as part, part.open("wb") as file:
         np.savez(file, sizes=np.array([len(one) for one in recordings]), **columns)
@@ -261,7 +306,9 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
     """Refuse a folder of other pictures; note what is made."""
     there: dict[str, Any] = {}
     if not path.exists() and any(path.parent.glob("*.npz")):
-        raise ValueError(f"{path.parent}: recordings of pictures without their {path.name}; remove this folder")
+        raise ValueError(
+            f"{path.parent}: recordings of pictures without their {path.name}; remove this folder"
+        )
     if path.exists():
         try:
             there = dict(parse_json(read_regular(path)))
@@ -275,23 +322,33 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
 def example_recordings(
     found: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
 ) -> list[tuple[str, np.ndarray, list[np.ndarray]]]:
-    """For a figure: of some classes the first picture that can be read, its luminance, and recordings of it."""
+    """For a figure: of some classes the first picture that can be read, its luminance, and
+    recordings of it."""
     shown = []
     for row, (name, paths) in enumerate(list(found.items())[:N_EXAMPLES]):
         for path in paths:
             with contextlib.suppress(ValueError, OSError):
-                picture, draws = read_picture(path), [np.random.default_rng((seed, row, k)) for k in range(N_TAKES)]
-                shown.append((name, picture.light, [record_picture(picture, settings, rng) for rng in draws]))
+                picture, draws = (
+                    read_picture(path),
+                    [np.random.default_rng((seed, row, k)) for k in range(N_TAKES)],
+                )
+                shown.append(
+                    (name, picture.light, [record_picture(picture, settings, rng) for rng in draws])
+                )
                 break
     return shown
 
 
-def measure_camera(path: Path, window_us: int, sensor: tuple[int, int], **reading: Any) -> MeasuredPixels:
-    """What a recording tells about the pixels of its camera; `reading` are other options of `open_recording`.
+def measure_camera(
+    path: Path, window_us: int, sensor: tuple[int, int], **reading: Any
+) -> MeasuredPixels:
+    """What a recording tells about the pixels of its camera; `reading` are other options of
+    `open_recording`.
 
     Raises
     ------
-    ValueError : not a recording, of another sensor, or without a window of events. OSError : it cannot be read.
+    ValueError : not a recording, of another sensor, or without a window of events. OSError : it
+        cannot be read.
     """
     recording = open_recording(path, sensor=sensor, **reading)
     if recording.stated_sensor not in (None, sensor):
@@ -300,9 +357,12 @@ def measure_camera(path: Path, window_us: int, sensor: tuple[int, int], **readin
     events = events[np.argsort(events["t"], kind="stable")]
     t, x, y, p = (np.ascontiguousarray(events[name]) for name in "txyp")
     gaps = np.diff(t, prepend=t[:1])
-    t = t - np.cumsum(np.where(gaps > PAUSE * window_us, gaps, 0))  # a pause of the camera is not a quiet scene
+    # a pause of the camera is not a quiet scene
+    t = t - np.cumsum(np.where(gaps > PAUSE * window_us, gaps, 0))
     if not len(t) or t[-1] - t[0] <= window_us:
         raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")
     cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))
-    windows = zip(*(np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)), strict=True)
+    windows = zip(
+        *(np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)), strict=True
+    )
     return measure_pixels(list(windows)[:-1], sensor, window_us)

@@ -1,15 +1,16 @@
-"""Calibration: one factor on all logits, so that of the decisions at probability .9, nine of ten are right.
+"""Calibration: one factor on all logits, so that of the decisions at probability .9, nine of ten
+are right.
 
     p = softmax(z / T)        T minimizes the negative log likelihood on held-out windows
 
-No decision changes, only its probability. The factor goes into the weights of the last layer, so a calibrated model is
-like any other.
+No decision changes, only its probability. The factor goes into the weights of the last layer, so a
+calibrated model is like any other.
 
-A few windows that are all right would ask for certainty, T = 0. So one decision more is counted of each class, whatever
-is shown (the rule of succession, as in Platt's scaling).
+A few windows that are all right would ask for certainty, T = 0. So one decision more is counted of
+each class, whatever is shown (the rule of succession, as in Platt's scaling).
 
-References: Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599; Platt 1999, Probabilistic outputs for support vector
-machines.
+References: Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599; Platt 1999, Probabilistic outputs
+for support vector machines.
 """
 
 from __future__ import annotations
@@ -75,12 +76,14 @@ def softened(probabilities: np.ndarray, temperature: float) -> np.ndarray:
 def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
     """The model with its logits divided by `temperature`, and that temperature.
 
-    A network that ends in neither a dense layer nor a convolution, or whose last layer shares its weights with another,
-    stays as it is: 1.
+    A network that ends in neither a dense layer nor a convolution, or whose last layer shares its
+    weights with another, stays as it is: 1.
     """
     *others, last = model.network[CLASSIFIER]
     shared = {name for layer in others for name in layer.get("weights", {}).values()}
     if last["op"] not in ("dense", "conv") or shared & {*last["weights"].values()}:
         return model, 1.0
-    scaled = {name: model.weights[name] / np.float32(temperature) for name in last["weights"].values()}
+    scaled = {
+        name: model.weights[name] / np.float32(temperature) for name in last["weights"].values()
+    }
     return replace(model, weights={**model.weights, **scaled}), temperature

@@ -20,15 +20,17 @@ from async_tnt.training.windows import make_windows
 class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     """Item i: the volume of window i, float32, shape (C, H, W), and the index of its class.
 
-    Volumes are computed when they are asked for, bit for bit those of a stream of the recording's events in order;
-    the events are in memory. A UserWarning tells how many recordings cannot be read and are left out.
+    Volumes are computed when they are asked for, bit for bit those of a stream of the recording's
+    events in order; the events are in memory. A UserWarning tells how many recordings cannot be
+    read and are left out.
 
     Parameters
     ----------
     folder : with a folder of recordings for each class, or sessions, as for `async-tnt train`.
     config : how events become volumes; not of landmark `regressor`, nor of `window_events`.
     part : "Train", which may be the folder itself, or "Test".
-    classes : names, by index; by default those of this part, sorted. For "Test" give those of "Train".
+    classes : names, by index; by default those of this part, sorted. For "Test" give those of
+        "Train".
 
     Attributes
     ----------
@@ -38,7 +40,8 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
 
     Raises
     ------
-    ValueError, OSError : as `read_dataset`; recordings of another sensor than `config` has; no recordings for "Test".
+    ValueError, OSError : as `read_dataset`; recordings of another sensor than `config` has; no
+        recordings for "Test".
 
     Examples
     --------
@@ -56,15 +59,23 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
         classes: tuple[str, ...] | None = None,
     ) -> None:
         if config.needs_regressor:
-            raise ValueError("landmark 'regressor' needs a network; volumes of a data set have none")
+            raise ValueError(
+                "landmark 'regressor' needs a network; volumes of a data set have none"
+            )
         if part == "Test" and not has_test(user_path(folder)):
-            raise FileNotFoundError(f"{folder} has neither a folder Test nor lists of what belongs to it")
+            raise FileNotFoundError(
+                f"{folder} has neither a folder Test nor lists of what belongs to it"
+            )
         self._volumes = BatchVolumes(config)
         pixels = PixelSelection(sensor=config.sensor)
-        data = read_dataset(folder, part=part, pixels=pixels, sensor_source="`config`", classes=classes)
+        data = read_dataset(
+            folder, part=part, pixels=pixels, sensor_source="`config`", classes=classes
+        )
         self.classes, self.left_out = data.classes, data.left_out
         if self.left_out:
-            warnings.warn(f"{len(self.left_out)} recordings left out, first {self.left_out[0]}", stacklevel=2)
+            warnings.warn(
+                f"{len(self.left_out)} recordings left out, first {self.left_out[0]}", stacklevel=2
+            )
         self.windows = make_windows(data.recordings, config.window_us)
 
     def __len__(self) -> int:
@@ -72,6 +83,8 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, int]:
         if not -len(self) <= index < len(self):
-            raise IndexError(f"`index` must be below {len(self)}, the number of windows, got {index}")
+            raise IndexError(
+                f"`index` must be below {len(self)}, the number of windows, got {index}"
+            )
         some = self.windows[index : index + 1 or None]
         return torch.from_numpy(self._volumes(some)[0].copy()), int(some.labels[0])

@@ -1,7 +1,7 @@
 """Windows on labelled recordings.
 
-A window does not copy its events: it is a recording and a start. So augmentation can move its start into the
-neighbouring window, as the windows of a live stream start at the stream's first event.
+A window does not copy its events: it is a recording and a start. So augmentation can move its start
+into the neighbouring window, as the windows of a live stream start at the stream's first event.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ class Windows:
     Parameters
     ----------
     recordings : what the windows lie on.
-    recording, start_us : int64, shape (N,). Window i is recording `recording[i]` from `start_us[i]` on.
+    recording, start_us : int64, shape (N,). Window i is recording `recording[i]` from `start_us[i]`
+        on.
     """
 
     recordings: Recordings
@@ -45,22 +46,24 @@ class Windows:
     def events(
         self, i: int, window_us: int, around_us: Sequence[int] = (0, 0)
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """t, x, y, p of window `i`, `window_us` long, and of so long before and after it; t int64, microseconds since
-        the window's start."""
+        """t, x, y, p of window `i`, `window_us` long, and of so long before and after it; t int64,
+        microseconds since the window's start."""
         some, recordings = self._slice(i, -around_us[0], window_us + around_us[1]), self.recordings
         t = recordings.t[some].astype(np.int64) - self.start_us[i]
         return t, recordings.x[some], recordings.y[some], recordings.p[some]
 
     def neighbours(self, window_us: int) -> np.ndarray:
-        """How many of the windows beside each, before and after it, are among these: int64, (N, 2), 0 or 1."""
+        """How many of the windows beside each, before and after it, are among these: int64, (N, 2),
+        0 or 1."""
         starts = list(zip(self.recording.tolist(), self.start_us.tolist(), strict=True))
         there = set(starts)
         beside = [[(r, t - window_us) in there, (r, t + window_us) in there] for r, t in starts]
         return np.array(beside, np.int64).reshape(-1, 2)
 
     def events_a_pixel(self, window_us: int) -> float:
-        """Events of one polarity of a pixel that has any: the median of windows of `window_us`, of at most `JUDGED`
-        of them. An edge that passes once leaves one or two, one that moves over what it has left leaves more."""
+        """Events of one polarity of a pixel that has any: the median of windows of `window_us`, of
+        at most `JUDGED` of them. An edge that passes once leaves one or two, one that moves over
+        what it has left leaves more."""
         shares = []
         for i in np.linspace(0, len(self) - 1, min(JUDGED, len(self))).astype(int):
             _, x, y, p = self.events(i, window_us)
@@ -70,15 +73,17 @@ class Windows:
         return float(np.median(shares)) if shares else 0.0
 
     def cut(self, window_us: int, margin_us: int = 0) -> Windows:
-        """The same windows of `window_us`, each on a recording of its own: a copy of its events, and of those in the
-        `margin_us` around it."""
+        """The same windows of `window_us`, each on a recording of its own: a copy of its events,
+        and of those in the `margin_us` around it."""
         parts = [self._slice(i, -margin_us, window_us + margin_us) for i in range(len(self))]
         columns = {}
         for name in COLUMNS:
             column = getattr(self.recordings, name)
             columns[name] = np.concatenate([column[:0], *(column[part] for part in parts)])
         sizes = np.array([part.stop - part.start for part in parts], np.int64)
-        columns["t"] = (columns["t"] - np.repeat(self.start_us - margin_us, sizes)).astype(COLUMNS["t"])
+        columns["t"] = (columns["t"] - np.repeat(self.start_us - margin_us, sizes)).astype(
+            COLUMNS["t"]
+        )
         offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
         names = tuple(self.recordings.names[r] for r in self.recording)
         one_each = Recordings(**columns, offsets=offsets, labels=self.labels, names=names)
@@ -89,7 +94,8 @@ class Windows:
         r, t = self.recording[i], self.recordings.t
         first, last = int(self.recordings.offsets[r]), int(self.recordings.offsets[r + 1])
         bounds = np.clip(self.start_us[i] + np.array([from_us, until_us]), 0, np.iinfo(t.dtype).max)
-        start, stop = first + np.searchsorted(t[first:last], bounds.astype(t.dtype))  # of its type: else t is copied
+        # of its type: else t is copied
+        start, stop = first + np.searchsorted(t[first:last], bounds.astype(t.dtype))
         return slice(int(start), int(stop))
 
 
@@ -107,17 +113,18 @@ def make_windows(
     ----------
     window_us : their length.
     which : indices of recordings; all by default.
-    first_event : False starts at 0, True at each recording's first event, as where a stream is classified without an
-        explicit start.
-    duration_us : of a recording, at most: `duration_us // window_us` windows, at least one. None: up to its last
-        event, so the last window may be partial.
+    first_event : False starts at 0, True at each recording's first event, as where a stream is
+        classified without an explicit start.
+    duration_us : of a recording, at most: `duration_us // window_us` windows, at least one. None:
+        up to its last event, so the last window may be partial.
     """
     which = np.arange(len(recordings)) if which is None else np.asarray(which)
     windows = []
     for r in which:
         t = recordings.t[recordings.offsets[r] : recordings.offsets[r + 1]].astype(np.int64)
         first_us = int(t[0]) if first_event and len(t) else 0
-        index = np.unique((t - first_us) // window_us)  # only windows that hold events: a pause of hours costs nothing
+        # only windows that hold events: a pause of hours costs nothing
+        index = np.unique((t - first_us) // window_us)
         if duration_us is not None:
             index = index[index < max(1, duration_us // window_us)]
         windows += [(r, first_us + window_us * k) for k in index]

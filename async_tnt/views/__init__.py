@@ -1,11 +1,12 @@
-"""What a stream looks like in the Rerun viewer: events, volumes, landmark, probabilities and decisions.
+"""What a stream looks like in the Rerun viewer: events, volumes, landmark, probabilities and
+decisions.
 
     with RerunView("digits", out="seven.rrd") as view:
         for packet in open_recording("seven.bin"):
             view.push(packet)
 
-Needs the extra `view`. The names of what is logged are in `rerun_log`. The figures of `async-tnt plot` are in the
-modules `figure_...`.
+Needs the extra `view`. The names of what is logged are in `rerun_log`. The figures of `async-tnt
+plot` are in the modules `figure_...`.
 """
 
 from async_tnt.views.rerun_view import RerunView

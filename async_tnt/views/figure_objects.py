@@ -1,4 +1,5 @@
-"""What a map model finds, at some moments: the events of the open window, and a circle and a name for each object."""
+"""What a map model finds, at some moments: the events of the open window, and a circle and a name
+for each object."""
 
 from __future__ import annotations
 
@@ -36,9 +37,14 @@ def draw_window_objects(window: Window, model: Model) -> Figure:
 
 
 def draw_objects(
-    decisions: Sequence[Decision], titles: Sequence[str], events: np.ndarray, sensor: tuple[int, int], words: str
+    decisions: Sequence[Decision],
+    titles: Sequence[str],
+    events: np.ndarray,
+    sensor: tuple[int, int],
+    words: str,
 ) -> Figure:
-    """A panel for each decision, with those of the events, in order, that its window had until then."""
+    """A panel for each decision, with those of the events, in order, that its window had until
+    then."""
     width, height = sensor
     side = (WIDTH - 2 * EDGE - (len(titles) - 1) * GAP) / len(titles)
     figure = new_figure(TOP + side * height / width + EDGE)
@@ -51,9 +57,15 @@ def draw_objects(
         for found in decision.objects or ():
             axes.plot(found.x, found.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
             is_right = found.x > 0.85 * width  # words are to stay inside
-            look: dict[str, Any] = {"color": TEXT, "ha": "right" if is_right else "left", "textcoords": "offset points"}
+            look: dict[str, Any] = {
+                "color": TEXT,
+                "ha": "right" if is_right else "left",
+                "textcoords": "offset points",
+            }
             for text, down, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
-                axes.annotate(text, (found.x, found.y), (-14 if is_right else 14, down), fontsize=size, **look)
+                axes.annotate(
+                    text, (found.x, found.y), (-14 if is_right else 14, down), fontsize=size, **look
+                )
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
         axes.spines[:].set_visible(True)
         axes.set_title(title, loc="left", fontsize=9, color=TEXT)

@@ -1,4 +1,5 @@
-"""Everything about a recording on one page: events of a window, its volumes, and the decisions in time."""
+"""Everything about a recording on one page: events of a window, its volumes, and the decisions in
+time."""
 
 from __future__ import annotations
 
@@ -65,8 +66,11 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     return figure
 
 
-def draw_classes(axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]) -> None:
-    """A line for each class, the likeliest ones in colour and named; above each window, its last decision."""
+def draw_classes(
+    axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]
+) -> None:
+    """A line for each class, the likeliest ones in colour and named; above each window, its last
+    decision."""
     probabilities = np.array([d.probabilities for d in decisions])  # (decisions, classes)
     times = subject.since_start_ms(np.array([d.time_us for d in decisions]))
     starts_us = np.array([d.window_start_us for d in decisions])
@@ -77,16 +81,29 @@ def draw_classes(axes: Any, subject: Subject, model: Model, decisions: list[Deci
         look = {"color": GREY, "lw": 0.8}
         if rank < len(HIGHLIGHTS):
             colour, dashes = HIGHLIGHTS[rank]
-            look = {"color": colour, "ls": dashes, "lw": 2.0, "label": f"“{shortened(model.classes[k], 10)}”"}
+            look = {
+                "color": colour,
+                "ls": dashes,
+                "lw": 2.0,
+                "label": f"“{shortened(model.classes[k], 10)}”",
+            }
         (line,) = axes.plot(x, y[:, k], marker=".", ms=2, **look)
         line.set_gid(f"class {k}")
     for decision in last if len(last) <= MOST_NAMED else ():
         start_ms = subject.since_start_ms(decision.window_start_us)
         axes.axvline(start_ms, color=PALE, lw=0.8, zorder=0)
         note(
-            axes, f"“{shortened(decision.label or 'nothing', 10)}” {decision.probability:.2f}", (start_ms, 1.0), (3, 3)
+            axes,
+            f"“{shortened(decision.label or 'nothing', 10)}” {decision.probability:.2f}",
+            (start_ms, 1.0),
+            (3, 3),
         )
-    axes.set(xlim=subject.since_start_ms(np.array([starts_us[0], starts_us[-1] + model.config.window_us])), ylim=(0, 1))
+    axes.set(
+        xlim=subject.since_start_ms(
+            np.array([starts_us[0], starts_us[-1] + model.config.window_us])
+        ),
+        ylim=(0, 1),
+    )
     axes.set(yticks=[0, 0.5, 1], ylabel="class probability")
     handles, names = axes.get_legend_handles_labels()
     axes.legend(handles[::-1], names[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5))

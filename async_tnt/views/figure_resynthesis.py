@@ -37,7 +37,8 @@ class ResynthesizedWindow:
     recorded : its events, with fields x, y, p.
     image : (H, W), log luminance halfway through the window.
     same_motion : events of that image under the motion that was found.
-    motions : displacement since the window's start: the one that was found, and each new one, (n, 2).
+    motions : displacement since the window's start: the one that was found, and each new one, (n,
+        2).
     others : events under each new one.
     """
 
@@ -65,17 +66,26 @@ class RefusedWindow:
     reason: str
 
 
-def draw_resynthesis(windows: Sequence[ResynthesizedWindow], refused: Sequence[RefusedWindow] = ()) -> Figure:
-    """Events as recorded, the image and path found in them, and events of that image under this and other paths; and
-    windows in which none was found. `windows` has at least one.
+def draw_resynthesis(
+    windows: Sequence[ResynthesizedWindow], refused: Sequence[RefusedWindow] = ()
+) -> Figure:
+    """Events as recorded, the image and path found in them, and events of that image under this and
+    other paths; and windows in which none was found. `windows` has at least one.
     """
     n_others = len(windows[0].others)
     height, width = windows[0].image.shape
     high = SIDE * height / width
     rows: list[ResynthesizedWindow | RefusedWindow] = [*windows, *refused]
-    figure = new_figure(TOP + len(rows) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1)
+    figure = new_figure(
+        TOP + len(rows) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1
+    )
     headline(figure, "motion re-synthesis")
-    titles = ["as recorded", "image, path found", "the same path", *(f"other path {i + 1}" for i in range(n_others))]
+    titles = [
+        "as recorded",
+        "image, path found",
+        "the same path",
+        *(f"other path {i + 1}" for i in range(n_others)),
+    ]
     for column, title in enumerate(titles):
         left = LEFT + column * (SIDE + GAP) + SIDE / 2
         write_at(figure, left, TOP - 0.2, title, ha="center")
@@ -86,9 +96,13 @@ def draw_resynthesis(windows: Sequence[ResynthesizedWindow], refused: Sequence[R
         if isinstance(window, RefusedWindow):
             write_at(figure, LEFT + SIDE + 2 * GAP, top + high / 2, f"no path: {window.reason}")
             continue
-        simulated = [_counts(events, (height, width)) for events in (window.same_motion, *window.others)]
+        simulated = [
+            _counts(events, (height, width)) for events in (window.same_motion, *window.others)
+        ]
         paths = [window.motions[0], *window.motions]
-        for column, (picture, path) in enumerate(zip([window.image, *simulated], paths, strict=True), 1):
+        for column, (picture, path) in enumerate(
+            zip([window.image, *simulated], paths, strict=True), 1
+        ):
             axes = _draw_picture(figure, column, top, picture, is_image=column == 1)
             _draw_path(axes, path, (width, height))
     polarity_legend(figure)
@@ -102,12 +116,15 @@ def draw_recorded_pictures(
 
     Parameters
     ----------
-    pictures : class, luminance (h, w), and events with fields x, y, p of each of its recordings, of equally many.
+    pictures : class, luminance (h, w), and events with fields x, y, p of each of its recordings, of
+        equally many.
     sensor : (width, height).
     """
     high = SIDE * sensor[1] / sensor[0]
     n = len(pictures[0][2])
-    figure = new_figure(TOP + len(pictures) * (high + GAP) + 0.1, LEFT + (1 + n) * (SIDE + GAP) + 0.1)
+    figure = new_figure(
+        TOP + len(pictures) * (high + GAP) + 0.1, LEFT + (1 + n) * (SIDE + GAP) + 0.1
+    )
     headline(figure, "pictures, as simulated cameras record them")
     for row, (name, light, recordings) in enumerate(pictures):
         top = TOP + row * (high + GAP)
@@ -122,7 +139,9 @@ def draw_recorded_pictures(
     return figure
 
 
-def _draw_picture(figure: Figure, column: int, top: float, picture: np.ndarray, *, is_image: bool) -> Any:
+def _draw_picture(
+    figure: Figure, column: int, top: float, picture: np.ndarray, *, is_image: bool
+) -> Any:
     high = SIDE * picture.shape[0] / picture.shape[1]
     axes = picture_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
     if is_image:
@@ -146,4 +165,9 @@ def _draw_path(axes: Any, path: np.ndarray, sensor: tuple[int, int]) -> None:
     far = np.flatnonzero(np.hypot(x - x[-1], y - y[-1]) > 0.02 * max(sensor))
     if len(far):
         before = x[far[-1]], y[far[-1]]
-        axes.annotate("", (x[-1], y[-1]), before, arrowprops={"arrowstyle": "-|>", "color": "black", "lw": 1.4})
+        axes.annotate(
+            "",
+            (x[-1], y[-1]),
+            before,
+            arrowprops={"arrowstyle": "-|>", "color": "black", "lw": 1.4},
+        )

@@ -18,10 +18,16 @@ if TYPE_CHECKING:
 ON, OFF = "#D55E00", "#0072B2"
 OFF_TO_ON = OFF, "#ffffff", ON
 """Colours of what has a sign, from its smallest value over zero to its largest."""
-HIGHLIGHTS = (("#000000", "-"), ("#009E73", (0, (5, 1.5))), ("#CC79A7", (0, (3, 1, 1, 1))), ("#E69F00", (0, (1, 1))))
+HIGHLIGHTS = (
+    ("#000000", "-"),
+    ("#009E73", (0, (5, 1.5))),
+    ("#CC79A7", (0, (3, 1, 1, 1))),
+    ("#E69F00", (0, (1, 1))),
+)
 GREY, PALE, TEXT = "#8a8a8a", "#c4c4c4", "#555555"
 
-SMALL, NORMAL, LARGE = 9, 10, 11  # points; a figure 10.4 inches wide shown 900 pixels wide keeps them legible
+# points; a figure 10.4 inches wide shown 900 pixels wide keeps them legible
+SMALL, NORMAL, LARGE = 9, 10, 11
 WIDTH = 10.4  # inches
 
 FORMATS = (".png", ".svg", ".pdf")
@@ -43,7 +49,8 @@ _STYLE: dict[str, Any] = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Within the block figures have our style whatever the user's settings, which stay as they are."""
+    """Within the block figures have our style whatever the user's settings, which stay as they
+    are."""
     import matplotlib.style
 
     return matplotlib.style.context(["default", _STYLE])
@@ -56,7 +63,9 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height), facecolor="white")
 
 
-def axes_at(figure: Figure, left: float, top: float, width: float, height: float, **settings: Any) -> Any:
+def axes_at(
+    figure: Figure, left: float, top: float, width: float, height: float, **settings: Any
+) -> Any:
     """Axes at inches from the figure's upper left corner."""
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h), **settings)
@@ -72,7 +81,9 @@ def picture_at(figure: Figure, left: float, top: float, width: float, height: fl
 def write_at(figure: Figure, left: float, top: float, words: str, **settings: Any) -> None:
     """One line of words at inches from the figure's upper left corner."""
     w, h = figure.get_size_inches()
-    figure.text(left / w, 1 - top / h, printable(words), **{"va": "center", "fontsize": LARGE, **settings})
+    figure.text(
+        left / w, 1 - top / h, printable(words), **{"va": "center", "fontsize": LARGE, **settings}
+    )
 
 
 def headline(figure: Figure, words: str) -> None:
@@ -80,7 +91,9 @@ def headline(figure: Figure, words: str) -> None:
     write_at(figure, 0.21, 0.25, words, fontsize=LARGE + 2, fontweight="bold")
 
 
-def note(axes: Any, words: str, at: tuple[float, float], offset: tuple[float, float], **settings: Any) -> None:
+def note(
+    axes: Any, words: str, at: tuple[float, float], offset: tuple[float, float], **settings: Any
+) -> None:
     """Small words beside a point of the data, `offset` points away."""
     look = {"fontsize": SMALL, "color": TEXT, **settings}
     axes.annotate(words, at, xytext=offset, textcoords="offset points", **look)
@@ -99,14 +112,18 @@ def check_picture(path: Path) -> None:
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
-    """Write a figure, drawn `styled`, in the format of the suffix. An existing file is replaced when the new one is
-    complete.
+    """Write a figure, drawn `styled`, in the format of the suffix. An existing file is replaced
+    when the new one is complete.
 
     dpi : pixels per inch of a PNG, and of the clouds of dots in SVG and PDF.
     """
     kind = path.suffix.lower().removeprefix(".")
     # no dates and versions: the same figure gives the same bytes
-    metadata = {"png": {"Software": "async_tnt"}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    metadata = {
+        "png": {"Software": "async_tnt"},
+        "svg": {"Date": None},
+        "pdf": {"CreationDate": None},
+    }[kind]
     with replacing(path) as part:
         figure.savefig(part, format=kind, dpi=dpi, metadata=metadata)
 
@@ -128,7 +145,9 @@ def polarity_legend(figure: Figure, more: Sequence[Any] = ()) -> None:
     ]
     corner = (0.985, 1 - 0.25 / figure.get_figheight())
     look = {"handletextpad": 0.3, "columnspacing": 1.2, "borderpad": 0}
-    figure.legend(handles=[*handles, *more], loc="center right", bbox_to_anchor=corner, ncols=3, **look)
+    figure.legend(
+        handles=[*handles, *more], loc="center right", bbox_to_anchor=corner, ncols=3, **look
+    )
 
 
 def shortened(name: str, most: int) -> str:

@@ -1,4 +1,5 @@
-"""What figures draw: a recording's events, where the transform puts each, its volumes, and the model that decides."""
+"""What figures draw: a recording's events, where the transform puts each, its volumes, and the
+model that decides."""
 
 from __future__ import annotations
 
@@ -23,14 +24,15 @@ class Subject:
     name : of the recording, for titles.
     events : structured array of `EVENT_DTYPE`, in order of arrival, at least one.
     config : how events and volumes are drawn; transform "tnt".
-    model : makes the decisions, with its own configuration; None: no decisions. With landmark "regressor" its
-        network computes the landmark.
+    model : makes the decisions, with its own configuration; None: no decisions. With landmark
+        "regressor" its network computes the landmark.
     model_name : for titles.
     start_us : start of the first window; by default the first event.
 
     Raises
     ------
-    ValueError : no events; or a landmark network is needed and the model has none, or one of another shape.
+    ValueError : no events; or a landmark network is needed and the model has none, or one of
+        another shape.
     """
 
     name: str
@@ -71,7 +73,8 @@ class Subject:
             return Window(self, number, start_us, inside)
         last = max(0, (int(t.max()) - self.first_us) // window_us + 1)
         raise ValueError(
-            f"{self.name}: no events in window {number}, from {start_us} us on; the recording ends in window {last}"
+            f"{self.name}: no events in window {number}, from {start_us} us on; the recording ends "
+            f"in window {last}"
         )
 
     def regressor(self) -> CompiledRegressor | None:
@@ -80,7 +83,9 @@ class Subject:
             return None
         if self.model is None or not self.model.config.needs_regressor:
             who = "there is no model" if self.model is None else f"model {self.model_name} has none"
-            raise ValueError(f'landmark="regressor" needs a model with a landmark network, but {who}')
+            raise ValueError(
+                f'landmark="regressor" needs a model with a landmark network, but {who}'
+            )
         return CompiledRegressor(replace(self.model, config=self.config))
 
 
@@ -106,29 +111,37 @@ class Window:
         return self._volume(raw_config).array, self._volume(config).array
 
     def coordinates(self) -> Coordinates:
-        """Where the transform puts each event: u = (x - l) / tau + c, where l is what the volume had for the event."""
+        """Where the transform puts each event: u = (x - l) / tau + c, where l is what the volume
+        had for the event."""
         config = self.subject.config
-        place = np.stack([self.events["x"], self.events["y"]], axis=1) * config.to_grid(1.0, 1.0)  # (N, 2)
+        # (N, 2)
+        place = np.stack([self.events["x"], self.events["y"]], axis=1) * config.to_grid(1.0, 1.0)
         centre = np.subtract(config.grid, 1) / 2
         landmark = self._landmarks()
         tau = config.t_max * (self.events["t"] - self.start_us) / config.window_us
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = ((place - landmark) / tau[:, np.newaxis] + centre).T
-        return Coordinates(u, v, _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1), landmark)
+        return Coordinates(
+            u, v, _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1), landmark
+        )
 
     def _landmarks(self) -> np.ndarray:
         """The point that each event is centred on: float64, shape (N, 2)."""
         config = self.subject.config
-        if config.defers_landmark:  # known only when the volume is read, and then one for all events
+        # known only when the volume is read, and then one for all events
+        if config.defers_landmark:
             return np.tile(self._volume(config).landmark, (self.events.size, 1))
         centred_on = np.empty((self.events.size, 2))
-        volume = TNTVolume(config.replace(representation="volume", bins=1))  # landmarks do not depend on the cells
+        # landmarks do not depend on the cells
+        volume = TNTVolume(config.replace(representation="volume", bins=1))
         volume.open(self.start_us)
         for i, event in enumerate(self.events.tolist()):
             volume.update_one(*event)
             centred_on[i] = volume.landmark
             if config.remove_flow:
-                centred_on[i] += np.multiply(volume.flow, (event[0] - self.start_us) / config.window_us)
+                centred_on[i] += np.multiply(
+                    volume.flow, (event[0] - self.start_us) / config.window_us
+                )
         return centred_on
 
     def _volume(self, config: TNTConfig) -> TNTVolume:
@@ -144,14 +157,15 @@ class Coordinates(NamedTuple):
     """Of N events of a window, in order of arrival."""
 
     u: np.ndarray
-    """float64, shape (N,): column in the transformed grid; inf or nan at the window's very start, where tau is 0."""
+    """float64, shape (N,): column in the transformed grid; inf or nan at the window's very start,
+    where tau is 0."""
     v: np.ndarray
     """float64, shape (N,): row."""
     kept: np.ndarray
     """bool, shape (N,): on the grid, and so in the volume."""
     landmark: np.ndarray
-    """float64, shape (N, 2): the point (x, y) each event was centred on, in grid pixels. With `remove_flow`, the
-    place of the fitted line at the event's time."""
+    """float64, shape (N, 2): the point (x, y) each event was centred on, in grid pixels. With
+    `remove_flow`, the place of the fitted line at the event's time."""
 
 
 def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:

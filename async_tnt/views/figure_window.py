@@ -1,4 +1,5 @@
-"""One window: its events in space-time, raw (x, y, t) and transformed (u, v, t), and the bins of both volumes."""
+"""One window: its events in space-time, raw (x, y, t) and transformed (u, v, t), and the bins of
+both volumes."""
 
 from __future__ import annotations
 
@@ -34,13 +35,16 @@ LEFT, RIGHT, GAP, ROW_GAP, HEAD, TALLEST = 0.75, 0.85, 0.06, 0.12, 0.36, 1.9  # 
 
 
 def draw_both(figure: Figure, window: Window, height: float) -> None:
-    """Raw and transformed events side by side under their titles, and the legend, at the top of a figure."""
+    """Raw and transformed events side by side under their titles, and the legend, at the top of a
+    figure."""
     config, events = window.subject.config, window.events
     u, v, kept, _ = window.coordinates()
     raw, tnt = (axes_at(figure, left, 0.7, 5.0, height, projection="3d") for left in (0.0, 5.2))
     _draw_events(raw, window, events["x"], events["y"], np.ones(events.size, bool))
     _frame(raw, window, config.sensor, "x", "y")
-    write_at(figure, 2.6, 0.7, f"raw: {events.size:,} events in window {window.number}", ha="center")
+    write_at(
+        figure, 2.6, 0.7, f"raw: {events.size:,} events in window {window.number}", ha="center"
+    )
     _draw_events(tnt, window, u, v, kept)
     _frame(tnt, window, config.grid, "u", "v")
     words = f"after TNT ({transform_words(config)}): {int(kept.sum()):,} events kept"
@@ -55,24 +59,40 @@ def transform_words(config: TNTConfig) -> str:
 
 
 def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
-    """Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of moments."""
+    """Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of
+    moments."""
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     size = 3.0 * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)
-    axes.scatter(window.time_ms[shown], x[shown], y[shown], s=size, c=colours, lw=0, depthshade=False, rasterized=True)
+    axes.scatter(
+        window.time_ms[shown],
+        x[shown],
+        y[shown],
+        s=size,
+        c=colours,
+        lw=0,
+        depthshade=False,
+        rasterized=True,
+    )
 
 
 def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_name: str) -> None:
-    axes.set(xlim=(0, window.subject.config.window_us / 1e3), ylim=(0, sides[0] - 1), zlim=(sides[1] - 1, 0))
+    axes.set(
+        xlim=(0, window.subject.config.window_us / 1e3),
+        ylim=(0, sides[0] - 1),
+        zlim=(sides[1] - 1, 0),
+    )
     axes.set_xlabel("time in the window (ms)", labelpad=-1)
     axes.set_ylabel(f"{x_name} (px)", labelpad=-4)
     axes.set_zlabel(f"{y_name} (px)", labelpad=-6)
     axes.tick_params(labelsize=SMALL, pad=-2, colors=TEXT)
-    axes.set_proj_type("ortho")  # parallels stay parallel: a shape in constant motion is a slanted tube
+    # parallels stay parallel: a shape in constant motion is a slanted tube
+    axes.set_proj_type("ortho")
     axes.set_box_aspect((1.9, sides[0] / max(sides), sides[1] / max(sides)), zoom=1.2)
     axes.view_init(elev=16, azim=-38)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_major_locator(few_ticks(prune="both"))  # labels at the corners of the box would overlap
+        # labels at the corners of the box would overlap
+        axis.set_major_locator(few_ticks(prune="both"))
         axis.set_pane_color((1, 1, 1, 0))
 
 
@@ -89,14 +109,19 @@ class Layer(NamedTuple):
 def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:
     """A volume as pictures: one row, or with split polarity two."""
     if config.polarity == "split":
-        return [Layer(volume[: config.bins], f"{name}, ON", "ON"), Layer(volume[config.bins :], f"{name}, OFF", "OFF")]
+        return [
+            Layer(volume[: config.bins], f"{name}, ON", "ON"),
+            Layer(volume[config.bins :], f"{name}, OFF", "OFF"),
+        ]
     return [Layer(volume, name, config.polarity)]
 
 
 def layers_of_window(window: Window) -> list[Layer]:
     """Its raw and its transformed volume as pictures."""
     raw, tnt = window.volumes()
-    return layers_of(raw, window.subject.config, "raw") + layers_of(tnt, window.subject.config, "TNT")
+    return layers_of(raw, window.subject.config, "raw") + layers_of(
+        tnt, window.subject.config, "TNT"
+    )
 
 
 def layers_height(config: TNTConfig, n_shown: int) -> float:
@@ -106,7 +131,8 @@ def layers_height(config: TNTConfig, n_shown: int) -> float:
 
 
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
-    """Rows of pictures over the figure's width, from `top` inches below its upper edge on, and their colour bars."""
+    """Rows of pictures over the figure's width, from `top` inches below its upper edge on, and
+    their colour bars."""
     config, layers = window.subject.config, layers_of_window(window)
     width, height = _picture(config, len(shown))
     titles = [f"bin {k}\n{bin_ms(config, k)}" for k in shown]
@@ -126,20 +152,30 @@ def draw_rows(
     corner: tuple[float, float],
     picture: tuple[float, float],
 ) -> list[AxesImage]:
-    """A row of pictures for each layer: its bins `shown`, in common colours. Returns an image of each row.
+    """A row of pictures for each layer: its bins `shown`, in common colours. Returns an image of
+    each row.
 
     corner, picture : (left, top) of the first picture and (width, height) of each, in inches.
     """
     (left, top), (width, height), images = corner, picture, []
     for row, layer in enumerate(layers):
         used = np.abs(layer.cells[shown])
-        # the value of full colour is exceeded by the largest cells, which would leave the others pale
+        # the value of full colour is exceeded by the largest cells, which would leave the others
+        # pale
         limit = float(np.quantile(used[used > 0], 0.98)) if used.any() else 1.0
         signed = layer.colours == "signed"
         shades = colour_map(*(OFF_TO_ON if signed else ("#ffffff", INK[layer.colours])))
         for column, (k, title) in enumerate(zip(shown, titles, strict=True)):
-            axes = picture_at(figure, left + column * (width + GAP), top + row * (height + ROW_GAP), width, height)
-            image = axes.imshow(layer.cells[k], cmap=shades, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto")
+            axes = picture_at(
+                figure, left + column * (width + GAP), top + row * (height + ROW_GAP), width, height
+            )
+            image = axes.imshow(
+                layer.cells[k],
+                cmap=shades,
+                vmin=-limit if signed else 0.0,
+                vmax=limit,
+                aspect="auto",
+            )
             if row == 0:
                 axes.set_title(title, fontsize=SMALL, pad=3)
             if column == 0:

@@ -1,4 +1,5 @@
-"""What is logged to Rerun for a picture and for the decisions since the previous one, and the viewer's layout."""
+"""What is logged to Rerun for a picture and for the decisions since the previous one, and the
+viewer's layout."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ RAW, TNT = "volumes/raw", "volumes/tnt"
 PROBABILITIES = "probabilities"
 CLASS, DECISIONS = "class", "decisions"
 
-# Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is dark
+# Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is
+# dark
 ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
 NOTHING_COLOUR, GAP_COLOUR, WHITE = (18, 20, 24), (70, 74, 80), (255, 255, 255)
 NOTHING, OFF, ON = 0, 1, 2
@@ -49,7 +51,11 @@ class StreamLog:
         self._pending: deque[Decision] = deque(maxlen=MOST_LINES)
         self._n_pending = 0
         stream.send_blueprint(_blueprint(rr, config.transform == "tnt", live))
-        colours = [(NOTHING, "no event", NOTHING_COLOUR), (OFF, "OFF (darker)", OFF_COLOUR), (ON, "ON", ON_COLOUR)]
+        colours = [
+            (NOTHING, "no event", NOTHING_COLOUR),
+            (OFF, "OFF (darker)", OFF_COLOUR),
+            (ON, "ON", ON_COLOUR),
+        ]
         self._stream.log(EVENTS, rr.AnnotationContext(colours), static=True)
 
     def add(self, decisions: Sequence[Decision]) -> None:
@@ -57,7 +63,9 @@ class StreamLog:
         self._pending.extend(decisions)
         self._n_pending += len(decisions)
 
-    def write(self, at_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor) -> None:
+    def write(
+        self, at_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor
+    ) -> None:
         """A picture.
 
         Parameters
@@ -79,15 +87,27 @@ class StreamLog:
         if self._config.transform == "tnt":
             self._stream.log(TNT, rr.Image(bin_sheet(processor.volume())))
             # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
-            places = [np.add(self._config.to_sensor(*processor.landmark), 0.5)] if now.events else np.empty((0, 2))
+            places = (
+                [np.add(self._config.to_sensor(*processor.landmark), 0.5)]
+                if now.events
+                else np.empty((0, 2))
+            )
             radius = rr.components.Radius.ui_points(5.0)
-            self._stream.log(LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0))
+            self._stream.log(
+                LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0)
+            )
         if now.objects is not None:
-            centres = np.array([(found.x, found.y) for found in now.objects]).reshape(-1, 2) + 0.5  # as above
+            # as above
+            centres = np.array([(found.x, found.y) for found in now.objects]).reshape(-1, 2) + 0.5
             labels = [f"{found.label} {found.probability:.2f}" for found in now.objects]
             size = rr.components.Radius.ui_points(6.0)
-            self._stream.log(OBJECTS, rr.Points2D(centres, radii=size, labels=labels, colors=[WHITE], draw_order=100.0))
-        self._stream.log(CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN))
+            self._stream.log(
+                OBJECTS,
+                rr.Points2D(centres, radii=size, labels=labels, colors=[WHITE], draw_order=100.0),
+            )
+        self._stream.log(
+            CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN)
+        )
         if now.events:
             self._log_probabilities(now)
 
@@ -103,7 +123,10 @@ class StreamLog:
                 n_left_out = 0
             self._set_time(d.time_us)
             self._stream.log(
-                DECISIONS, self._rr.TextLog(text, level="INFO" if d.complete or d.trigger == "end" else "TRACE")
+                DECISIONS,
+                self._rr.TextLog(
+                    text, level="INFO" if d.complete or d.trigger == "end" else "TRACE"
+                ),
             )
             self._log_probabilities(d)
         self._pending.clear()
@@ -112,7 +135,10 @@ class StreamLog:
     def _log_probabilities(self, decision: Decision) -> None:
         shown: Any = decision.probabilities
         if decision.objects is not None:  # of each class the likeliest object
-            shown = [max((o.probability for o in decision.objects if o.label == c), default=0.0) for c in self._classes]
+            shown = [
+                max((o.probability for o in decision.objects if o.label == c), default=0.0)
+                for c in self._classes
+            ]
         self._stream.log(PROBABILITIES, self._rr.Scalars(shown))
 
     def _set_time(self, t_us: int) -> None:
@@ -134,7 +160,9 @@ def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
         pictures.append(b.Spatial2DView(origin=TNT, name="TNT volume, all bins"))
     at = rr.TimeRangeBoundary.cursor_relative
     last = rr.VisibleTimeRange(TIMELINE, start=at(seconds=-LIVE_SECONDS), end=at())
-    plots = b.TimeSeriesView(origin=PROBABILITIES, name="Probabilities", time_ranges=[last] if live else None)
+    plots = b.TimeSeriesView(
+        origin=PROBABILITIES, name="Probabilities", time_ranges=[last] if live else None
+    )
     top = b.Horizontal(*pictures, b.TextDocumentView(origin=CLASS, name="Class now"))
     below = b.Horizontal(plots, b.TextLogView(origin=DECISIONS, name="Decisions"))
     return b.Blueprint(b.Vertical(top, below, row_shares=[5, 4]), collapse_panels=True)
@@ -153,21 +181,22 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
     uint8, shape (height, width), indexed [y, x]: NOTHING, OFF or ON.
     """
     image = np.zeros((sensor[1], sensor[0]), np.uint8)
-    image[events["y"], events["x"]] = OFF + events["p"]  # of several at one pixel NumPy keeps the last
+    # of several at one pixel NumPy keeps the last
+    image[events["y"], events["x"]] = OFF + events["p"]
     return image
 
 
 def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.ndarray:
     """All bins of a volume side by side: row by row, the first one at the top left.
 
-    The colour shows the sign (ON positive, OFF negative), its brightness the square root of the value relative to the
-    largest one in the volume: single events stay visible next to many.
+    The colour shows the sign (ON positive, OFF negative), its brightness the square root of the
+    value relative to the largest one in the volume: single events stay visible next to many.
 
     Parameters
     ----------
     volume : float32, shape (C, H, W).
-    most_pixels : of the sheet, gaps not counted. A larger volume is reduced by a whole number, each of its blocks of
-        cells shown by the largest value in it.
+    most_pixels : of the sheet, gaps not counted. A larger volume is reduced by a whole number, each
+        of its blocks of cells shown by the largest value in it.
 
     Returns
     -------
@@ -190,7 +219,10 @@ def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.nd
 def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
     """Each block of factor x factor cells as the one of the largest magnitude, with its sign."""
     rows, columns = (np.arange(0, side, factor) for side in volume.shape[1:])
-    high, low = (f.reduceat(f.reduceat(volume, rows, axis=1), columns, axis=2) for f in (np.maximum, np.minimum))
+    high, low = (
+        f.reduceat(f.reduceat(volume, rows, axis=1), columns, axis=2)
+        for f in (np.maximum, np.minimum)
+    )
     return np.where(high >= -low, high, low)
 
 
@@ -200,13 +232,16 @@ def class_text(now: Decision, classes: Sequence[str]) -> str:
         return "# no event\n\nThe window has no event yet."
     if now.objects is not None:
         rows = "\n".join(
-            f"| {o.id} | {_plain(o.label)} | {o.probability:.3f} | {o.x:.0f}, {o.y:.0f} |" for o in now.objects
+            f"| {o.id} | {_plain(o.label)} | {o.probability:.3f} | {o.x:.0f}, {o.y:.0f} |"
+            for o in now.objects
         )
         return f"# {len(now.objects)} objects\n\n| number | class | probability | place |\n|---|---|---|---|\n{rows}\n"
     length_ms = (now.time_us - now.window_start_us) / 1e3
     likeliest = np.argsort(-now.probabilities, kind="stable")[:MOST_NAMED]
     rows = "\n".join(f"| {_plain(classes[k])} | {now.probabilities[k]:.3f} |" for k in likeliest)
-    about = f"with probability {now.probability:.3f}, from {now.events:,} events in {length_ms:,.1f} ms"
+    about = (
+        f"with probability {now.probability:.3f}, from {now.events:,} events in {length_ms:,.1f} ms"
+    )
     return f"# {_plain(now.label or 'nothing')}\n\n{about}\n\n| class | probability |\n|---|---|\n{rows}\n"
 
 

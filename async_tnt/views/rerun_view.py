@@ -46,15 +46,18 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
 
     Parameters
     ----------
-    model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that has seen no event yet.
+    model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that has
+        seen no event yet.
     out : a .rrd file to write; `rerun FILE.rrd` opens it.
-    connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
-        started.
-    picture_us : recorded microseconds between pictures. Another one is taken at the end of each window.
-    live : for streams without an end: at most 60 pictures a second of real time, and drawing takes half of the time
-        at most; the plots show the last seconds.
+    connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a
+        viewer is started.
+    picture_us : recorded microseconds between pictures. Another one is taken at the end of each
+        window.
+    live : for streams without an end: at most 60 pictures a second of real time, and drawing takes
+        half of the time at most; the plots show the last seconds.
     name : of this recording in the viewer's list; by default a number.
-    settings : keyword arguments of `Processor`. Of overlapping windows the one that `Processor.fire` names is shown.
+    settings : keyword arguments of `Processor`. Of overlapping windows the one that
+        `Processor.fire` names is shown.
 
     Attributes
     ----------
@@ -64,7 +67,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
     ------
     ImportError : rerun-sdk is not installed.
     ValueError, TypeError : a setting breaks its rule.
-    OSError : the file cannot be written, no viewer responds, or there is no display to start one on.
+    OSError : the file cannot be written, no viewer responds, or there is no display to start one
+        on.
     """
 
     def __init__(
@@ -85,7 +89,9 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         self.processor = as_processor(model, **settings)
         config = self.processor.config
         if config.window_events is not None:
-            raise ValueError(f"windows of a duration can be viewed, but not of {config.window_events} events")
+            raise ValueError(
+                f"windows of a duration can be viewed, but not of {config.window_events} events"
+            )
         self._live = live
         raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
         self._raw = TNTVolume(raw_config, late=self.processor.late)
@@ -107,11 +113,13 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         self._next_check_s = time.perf_counter() + CHECK_S
         self._origin_us: int | None = None
         self._due_us = self._newest_us = 0
-        self._recent = [np.empty(0, EVENT_DTYPE)]  # packets, of the open window and of the event image
+        # packets, of the open window and of the event image
+        self._recent = [np.empty(0, EVENT_DTYPE)]
         self._next_picture_s = 0.0
 
     def push(self, events: Any) -> list[Decision]:
-        """Classify a packet of `events` as `Processor.push` does, and log the pictures that are due.
+        """Classify a packet of `events` as `Processor.push` does, and log the pictures that are
+        due.
 
         Raises
         ------
@@ -120,10 +128,13 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         packet = as_events(events, self.processor.config.sensor)
         if len(packet) == 0:
             return []
-        newest = np.maximum.accumulate(packet["t"])  # an event out of order comes with the newest before it
+        # an event out of order comes with the newest before it
+        newest = np.maximum.accumulate(packet["t"])
         np.maximum(newest, self._newest_us, out=newest)
         if int(newest[-1]) > LAST_US:
-            raise ValueError(f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}")
+            raise ValueError(
+                f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}"
+            )
         if self.processor.late == "raise" and (newest > packet["t"]).any():
             return self.processor.push(packet)  # as a whole: it is refused
         if self._origin_us is None:  # windows, and thus pictures, begin with the first event
@@ -147,7 +158,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return decisions
 
     def finish(self) -> list[Decision]:
-        """End the stream: a last picture, and the decision of `Processor.finish` on the open window."""
+        """End the stream: a last picture, and the decision of `Processor.finish` on the open
+        window."""
         if self._origin_us is None:
             return []
         self._picture(self._newest_us + 1, last=True)
@@ -179,7 +191,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._next_check_s = clock_s + CHECK_S
 
     def _raw_volume(self, events: np.ndarray, now: Decision) -> np.ndarray:
-        """The open window's volume without the transform: float32, shape (C, H, W), valid until the next call."""
+        """The open window's volume without the transform: float32, shape (C, H, W), valid until the
+        next call."""
         self._raw.reset()
         self._raw.open(now.window_start_us)
         if now.events:
@@ -219,7 +232,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._stream.flush(timeout_sec=PATIENCE_S)
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        if kind is not None:  # the file keeps what came before the error; the state after it may be inconsistent
+        # the file keeps what came before the error; the state after it may be inconsistent
+        if kind is not None:
             with contextlib.suppress(Exception):
                 self.finish()
             self._origin_us = None
@@ -241,8 +255,12 @@ def _save(stream: Any, path: Path) -> Replacement:
 
 def _start_viewer(stream: Any) -> None:
     """Send to a viewer that is started and outlives this program."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise OSError("no display to open the Rerun viewer on: write a file, or connect to a viewer elsewhere")
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        raise OSError(
+            "no display to open the Rerun viewer on: write a file, or connect to a viewer elsewhere"
+        )
     with _as_os_error("the Rerun viewer cannot be started"):
         stream.spawn(memory_limit="25%")
         stream.flush(timeout_sec=PATIENCE_S)
@@ -254,7 +272,9 @@ def _connect(stream: Any, url: str) -> None:
     if not parts.hostname or parts.path != "/proxy":
         raise ValueError(f"a viewer's URL is rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
     try:  # the SDK would wait for seconds, and print lines of its own
-        socket.create_connection((parts.hostname, parts.port or DEFAULT_PORT), timeout=PATIENCE_S).close()
+        socket.create_connection(
+            (parts.hostname, parts.port or DEFAULT_PORT), timeout=PATIENCE_S
+        ).close()
     except OSError:
         raise OSError(f"{url}: no Rerun viewer listens there; `rerun` starts one") from None
     with _as_os_error(url):
@@ -263,7 +283,8 @@ def _connect(stream: Any, url: str) -> None:
 
 @contextlib.contextmanager
 def _as_os_error(what: object) -> Iterator[None]:
-    """Turn an error of the SDK (a full disk, a viewer that was closed) into an OSError of one line."""
+    """Turn an error of the SDK (a full disk, a viewer that was closed) into an OSError of one
+    line."""
     try:
         yield
     except RuntimeError as error:
@@ -273,9 +294,9 @@ def _as_os_error(what: object) -> Iterator[None]:
 def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
     """The first moment after `t_us` at which a picture is due.
 
-    Windows follow each other from `origin_us`. Pictures are due every `step_us` from a window's start and at its end,
-    so that the last picture of a window shows all of it. Where a window is shorter than a step: at the end of as many
-    whole windows as a step needs.
+    Windows follow each other from `origin_us`. Pictures are due every `step_us` from a window's
+    start and at its end, so that the last picture of a window shows all of it. Where a window is
+    shorter than a step: at the end of as many whole windows as a step needs.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """Where an event lies: in the grid, in time, in the window. One function per equation.
 
-Everything is float64, and on the CPU every function performs exactly the operations of its equation, in that
-order. The streaming kernels do the same ones, so that "is this event inside the border?" has one answer.
+Everything is float64, and on the CPU every function performs exactly the operations of its
+equation, in that order. The streaming kernels do the same ones, so that "is this event inside the
+border?" has one answer.
 """
 
 from __future__ import annotations

@@ -29,9 +29,11 @@ def hats(
 
     Parameters
     ----------
-    t, x, y, p, start_us, window_us, sensor, dtype : as for `event_volume`. j < i is the order of the columns.
+    t, x, y, p, start_us, window_us, sensor, dtype : as for `event_volume`. j < i is the order of
+        the columns.
     grid : (width, height) in cells; pixel x lies in column floor(x width / sensor width).
-    polarity : "unsigned": p_j and p_i do not matter; "split": the bins of the ON events, then those of the OFF events.
+    polarity : "unsigned": p_j and p_i do not matter; "split": the bins of the ON events, then those
+        of the OFF events.
 
     Returns
     -------
@@ -39,8 +41,8 @@ def hats(
 
     References
     ----------
-    Sironi et al. 2018, arXiv:1803.07913, equations 5 to 8, without the decay exp(-(t_i - t_j) / tau), whose tau is ten
-    thousand windows there.
+    Sironi et al. 2018, arXiv:1803.07913, equations 5 to 8, without the decay exp(-(t_i - t_j) /
+    tau), whose tau is ten thousand windows there.
 
     Example
     -------
@@ -51,7 +53,9 @@ def hats(
     """
     check_polarity(polarity)
     if polarity == "signed":
-        raise ValueError("`polarity` must be 'split' or 'unsigned': histograms have no sign, got 'signed'")
+        raise ValueError(
+            "`polarity` must be 'split' or 'unsigned': histograms have no sign, got 'signed'"
+        )
     check_size("sensor", sensor)
     columns, rows = check_size("grid", grid)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
@@ -61,7 +65,9 @@ def hats(
     total = torch.zeros(polarities, side, side, rows, columns, dtype=torch.float64)
     size = torch.zeros(rows, columns, dtype=torch.float64)
     earlier: list[tuple[int, int, int]] = []
-    for inside, (u, v), q in zip(events.inside.tolist(), whole_pixels(events).tolist(), of.tolist(), strict=True):
+    for inside, (u, v), q in zip(
+        events.inside.tolist(), whole_pixels(events).tolist(), of.tolist(), strict=True
+    ):
         if not inside:
             continue
         cell = v * rows // sensor[1], u * columns // sensor[0]

@@ -10,13 +10,15 @@ from .window import Column, check_polarity, check_size, signs, whole_pixels, win
 WEIGHT_TOLERANCE = 1e-9
 
 
-def count_image(t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int, int]) -> torch.Tensor:
+def count_image(
+    t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int, int]
+) -> torch.Tensor:
     """I[c, y, x] = #{i : x_i = x, y_i = y, p_i = 1 - c}        c = 0: ON, c = 1: OFF
 
     Parameters
     ----------
-    t, x, y, p : columns of N events, in any order: microseconds (ignored); whole sensor pixels; bool,
-        0/1 or -1/+1.
+    t, x, y, p : columns of N events, in any order: microseconds (ignored); whole sensor pixels;
+        bool, 0/1 or -1/+1.
     sensor : (width, height).
 
     Returns
@@ -58,8 +60,8 @@ def count_timestamp_image(
         I[c, y, x]     = #{i : x_i = x, y_i = y, p_i = 1 - c}          c = 0: ON, c = 1: OFF
         I[2 + c, y, x] = max {f_i : x_i = x, y_i = y, p_i = 1 - c}     f_i = (t_i - start_us) / window_us
 
-    over the events with 0 <= f_i < 1: here, as an exception, the window is half-open, as a stream's is. The time
-    of a pixel without events is 0.
+    over the events with 0 <= f_i < 1: here, as an exception, the window is half-open, as a stream's
+    is. The time of a pixel without events is 0.
 
     Parameters
     ----------
@@ -79,7 +81,9 @@ def count_timestamp_image(
     >>> count_timestamp_image(t=[10, 20, 30], x=[0, 2, 2], y=[1, 0, 0], p=[1, 0, 0], **at)[3].tolist()
     [[0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
     """
-    channel, row, column, f = events_at(t, x, y, p, start_us=start_us, window_us=window_us, sensor=sensor)
+    channel, row, column, f = events_at(
+        t, x, y, p, start_us=start_us, window_us=window_us, sensor=sensor
+    )
     inside = (f >= 0) & (f < 1)
     channel, row, column, f = channel[inside], row[inside], column[inside], f[inside]
     image = torch.zeros(4, sensor[1], sensor[0], dtype=torch.float64)
@@ -103,19 +107,21 @@ def time_image(
     polarity: str = "split",
     dtype: torch.dtype = torch.float32,
 ) -> torch.Tensor:
-    """When events came, on a grid of any size: each is shared by the cells around it, as in the event volume.
+    """When events came, on a grid of any size: each is shared by the cells around it, as in the
+    event volume.
 
         w_i = k(y - y_i) k(x - x_i)         k(a) = max(0, 1 - |a|), places in grid pixels
         N[y, x] = sum_i w_i                 T[y, x] = max {f_i : w_i > 0}          M[y, x] = sum_i w_i f_i / N[y, x]
         S[y, x] = max {exp(-(1 - f_i) window / tau) : w_i > 0}                     tau = window / 2
 
-    Where there are no events, all are 0. A weight below WEIGHT_TOLERANCE counts as 0: it is the rounding of a place.
+    Where there are no events, all are 0. A weight below WEIGHT_TOLERANCE counts as 0: it is the
+    rounding of a place.
 
     Parameters
     ----------
     t, x, y, p, start_us, window_us, sensor, grid, dtype : as for `event_volume`.
-    representation : "count_time": the channels N and T; "mean_time": the channel M; "time_surface": S, at
-        the window's end.
+    representation : "count_time": the channels N and T; "mean_time": the channel M; "time_surface":
+        S, at the window's end.
     polarity : "unsigned", or "split": the channels of the ON events, then those of the OFF events.
 
     Returns
@@ -124,8 +130,8 @@ def time_image(
 
     References
     ----------
-    Zhu et al. 2018, arXiv:1802.06898, for N and T; Mitrokhin et al. 2018, arXiv:1803.04523, for M; Lagorce et
-    al. 2017, doi:10.1109/TPAMI.2016.2574707, for S.
+    Zhu et al. 2018, arXiv:1802.06898, for N and T; Mitrokhin et al. 2018, arXiv:1803.04523, for M;
+    Lagorce et al. 2017, doi:10.1109/TPAMI.2016.2574707, for S.
 
     Example
     -------
@@ -135,20 +141,29 @@ def time_image(
     """
     if representation not in ("count_time", "mean_time", "time_surface"):
         raise ValueError(
-            f"`representation` must be 'count_time', 'mean_time' or 'time_surface', got {representation!r}"
+            f"`representation` must be 'count_time', 'mean_time' or 'time_surface', got "
+            f"{representation!r}"
         )
     check_polarity(polarity)
     if polarity == "signed":
-        raise ValueError("`polarity` must be 'split' or 'unsigned': times have no sign, got 'signed'")
+        raise ValueError(
+            "`polarity` must be 'split' or 'unsigned': times have no sign, got 'signed'"
+        )
     grid = check_size("grid", grid)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     sign = signs(p, len(events.dt))
     place = to_grid(events.pixels, sensor, grid).double()  # (N, 2)
     f = window_fraction(events.dt, window_us)  # (N,)
-    polarities = [events.inside] if polarity == "unsigned" else [events.inside & (sign > 0), events.inside & (sign < 0)]
+    polarities = (
+        [events.inside]
+        if polarity == "unsigned"
+        else [events.inside & (sign > 0), events.inside & (sign < 0)]
+    )
     channels = []
     for which in polarities:
-        count, newest, total = (torch.zeros(grid[1], grid[0], dtype=torch.float64) for _ in range(3))
+        count, newest, total = (
+            torch.zeros(grid[1], grid[0], dtype=torch.float64) for _ in range(3)
+        )
         for (u, v), time in zip(place[which].tolist(), f[which].tolist(), strict=True):
             for column in range(int(u), min(int(u) + 2, grid[0])):
                 for row in range(int(v), min(int(v) + 2, grid[1])):
@@ -159,14 +174,24 @@ def time_image(
                         total[row, column] += w * time
         mean = torch.where(count > 0, total / torch.where(count > 0, count, 1.0), 0.0)
         surface = torch.where(count > 0, torch.exp(-2 * (1 - newest)), 0.0)
-        channels += {"count_time": [count, newest], "mean_time": [mean], "time_surface": [surface]}[representation]
+        channels += {"count_time": [count, newest], "mean_time": [mean], "time_surface": [surface]}[
+            representation
+        ]
     return torch.stack(channels).to(dtype)
 
 
 def events_at(
-    t: Column, x: Column, y: Column, p: Column, *, start_us: int, window_us: int, sensor: tuple[int, int]
+    t: Column,
+    x: Column,
+    y: Column,
+    p: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Channel, row, column (int64) and window fraction (float64) of all N events, checked; four of (N,)."""
+    """Channel, row, column (int64) and window fraction (float64) of all N events, checked; four of
+    (N,)."""
     check_size("sensor", sensor)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     channel = (signs(p, len(events.dt)) < 0).long()  # (N,)

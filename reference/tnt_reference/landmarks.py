@@ -1,7 +1,8 @@
 """The landmark: the point that the transform normalises each event about.
 
-`running` and `line` use, for event i, events 1..i of the window only (in arrival order, i included), which
-is what a stream knows at that moment. Each prefix is computed from its definition, by sums over the prefix.
+`running` and `line` use, for event i, events 1..i of the window only (in arrival order, i
+included), which is what a stream knows at that moment. Each prefix is computed from its definition,
+by sums over the prefix.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from .window import Column, check_size, window_events
 
 LANDMARKS = ("center", "running", "line", "window")
 
-_CHUNK_CELLS = 1 << 16  # prefixes x events held at once by `line`: 512 KiB an array, which caches hold
+# prefixes x events held at once by `line`: 512 KiB an array, which caches hold
+_CHUNK_CELLS = 1 << 16
 
 
 def landmark(
@@ -45,8 +47,8 @@ def landmark(
 
     Returns
     -------
-    float64 tensor (N, 2), (x, y) in grid pixels. Rows of events outside the window hold the image centre
-    and are never read; those events do not affect any other row.
+    float64 tensor (N, 2), (x, y) in grid pixels. Rows of events outside the window hold the image
+    centre and are never read; those events do not affect any other row.
 
     Raises
     ------
@@ -54,8 +56,8 @@ def landmark(
 
     References
     ----------
-    Wang 2019, arXiv:1911.12801, the landmark of the Temporal Normalization Transform. `center` is the
-    thesis' row "TNT"; the other three are ours.
+    Wang 2019, arXiv:1911.12801, the landmark of the Temporal Normalization Transform. `center` is
+    the thesis' row "TNT"; the other three are ours.
 
     Example
     -------
@@ -64,10 +66,13 @@ def landmark(
     [[0.0, 4.0], [1.0, 4.0], [3.0, 4.0]]
     """
     if name == "regressor":
-        raise ValueError("landmark 'regressor' needs a network: use Pipeline, or pass the (x, y) it found")
+        raise ValueError(
+            "landmark 'regressor' needs a network: use Pipeline, or pass the (x, y) it found"
+        )
     if name not in LANDMARKS:
         raise ValueError(
-            f"`landmark` must be one of {', '.join(LANDMARKS)}, or (x, y), or a tensor (N, 2); got {name!r}"
+            f"`landmark` must be one of {', '.join(LANDMARKS)}, or (x, y), or a tensor (N, 2); got "
+            f"{name!r}"
         )
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     pixels = events.pixels[events.inside]  # (M, 2), the events that take part
@@ -98,8 +103,9 @@ def fitted_flow(
 
         m_i = C_xf / (C_ff + 1),   C_xf = sum_j (x_j - mean_x)(f_j - mean_f),   C_ff = sum_j (f_j - mean_f)^2
 
-    with all sums over j = 1..i. The 1, in units of squared windows, is a ridge: with few events the slope
-    goes to 0 and the intercept to the running centroid, where the plain fit would be ill-posed.
+    with all sums over j = 1..i. The 1, in units of squared windows, is a ridge: with few events the
+    slope goes to 0 and the intercept to the running centroid, where the plain fit would be
+    ill-posed.
 
     Parameters
     ----------
@@ -125,18 +131,21 @@ def prefix_means(pixels: torch.Tensor) -> torch.Tensor:
 
 
 def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Row i: intercept and slope of the ridge line through rows 0..i. (M, 2), (M,) -> (M, 2), (M, 2)."""
+    """Row i: intercept and slope of the ridge line through rows 0..i. (M, 2), (M,) -> (M, 2), (M,
+    2)."""
     means, mean_fs = prefix_means(pixels), prefix_means(f[:, None])  # (M, 2), (M, 1)
     intercepts, slopes = [means[:0]], [means[:0]]  # so that no events give (0, 2)
     n_rows = max(1, _CHUNK_CELLS // max(1, len(f)))
-    for first in range(0, len(f), n_rows):  # R prefixes at a time: all of them at once would be M x M
+    # R prefixes at a time: all of them at once would be M x M
+    for first in range(0, len(f), n_rows):
         last = min(first + n_rows, len(f))
         mean_xy = means[first:last]  # (R, 2)
         mean_f = mean_fs[first:last]  # (R, 1)
         df = f[:last] - mean_f  # (R, K)
         df[:, first:].tril_()  # 0 for events after the prefix
         c_ff = (df * df).sum(1)  # (R,)
-        # a row of df adds up to 0, so any one point may be taken off each pixel: a near one, against cancellation
+        # a row of df adds up to 0, so any one point may be taken off each pixel: a near one,
+        # against cancellation
         c_xf = df @ (pixels[:last] - means[last - 1])  # (R, 2)
         m = c_xf / (c_ff + 1)[:, None]  # (R, 2)
         slopes.append(m)
@@ -149,7 +158,8 @@ def given_landmark(point: Sequence[float] | torch.Tensor, n_events: int) -> torc
     rows = point if isinstance(point, torch.Tensor) else torch.tensor(point, dtype=torch.float64)
     if tuple(rows.shape) not in ((2,), (n_events, 2)):
         raise ValueError(
-            f"`landmark` must have shape (2,) or ({n_events}, 2), one row an event, got {tuple(rows.shape)}"
+            f"`landmark` must have shape (2,) or ({n_events}, 2), one row an event, got "
+            f"{tuple(rows.shape)}"
         )
     if not rows.isfinite().all():
         raise ValueError("`landmark` must be finite, got NaN or infinity")

@@ -11,7 +11,13 @@ from .window import Column, as_column, check_same_length, whole_number
 
 
 def move_by_flow(
-    t: Column, x: Column, y: Column, flow: Sequence[float] | torch.Tensor, *, start_us: int, window_us: int
+    t: Column,
+    x: Column,
+    y: Column,
+    flow: Sequence[float] | torch.Tensor,
+    *,
+    start_us: int,
+    window_us: int,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """L_v (x, y, t) = (x + v_x f, y + v_y f, t)        f = (t - start_us) / window_us
 
@@ -19,7 +25,8 @@ def move_by_flow(
     ----------
     t : (N,) integer microseconds, or float64.
     x, y : (N,) pixels, whole or not.
-    flow : v = (v_x, v_y) in pixels per window; a tensor that requires a gradient gets one, as do t, x and y.
+    flow : v = (v_x, v_y) in pixels per window; a tensor that requires a gradient gets one, as do t,
+        x and y.
     start_us, window_us : where f is 0, and how much later it is 1.
 
     Returns

@@ -1,12 +1,14 @@
-"""One image that moves over a sensor: how likely a path makes a window's events, and its best image.
+"""One image that moves over a sensor: how likely a path makes a window's events, and its best
+image.
 
-With L the image of log luminance at the window's start, in units of the pixels' thresholds, and r_k its displacement at
-the end of the k-th of K equal parts of the window, the events up to then sum up to
+With L the image of log luminance at the window's start, in units of the pixels' thresholds, and r_k
+its displacement at the end of the k-th of K equal parts of the window, the events up to then sum up
+to
 
     c_k = (S(r_k) - 1) L + e_k        cov(e_k, e_m) = V_km 1,   V_km = 1/3 (delta_km + 1) + 0.01 min(k, m)
 
-S(r) moves an image on a torus of odd sides without blurring it. Everything here is dense linear algebra over the pixels
-of small tori, without Fourier transforms.
+S(r) moves an image on a torus of odd sides without blurring it. Everything here is dense linear
+algebra over the pixels of small tori, without Fourier transforms.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ def contrast_frames(
     step_on: float = 1.0,
     step_off: float = 1.0,
 ) -> torch.Tensor:
-    """c: what the events of each pixel up to the end of each part of the window sum up to, (K, rows, columns).
+    """c: what the events of each pixel up to the end of each part of the window sum up to, (K,
+    rows, columns).
 
     Parameters
     ----------
@@ -46,7 +49,8 @@ def contrast_frames(
 def shift_matrix(n: int, displacement: torch.Tensor) -> torch.Tensor:
     """S, (n, n): moves n samples of a periodic signal, n odd, by a real displacement.
 
-    S_ij = D(i - j - displacement), D(a) = 1/n sum_{|m| <= (n-1)/2} cos(2 pi m a / n), the periodic sinc.
+    S_ij = D(i - j - displacement), D(a) = 1/n sum_{|m| <= (n-1)/2} cos(2 pi m a / n), the periodic
+    sinc.
     """
     if n % 2 == 0:
         raise ValueError(f"`n` must be odd, got {n}")
@@ -57,7 +61,8 @@ def shift_matrix(n: int, displacement: torch.Tensor) -> torch.Tensor:
 
 
 def motion_matrix(path: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
-    """A, (K R C, R C): from an image, row by row, to all c_k without noise. `path`: (K, 2), (x, y)."""
+    """A, (K R C, R C): from an image, row by row, to all c_k without noise. `path`: (K, 2), (x,
+    y)."""
     rows, columns = shape
     one = torch.eye(rows * columns, dtype=torch.float64)
     moved = [torch.kron(shift_matrix(rows, r[1]), shift_matrix(columns, r[0])) - one for r in path]
@@ -86,9 +91,13 @@ def path_evidence(
     Scalar tensor, differentiable with respect to `path`.
     """
     n_frames, *shape = frames.shape
-    noise = torch.kron(noise_covariance(n_frames), torch.eye(shape[0] * shape[1], dtype=torch.float64))
+    noise = torch.kron(
+        noise_covariance(n_frames), torch.eye(shape[0] * shape[1], dtype=torch.float64)
+    )
     differences = difference_matrix((shape[0], shape[1]))
-    precision = roughness * differences.T @ differences + level * torch.eye(shape[0] * shape[1], dtype=torch.float64)
+    precision = roughness * differences.T @ differences + level * torch.eye(
+        shape[0] * shape[1], dtype=torch.float64
+    )
     moved = motion_matrix(path, (shape[0], shape[1]))
     with_image = noise + moved @ torch.linalg.solve(precision, moved.T)
     c = frames.reshape(-1)
@@ -96,7 +105,13 @@ def path_evidence(
 
 
 def image_cost(
-    image: torch.Tensor, frames: torch.Tensor, path: torch.Tensor, *, sparseness: float, edge: float, level: float
+    image: torch.Tensor,
+    frames: torch.Tensor,
+    path: torch.Tensor,
+    *,
+    sparseness: float,
+    edge: float,
+    level: float,
 ) -> torch.Tensor:
     """What the best image minimises: 1/2 |V^-1/2 (c - A L)|^2 + sum g(|D L|) + level/2 |L|^2, where
 
@@ -107,9 +122,9 @@ def image_cost(
     image : (rows, columns). frames : (K, rows, columns). path : (K, 2).
     """
     n_frames, *shape = frames.shape
-    left = frames.reshape(n_frames, -1) - (motion_matrix(path, (shape[0], shape[1])) @ image.reshape(-1)).reshape(
-        n_frames, -1
-    )
+    left = frames.reshape(n_frames, -1) - (
+        motion_matrix(path, (shape[0], shape[1])) @ image.reshape(-1)
+    ).reshape(n_frames, -1)
     misfit = 0.5 * (left * torch.linalg.solve(noise_covariance(n_frames), left)).sum()
     across, down = (difference_matrix((shape[0], shape[1])) @ image.reshape(-1)).reshape(2, -1)
     u = torch.hypot(across, down) / (2 * edge)
@@ -119,7 +134,8 @@ def image_cost(
 
 
 def difference_matrix(shape: tuple[int, int]) -> torch.Tensor:
-    """D, (2 R C, R C): each pixel's right neighbour minus it, then its lower neighbour minus it, on a torus."""
+    """D, (2 R C, R C): each pixel's right neighbour minus it, then its lower neighbour minus it, on
+    a torus."""
     rows, columns = (torch.eye(n, dtype=torch.float64) for n in shape)
     across, down = (torch.roll(one, 1, dims=1) - one for one in (columns, rows))
     return torch.cat([torch.kron(rows, across), torch.kron(down, columns)])

@@ -22,20 +22,21 @@ REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface")
 class Classifier(nn.Module):
     """Event volume to logits: two convolutions and two fully connected layers.
 
-        conv1 3x3 same, ReLU, 2x2 average pool, conv2 3x3 same, ReLU, 2x2 average pool, fc1, ReLU, fc2
+        conv1 3x3 same, ReLU, 2x2 average pool, conv2 3x3 same, ReLU, 2x2 average pool, fc1, ReLU,
+        fc2
 
     Parameters
     ----------
     channels : of the volume: B, or 2B for split polarity.
-    grid : (width, height) of the volume, at least 4 x 4. Pooling drops an odd side's last row or column
-        (34 -> 17 -> 8).
+    grid : (width, height) of the volume, at least 4 x 4. Pooling drops an odd side's last row or
+        column (34 -> 17 -> 8).
     n_classes : logits.
     widths : outputs of conv1, conv2 and fc1.
 
     References
     ----------
-    Wang 2019, arXiv:1911.12801, the classifier: the order of layers. The thesis gives no widths; these
-    are ours.
+    Wang 2019, arXiv:1911.12801, the classifier: the order of layers. The thesis gives no widths;
+    these are ours.
     """
 
     def __init__(
@@ -64,17 +65,18 @@ class Classifier(nn.Module):
 
 
 class LandmarkRegressor(nn.Module):
-    """Raw event volume to landmark: the centroid of a heatmap that three 3x3 and one 1x1 convolution draw.
+    """Raw event volume to landmark: the centroid of a heatmap that three 3x3 and one 1x1
+    convolution draw.
 
         h = exp(heatmap(ReLU(conv3(ReLU(conv2(ReLU(conv1(V))))))))        non-negative, (H, W)
         l = sum_{y,x} h[y, x] (x, y) / sum_{y,x} h[y, x]                  in pixels of the whole image
 
-    The thesis does not say how its heatmap is kept non-negative, nor how the network starts; both are our
-    choice. `exp` makes the centroid the expectation under a softmax over all pixels: it can be as sharp as
-    training makes it. The 1x1 convolution starts at zero, so that h = 1 everywhere and the first
-    landmark is exactly the image centre, whatever the events. At the first step, therefore, only the 1x1
-    convolution has a gradient; from the second on, all layers have one. It carries no bias: a constant
-    added to the exponent leaves the centroid as it is.
+    The thesis does not say how its heatmap is kept non-negative, nor how the network starts; both
+    are our choice. `exp` makes the centroid the expectation under a softmax over all pixels: it can
+    be as sharp as training makes it. The 1x1 convolution starts at zero, so that h = 1 everywhere
+    and the first landmark is exactly the image centre, whatever the events. At the first step,
+    therefore, only the 1x1 convolution has a gradient; from the second on, all layers have one. It
+    carries no bias: a constant added to the exponent leaves the centroid as it is.
 
     Parameters
     ----------
@@ -87,7 +89,9 @@ class LandmarkRegressor(nn.Module):
     Wang 2019, arXiv:1911.12801, the landmark regression network, row "TNT+regress".
     """
 
-    def __init__(self, channels: int = 9, grid: tuple[int, int] = (34, 34), n_filters: int = 20) -> None:
+    def __init__(
+        self, channels: int = 9, grid: tuple[int, int] = (34, 34), n_filters: int = 20
+    ) -> None:
         super().__init__()
         self.channels, self.grid = channels, check_size("grid", grid)
         self.conv1 = nn.Conv2d(channels, n_filters, 3, padding="same")
@@ -97,7 +101,8 @@ class LandmarkRegressor(nn.Module):
         nn.init.zeros_(self.heatmap.weight)
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """Landmark of a raw `volume`: (N, C, H, W) -> (N, 2), or (C, H, W) -> (2,): float64 (x, y) in grid pixels."""
+        """Landmark of a raw `volume`: (N, C, H, W) -> (N, 2), or (C, H, W) -> (2,): float64 (x, y)
+        in grid pixels."""
         check_volume_shape(volume, self.channels, self.grid)
         a = F.relu(self.conv1(volume))  # (..., n_filters, H, W), as are the next two
         a = F.relu(self.conv2(a))
@@ -108,7 +113,8 @@ class LandmarkRegressor(nn.Module):
 class Pipeline(nn.Module):
     """The events of one window to logits: landmark, transform, volume, classifier.
 
-    A window is given by the columns `t`, `x`, `y`, `p` of its N events and by its start, `start_us`.
+    A window is given by the columns `t`, `x`, `y`, `p` of its N events and by its start,
+    `start_us`.
 
     Parameters
     ----------
@@ -117,15 +123,18 @@ class Pipeline(nn.Module):
     window_us : the window's length; None: each window ends with its newest event, as in the thesis.
     bins, t_max, polarity, remove_flow : as in `tnt_volume`.
     landmark : "center", "running", "line", "window"; or "regressor".
-    transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no effect).
-    representation : "volume"; "count", an event volume of one bin; or an image of times, see `time_image`, without
-        the transform.
-    regressor : the network behind landmark "regressor" (`LandmarkRegressor` or a module from (N, C, H, W) to
-        (N, 2)): it sees the raw event volume of the same window, and learns through the transform.
+    transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no
+        effect).
+    representation : "volume"; "count", an event volume of one bin; or an image of times, see
+        `time_image`, without the transform.
+    regressor : the network behind landmark "regressor" (`LandmarkRegressor` or a module from (N, C,
+        H, W) to (N, 2)): it sees the raw event volume of the same window, and learns through the
+        transform.
 
     Raises
     ------
-    ValueError, TypeError : settings that do not fit together, when built; invalid events, when called.
+    ValueError, TypeError : settings that do not fit together, when built; invalid events, when
+        called.
     """
 
     def __init__(
@@ -146,15 +155,23 @@ class Pipeline(nn.Module):
     ) -> None:
         super().__init__()
         if representation not in REPRESENTATIONS:
-            raise ValueError(f"`representation` must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
+            raise ValueError(
+                f"`representation` must be one of {', '.join(REPRESENTATIONS)}, got "
+                f"{representation!r}"
+            )
         if representation == "count" and bins != 1:
             raise ValueError(f"`bins` must be 1 with representation 'count', got {bins}")
         if representation not in ("volume", "count") and transform != "none":
-            raise ValueError(f"`transform` must be 'none' with representation {representation!r}, got {transform!r}")
+            raise ValueError(
+                f"`transform` must be 'none' with representation {representation!r}, got "
+                f"{transform!r}"
+            )
         if transform not in ("tnt", "none"):
             raise ValueError(f"`transform` must be 'tnt' or 'none', got {transform!r}")
         if landmark not in (*LANDMARKS, "regressor"):
-            raise ValueError(f"`landmark` must be one of {', '.join(LANDMARKS)}, regressor; got {landmark!r}")
+            raise ValueError(
+                f"`landmark` must be one of {', '.join(LANDMARKS)}, regressor; got {landmark!r}"
+            )
         if (landmark == "regressor") != (regressor is not None):
             raise ValueError(
                 f"landmark 'regressor' and a `regressor` network go together: got landmark "
@@ -165,7 +182,11 @@ class Pipeline(nn.Module):
         self.grid = check_size("grid", grid if grid is not None else sensor)
         self.window_us, self.bins, self.t_max = window_us, check_bins(bins), t_max
         self.polarity, self.landmark = polarity, landmark
-        self.transform, self.remove_flow, self.representation = transform, remove_flow, representation
+        self.transform, self.remove_flow, self.representation = (
+            transform,
+            remove_flow,
+            representation,
+        )
         check_polarity(polarity)
         # No events: every remaining setting is checked where it is used.
         tnt_coordinates(
@@ -185,7 +206,8 @@ class Pipeline(nn.Module):
             expected = (getattr(network, "channels", channels), getattr(network, "grid", self.grid))
             if expected != (channels, self.grid):
                 raise ValueError(
-                    f"the {name} is built for (channels, grid) {expected}, these settings give {(channels, self.grid)}"
+                    f"the {name} is built for (channels, grid) {expected}, these settings give "
+                    f"{(channels, self.grid)}"
                 )
 
     def duration_us(self, t: Column, start_us: int) -> int:
@@ -195,7 +217,8 @@ class Pipeline(nn.Module):
         return self.window_us
 
     def volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): what the classifier sees of one window, in the type of the networks' weights."""
+        """(C, H, W): what the classifier sees of one window, in the type of the networks'
+        weights."""
         if self.transform == "none":
             return self.raw_volume(t, x, y, p, start_us)
         landmark: str | torch.Tensor = self.landmark
@@ -253,7 +276,10 @@ class Pipeline(nn.Module):
 def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
     width, height = check_size("grid", grid)
     if min(width, height) < 4:
-        raise ValueError(f"`grid` must have sides of at least 4 pixels, to be halved twice, got {(width, height)}")
+        raise ValueError(
+            f"`grid` must have sides of at least 4 pixels, to be halved twice, got "
+            f"{(width, height)}"
+        )
     return width, height
 
 
@@ -261,5 +287,6 @@ def check_volume_shape(volume: torch.Tensor, channels: int, grid: tuple[int, int
     expected = (channels, grid[1], grid[0])
     if volume.ndim not in (3, 4) or tuple(volume.shape[-3:]) != expected:
         raise ValueError(
-            f"`volume` must have shape (C, H, W) or (N, C, H, W) with (C, H, W) = {expected}, got {tuple(volume.shape)}"
+            f"`volume` must have shape (C, H, W) or (N, C, H, W) with (C, H, W) = {expected}, got "
+            f"{tuple(volume.shape)}"
         )

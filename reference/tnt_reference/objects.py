@@ -1,4 +1,5 @@
-"""Objects on a map of logits: peaks of how much likelier some class is than nothing; and their numbers over time."""
+"""Objects on a map of logits: peaks of how much likelier some class is than nothing; and their
+numbers over time."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from torch.nn import functional as F
 
 
 class FoundObject(NamedTuple):
-    """A class by its number, its probability, and where on the map it stands, in columns and rows."""
+    """A class by its number, its probability, and where on the map it stands, in columns and
+    rows."""
 
     label: int
     probability: float
@@ -22,8 +24,8 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     """The objects on a map, the likeliest first.
 
         s(y, x) = max_k<K z_k(y, x) - z_K(y, x)                            a class against nothing, the last channel
-        (y, x) is a peak:  s > 0, s > s(y', x') of the places before it, s >= s(y', x') of those behind it, by rows,
-                           for all |y' - y|, |x' - x| <= near
+        (y, x) is a peak:  s > 0, s > s(y', x') of the places before it, s >= s(y', x') of those
+                           behind it, by rows, for all |y' - y|, |x' - x| <= near
         place = sum of s+ (y', x') over the 3x3 places around the peak / sum of s+,  s+ = max(s, 0)
 
     Parameters
@@ -42,7 +44,9 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     s = z[:-1].amax(0) - z[-1]  # (R, C)
     rows, columns = s.shape
     side = 2 * near + 1
-    around = F.unfold(F.pad(s[None, None], [near] * 4, value=-torch.inf), side).reshape(side * side, rows, columns)
+    around = F.unfold(F.pad(s[None, None], [near] * 4, value=-torch.inf), side).reshape(
+        side * side, rows, columns
+    )
     middle = side * side // 2
     is_peak = (s > 0) & (around[:middle] < s).all(0) & (around[middle + 1 :] <= s).all(0)
     probabilities = torch.softmax(z, 0)
@@ -52,13 +56,21 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
         xs = torch.arange(max(0, column - 1), min(columns, column + 2))
         weights = s[ys][:, xs].clamp(min=0)
         index = int(z[:-1, row, column].argmax())
-        place_x, place_y = (weights.sum(0) * xs).sum() / weights.sum(), (weights.sum(1) * ys).sum() / weights.sum()
-        found.append(FoundObject(index, float(probabilities[index, row, column]), float(place_x), float(place_y)))
+        place_x, place_y = (
+            (weights.sum(0) * xs).sum() / weights.sum(),
+            (weights.sum(1) * ys).sum() / weights.sum(),
+        )
+        found.append(
+            FoundObject(
+                index, float(probabilities[index, row, column]), float(place_x), float(place_y)
+            )
+        )
     return sorted(found, key=lambda one: -one.probability)
 
 
 class _Seen(NamedTuple):
-    """An object of an earlier decision: its number, where and when it was seen last, and how many were likelier."""
+    """An object of an earlier decision: its number, where and when it was seen last, and how many
+    were likelier."""
 
     number: int
     x: float
@@ -69,14 +81,17 @@ class _Seen(NamedTuple):
 
 
 class ObjectNumbers:
-    """Numbers for the objects of one decision after another: the same number while an object moves little.
+    """Numbers for the objects of one decision after another: the same number while an object moves
+    little.
 
-    From the likeliest object on, each takes the number of the nearest known object that no other has taken, if
+    From the likeliest object on, each takes the number of the nearest known object that no other
+    has taken, if
 
         ((x - x') / reach_x)^2 + ((y - y') / reach_y)^2 < 1    and    time - time' <= memory_us
 
-    and else a new number. Of equally near ones it takes that of the latest decision, there the likeliest. Known are the
-    objects of this decision, `most` of them, and then those seen before, of the latest decision first: `room` in all.
+    and else a new number. Of equally near ones it takes that of the latest decision, there the
+    likeliest. Known are the objects of this decision, `most` of them, and then those seen before,
+    of the latest decision first: `room` in all.
 
     Parameters
     ----------
@@ -111,13 +126,17 @@ class ObjectNumbers:
             near = [seen for seen in free if self._distance(seen, x, y) < 1 and rank < self.most]
             number = self.next_number
             if near:
-                taken = min(near, key=lambda seen: (self._distance(seen, x, y), -seen.decision, seen.rank))
+                taken = min(
+                    near, key=lambda seen: (self._distance(seen, x, y), -seen.decision, seen.rank)
+                )
                 free.remove(taken)
                 number = taken.number
             else:
                 self.next_number += 1
             present.append(_Seen(number, x, y, time_us, self.decision, rank))
-        remembered = present[: self.most] + sorted(free, key=lambda seen: (-seen.decision, seen.rank))
+        remembered = present[: self.most] + sorted(
+            free, key=lambda seen: (-seen.decision, seen.rank)
+        )
         self.known = remembered[: self.room]
         self.decision += 1
         return [seen.number for seen in present]

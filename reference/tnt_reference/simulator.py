@@ -1,6 +1,8 @@
-"""The pixel of an event camera, written out: log luminance in, events out. Pure Python, pixel by pixel.
+"""The pixel of an event camera, written out: log luminance in, events out. Pure Python, pixel by
+pixel.
 
-Between two frames the log luminance L of a pixel runs in a straight line. With the reference level R:
+Between two frames the log luminance L of a pixel runs in a straight line. With the reference level
+R:
 
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
@@ -9,8 +11,8 @@ After an event at t the pixel sees nothing until t + refractory; then R := L(t +
 
 References
 ----------
-Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous Temporal Contrast Vision
-Sensor.
+Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous Temporal Contrast
+Vision Sensor.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ def simulate_events(
     reference: np.ndarray,
     refractory_us: float,
 ) -> list[tuple[int, int, int, int]]:
-    """Events (t, x, y, p) of every pixel, sorted by (t, y, x); p = 1 for ON; t in microseconds, rounded.
+    """Events (t, x, y, p) of every pixel, sorted by (t, y, x); p = 1 for ON; t in microseconds,
+    rounded.
 
     Parameters
     ----------
@@ -49,13 +52,16 @@ def simulate_events(
             c_on, c_off = float(threshold_on[y][x]), float(threshold_off[y][x])
             for t, p in pixel(light, times, c_on, c_off, float(reference[y][x]), refractory_us):
                 events.append((math.floor(t + 0.5), x, y, p))
-    # Python's sort is stable: events of one pixel in one microsecond stay in the order they happened.
+    # Python's sort is stable: events of one pixel in one microsecond stay in the order they
+    # happened.
     return sorted(events, key=lambda event: (event[0], event[2], event[1]))
 
 
-def low_pass(light: Sequence[float], times_us: Sequence[float], brightest_hz: float, darkest: float) -> list[float]:
-    """What a pixel follows of its log luminance: y' = 2 pi f (L - y), by backward differences from frame to frame; f is
-    in proportion to the luminance, down to `darkest`."""
+def low_pass(
+    light: Sequence[float], times_us: Sequence[float], brightest_hz: float, darkest: float
+) -> list[float]:
+    """What a pixel follows of its log luminance: y' = 2 pi f (L - y), by backward differences from
+    frame to frame; f is in proportion to the luminance, down to `darkest`."""
     followed = [float(light[0])]
     for (t0, _), (t1, now) in pairwise(zip(times_us, light, strict=True)):
         f = brightest_hz * max(math.exp(now), darkest)
@@ -65,7 +71,12 @@ def low_pass(light: Sequence[float], times_us: Sequence[float], brightest_hz: fl
 
 
 def pixel(
-    light: list[float], times: list[float], c_on: float, c_off: float, level: float, refractory_us: float
+    light: list[float],
+    times: list[float],
+    c_on: float,
+    c_off: float,
+    level: float,
+    refractory_us: float,
 ) -> list[tuple[float, int]]:
     """Events (t, p) of one pixel with log luminance `light` at `times`, in order of time."""
     events = []
@@ -89,10 +100,19 @@ def pixel(
 
 
 def _next_crossing(
-    now: float, light_now: float, t0: float, t1: float, l0: float, l1: float, upper: float, lower: float
+    now: float,
+    light_now: float,
+    t0: float,
+    t1: float,
+    l0: float,
+    l1: float,
+    upper: float,
+    lower: float,
 ) -> tuple[float, float, int] | None:
-    """Time, log luminance and polarity where the light first reaches `upper` or `lower` up to t1, or None."""
-    if light_now >= upper:  # here and below: already past it, as only a start far from the light can be
+    """Time, log luminance and polarity where the light first reaches `upper` or `lower` up to t1,
+    or None."""
+    # here and below: already past it, as only a start far from the light can be
+    if light_now >= upper:
         return now, light_now, 1
     if light_now <= lower:
         return now, light_now, 0

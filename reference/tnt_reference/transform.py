@@ -46,14 +46,16 @@ def tnt_coordinates(
 
         kept  iff  tau_i > 0  and  0 <= u_i <= W - 1  and  0 <= v_i <= H - 1
 
-    "Kept" is decided up to BORDER_TOLERANCE: where mathematics puts an event exactly on the border, the
-    rounding of one order of operations or another must not drop it. Such events are put on the border.
+    "Kept" is decided up to BORDER_TOLERANCE: where mathematics puts an event exactly on the border,
+    the rounding of one order of operations or another must not drop it. Such events are put on the
+    border.
 
     Parameters
     ----------
-    t, x, y : columns of N events, in arrival order: microseconds, sensor pixels. Float64 columns that
-        require a gradient get one.
-    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events are ignored.
+    t, x, y : columns of N events, in arrival order: microseconds, sensor pixels. Float64 columns
+        that require a gradient get one.
+    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events are
+        ignored.
     sensor, grid : (width, height).
     t_max : tau at the window's end. The thesis has B - 1.
     landmark : "center", "running", "line" or "window"; or (x, y); or a tensor (N, 2). Grid pixels.
@@ -61,8 +63,8 @@ def tnt_coordinates(
 
     Returns
     -------
-    TNTCoordinates(u, v, kept), each (N,). Where tau is 0, or the event is outside the window, it is not
-    kept, and its u and v are finite but meaningless.
+    TNTCoordinates(u, v, kept), each (N,). Where tau is 0, or the event is outside the window, it is
+    not kept, and its u and v are finite but meaningless.
 
     Raises
     ------
@@ -70,13 +72,15 @@ def tnt_coordinates(
 
     References
     ----------
-    Wang 2019, arXiv:1911.12801, the Temporal Normalization Transform. There t_max = B - 1 and the window
-    is [t_1, t_N]. Removing the flow and counting what is dropped are ours.
+    Wang 2019, arXiv:1911.12801, the Temporal Normalization Transform. There t_max = B - 1 and the
+    window is [t_1, t_N]. Removing the flow and counting what is dropped are ours.
     """
     if not (math.isfinite(t_max) and t_max > 0):
         raise ValueError(f"`t_max` must be positive and finite, got {t_max!r}")
     if remove_flow and not (isinstance(landmark, str) and landmark == "line"):
-        raise ValueError(f"`remove_flow` needs the flow fitted by landmark 'line', got landmark {landmark!r}")
+        raise ValueError(
+            f"`remove_flow` needs the flow fitted by landmark 'line', got landmark {landmark!r}"
+        )
     grid = check_size("grid", grid)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     n_events, device = len(events.dt), events.dt.device
@@ -96,8 +100,8 @@ def tnt_coordinates(
 
     tau = tnt_time(events.dt, window_us, t_max)  # (N,)
     defined = events.inside & (tau > 0)
-    # Divide by 1 where the quotient is not wanted: dividing by 0 and masking the result afterwards would
-    # still put NaN into the gradients (0 times infinity).
+    # Divide by 1 where the quotient is not wanted: dividing by 0 and masking the result afterwards
+    # would still put NaN into the gradients (0 times infinity).
     uv = offset / torch.where(defined, tau, 1.0)[:, None] + image_centre(grid, device)  # (N, 2)
     last_pixel = torch.tensor(grid, dtype=torch.float64, device=device) - 1  # (2,)
     on_grid = uv.clamp(torch.zeros_like(last_pixel), last_pixel)  # (N, 2)

@@ -34,15 +34,15 @@ def event_volume(
 
     Parameters
     ----------
-    t, x, y, p : columns of N events in arrival order: integer microseconds; sensor pixels; bool, 0/1 or
-        -1/+1. Torch tensors or anything `torch.as_tensor` takes. Never modified. Float64 t, x, y that
-        require a gradient get one.
-    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events are ignored.
-        The window's right end lies exactly at bin B - 1.
+    t, x, y, p : columns of N events in arrival order: integer microseconds; sensor pixels; bool,
+        0/1 or -1/+1. Torch tensors or anything `torch.as_tensor` takes. Never modified. Float64 t,
+        x, y that require a gradient get one.
+    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events are
+        ignored. The window's right end lies exactly at bin B - 1.
     sensor, grid : (width, height). Sensor pixels map onto the grid corner to corner.
     bins : B.
-    polarity : "signed" (s = -1 or +1, the thesis), "unsigned" (s = 1), "split" (ON bins, then OFF bins,
-        s = 1).
+    polarity : "signed" (s = -1 or +1, the thesis), "unsigned" (s = 1), "split" (ON bins, then OFF
+        bins, s = 1).
     dtype : of the result. All arithmetic and all sums are float64; the cast is the last step.
 
     Returns
@@ -92,12 +92,13 @@ def tnt_volume(
 
         V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)      over the kept events
 
-    with (u_i, v_i) and "kept" as `tnt_coordinates` defines them. A landmark that requires a gradient gets one.
+    with (u_i, v_i) and "kept" as `tnt_coordinates` defines them. A landmark that requires a
+    gradient gets one.
 
     Parameters
     ----------
-    t, x, y, p, start_us, window_us, sensor, grid, bins, polarity, dtype : as for `event_volume`, whose errors are the
-        same.
+    t, x, y, p, start_us, window_us, sensor, grid, bins, polarity, dtype : as for `event_volume`,
+        whose errors are the same.
     t_max, landmark, remove_flow : as for `tnt_coordinates`.
 
     Returns
@@ -153,14 +154,17 @@ def volume_of(
 def splat(
     b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, s: torch.Tensor, shape: tuple[int, int, int]
 ) -> torch.Tensor:
-    """Add M events to the eight cells around each:  V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i).
+    """Add M events to the eight cells around each:  V[b, y, x] += s k(b - b_i) k(y - v_i) k(x -
+                                                     u_i).
 
-    b, v, u, s : (M,) float64, with 0 <= b <= B - 1, 0 <= v <= H - 1, 0 <= u <= W - 1.  shape : (B, H, W).
+    b, v, u, s : (M,) float64, with 0 <= b <= B - 1, 0 <= v <= H - 1, 0 <= u <= W - 1.  shape : (B,
+                                                                                        H, W).
     """
     points = torch.stack([b, v, u], dim=1)  # (M, 3)
     lower = points.detach().floor()  # (M, 3); floor, since int() would round a negative up
     k_upper = points - lower  # (M, 3), k of the upper neighbour
-    k_lower = 1 - k_upper  # (M, 3); so written, each pair's derivatives sum to 0 on whole numbers too
+    # (M, 3); so written, each pair's derivatives sum to 0 on whole numbers too
+    k_lower = 1 - k_upper
     # One cell more on each upper side: the last pixel has an upper neighbour as well, of weight 0.
     volume = torch.zeros([n + 1 for n in shape], dtype=torch.float64, device=points.device)
     for corner in product((0, 1), repeat=3):

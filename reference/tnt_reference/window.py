@@ -16,7 +16,8 @@ POLARITIES = ("signed", "unsigned", "split")
 class WindowEvents(NamedTuple):
     """All N events given, in their order, and which of them belong to the window."""
 
-    dt: torch.Tensor  # (N,)   float64 microseconds since the window's start, from an exact difference
+    # (N,)   float64 microseconds since the window's start, from an exact difference
+    dt: torch.Tensor
     pixels: torch.Tensor  # (N, 2) sensor pixels (x, y): int64, or float64 if they came as floats
     inside: torch.Tensor  # (N,)   bool: start_us <= t <= start_us + window_us
 
@@ -26,14 +27,18 @@ def window_events(
 ) -> WindowEvents:
     """Check the columns and subtract the window's start.
 
-    Integer times are subtracted as int64 *before* any float appears: float32 loses microseconds after
-    16.8 s. The window is closed at its right end, so that `start_us = t_1`, `window_us = t_N - t_1`, the
-    thesis' own form, keeps its last event. Float64 columns are used as they are, so that gradients pass.
+    Integer times are subtracted as int64 *before* any float appears: float32 loses microseconds
+    after 16.8 s. The window is closed at its right end, so that `start_us = t_1`, `window_us = t_N
+    - t_1`, the thesis' own form, keeps its last event. Float64 columns are used as they are, so
+      that gradients pass.
     """
     start = whole_number("start_us", start_us)
     length = whole_number("window_us", window_us)
     if length <= 0:
-        raise ValueError(f"`window_us` must be positive, got {length}; for events at a single instant, pass at least 1")
+        raise ValueError(
+            f"`window_us` must be positive, got {length}; for events at a single instant, pass at "
+            "least 1"
+        )
     times, xs, ys = as_column("t", t), as_column("x", x), as_column("y", y)
     check_same_length(t=times, x=xs, y=ys)
     if times.is_floating_point() and times.dtype != torch.float64 and len(times):
@@ -50,22 +55,28 @@ def window_events(
     dt = times - start  # (N,), exact for integers
     inside = (dt >= 0) & (dt <= length)  # (N,)
     exact = not (xs.is_floating_point() or ys.is_floating_point())
-    pixels = torch.stack([xs, ys], dim=1) if exact else torch.stack([xs.double(), ys.double()], dim=1)
+    pixels = (
+        torch.stack([xs, ys], dim=1) if exact else torch.stack([xs.double(), ys.double()], dim=1)
+    )
     return WindowEvents(dt.double(), pixels, inside)
 
 
 def whole_pixels(events: WindowEvents) -> torch.Tensor:
-    """(N, 2) int64, for what counts events per pixel and does not splat them; floats are refused."""
+    """(N, 2) int64, for what counts events per pixel and does not splat them; floats are
+    refused."""
     if len(events.dt) and events.pixels.is_floating_point():
-        raise TypeError("`x` and `y` must be whole pixels: events are counted per pixel, and not splatted")
+        raise TypeError(
+            "`x` and `y` must be whole pixels: events are counted per pixel, and not splatted"
+        )
     return events.pixels.long()
 
 
 def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[torch.Tensor]:
     """A stream in windows of n events.
 
-    In order of arrival: a window begins with an event, and ends with its n-th, or before an event `window_us` or more
-    after its first. An event older than the first one of its window belongs to no window.
+    In order of arrival: a window begins with an event, and ends with its n-th, or before an event
+    `window_us` or more after its first. An event older than the first one of its window belongs to
+    no window.
 
     Parameters
     ----------
@@ -75,7 +86,8 @@ def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[t
 
     Returns
     -------
-    list of int64 tensors: the indices of each window's events. Only the last window may be unfinished.
+    list of int64 tensors: the indices of each window's events. Only the last window may be
+    unfinished.
 
     Example
     -------
@@ -96,7 +108,8 @@ def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[t
 
 
 def until_newest(t: Column, start_us: int) -> int:
-    """The length of a window of times `t` from `start_us` to its newest event: t_N - start_us, and at least 1.
+    """The length of a window of times `t` from `start_us` to its newest event: t_N - start_us, and
+    at least 1.
 
     Example
     -------
@@ -125,11 +138,13 @@ def as_column(name: str, values: Column) -> torch.Tensor:
     if isinstance(values, torch.Tensor):
         column = values
     elif hasattr(values, "__array__"):
-        # A contiguous copy: torch warns about read-only arrays and refuses fields of structured arrays.
+        # A contiguous copy: torch warns about read-only arrays and refuses fields of structured
+        # arrays.
         column = torch.as_tensor(values.copy())
     else:
         column = torch.as_tensor(values)
-        if column.is_floating_point():  # Python floats are doubles; torch would make float32 of them
+        # Python floats are doubles; torch would make float32 of them
+        if column.is_floating_point():
             column = torch.as_tensor(values, dtype=torch.float64)
     if column.ndim != 1:
         raise ValueError(f"`{name}` must be one-dimensional, got shape {tuple(column.shape)}")
@@ -157,9 +172,13 @@ def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int
     try:
         width, height = (operator.index(side) for side in size)
     except (TypeError, ValueError):
-        raise TypeError(f"`{name}` must be (width, height), two whole numbers, got {size!r}") from None
+        raise TypeError(
+            f"`{name}` must be (width, height), two whole numbers, got {size!r}"
+        ) from None
     if min(width, height) < smallest:
-        raise ValueError(f"`{name}` must have sides of at least {smallest} pixels, got {(width, height)}")
+        raise ValueError(
+            f"`{name}` must have sides of at least {smallest} pixels, got {(width, height)}"
+        )
     return width, height
 
 

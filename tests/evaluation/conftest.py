@@ -23,10 +23,13 @@ def samples(tmp_path_factory):
 
 
 def dask_cluster(n_workers):
-    """Workers of one thread each, which are replaced when they end; a task that has ended one is given up."""
+    """Workers of one thread each, which are replaced when they end; a task that has ended one is
+    given up."""
     distributed = pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
     with importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0}):
-        return distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0")
+        return distributed.LocalCluster(
+            n_workers=n_workers, threads_per_worker=1, dashboard_address=":0"
+        )
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +43,8 @@ def clusters():
 
 @pytest.fixture
 def cluster(clusters, monkeypatch):
-    """Address of a scheduler with two workers: another one if a test has ended some of them, which Dask may never
-    replace on a busy machine."""
+    """Address of a scheduler with two workers: another one if a test has ended some of them, which
+    Dask may never replace on a busy machine."""
     monkeypatch.setattr(processes, "CONNECT_S", 120.0)
     if not clusters or len(clusters[-1].scheduler.workers) < 2:
         clusters.append(dask_cluster(2))

@@ -24,40 +24,65 @@ from async_tnt.sources.pixel_masks import save_mask
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ended_in_the_middle_the_same_command_resumes(samples, tmp_path, program):
-    folder, out = shutil.copytree(samples, tmp_path / "set", copy_function=shutil.copy2), tmp_path / "r.jsonl"
-    shutil.copy2(samples / "4" / "00.bin", folder / "9" / "zz.bin")  # evaluating it takes until the signal
+    folder, out = (
+        shutil.copytree(samples, tmp_path / "set", copy_function=shutil.copy2),
+        tmp_path / "r.jsonl",
+    )
+    # evaluating it takes until the signal
+    shutil.copy2(samples / "4" / "00.bin", folder / "9" / "zz.bin")
     code = (
-        "import sys; from evaluation.made_work import evaluate_or_sleep; from async_tnt.cli import evaluate, main\n"
+        "import sys; from evaluation.made_work import evaluate_or_sleep; from async_tnt.cli import "
+        "evaluate, main\n"
         "evaluate.evaluate_recording = evaluate_or_sleep; sys.exit(main())"
     )
     words = "evaluate", "digits", folder, "--json"
     with started("-c", code, *words, "--out", out, "--workers", 2) as process:
-        until(lambda: process.poll() is not None or (out.exists() and out.read_bytes().count(b"\n") >= 20))
+        until(
+            lambda: (
+                process.poll() is not None or (out.exists() and out.read_bytes().count(b"\n") >= 20)
+            )
+        )
         process.send_signal(signal.SIGTERM)
         printed, message = process.communicate()
     assert printed == "" and out.read_bytes().count(b"\n") == 20
     line = r"async-tnt: interrupted: (19|20) of 21 recordings are done; the same command resumes\n$"
-    assert process.returncode == 128 + signal.SIGTERM and re.search(line, message)  # the 20th may not be counted
+    # the 20th may not be counted
+    assert process.returncode == 128 + signal.SIGTERM and re.search(line, message)
     code, printed, message = program(*words, "--out", out)
     assert code == 0 and f"{out}: 20 of 21 recordings are done, resuming" in message
     assert printed == program(*words, "--out", tmp_path / "plain.jsonl")[1] == program(*words)[1]
     assert out.read_bytes() == (tmp_path / "plain.jsonl").read_bytes()
 
 
-def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(samples, tmp_path, program):
+def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(
+    samples, tmp_path, program
+):
     folder, out = shutil.copytree(samples, tmp_path / "set"), tmp_path / "r.jsonl"
     torn, empty = folder / "3" / "torn.npz", folder / "4" / "empty.bin"
     torn.write_bytes(b"PK torn")
     empty.write_bytes(b"")
     code, printed, message = program("evaluate", "digits", folder, "--out", out)
-    assert code == 0 and message.count("\n") == 2 and "torn.npz" in message and "empty.bin" in message
+    assert (
+        code == 0 and message.count("\n") == 2 and "torn.npz" in message and "empty.bin" in message
+    )
     assert "on 20 recordings" in printed
-    errors = {r["recording"]: r["error"] for r in map(json.loads, out.read_text().splitlines()) if r["error"]}
-    assert errors.keys() == {"3/torn.npz", "4/empty.bin"} and "not a readable NumPy file" in errors["3/torn.npz"]
+    errors = {
+        r["recording"]: r["error"]
+        for r in map(json.loads, out.read_text().splitlines())
+        if r["error"]
+    }
+    assert (
+        errors.keys() == {"3/torn.npz", "4/empty.bin"}
+        and "not a readable NumPy file" in errors["3/torn.npz"]
+    )
     torn.unlink()
     shutil.copy(samples / "4" / "00.bin", empty)
     code, printed, message = program("evaluate", "digits", folder, "--out", out)
-    assert code == 0 and "recordings that no longer exist are left out (1)" in message and "on 21 recordings" in printed
+    assert (
+        code == 0
+        and "recordings that no longer exist are left out (1)" in message
+        and "on 21 recordings" in printed
+    )
 
 
 def test_a_moment_knows_the_events_before_it_and_no_others():
@@ -73,7 +98,9 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
     config = TNTConfig(window_us=1000)
     at = {200: np.nextafter(level, 0), 410: level, 500: 1.0}
     window = [
-        SimpleNamespace(window_start_us=5, time_us=5 + t, index=k, probability=p, trigger="every_us")
+        SimpleNamespace(
+            window_start_us=5, time_us=5 + t, index=k, probability=p, trigger="every_us"
+        )
         for k, (t, p) in enumerate(at.items())
     ]
     found = early_fields(window, config)
@@ -82,8 +109,9 @@ def test_a_level_of_confidence_is_reached_by_the_first_decision_that_has_it_exac
 
 
 def test_what_is_decided_early_by_hand():
-    """Two windows of 1 ms, decided every 20 us: the first of class 0 by three decisions and its end, two of them on an
-    event at a moment and of a level's very probability; the second of class 2, never sure."""
+    """Two windows of 1 ms, decided every 20 us: the first of class 0 by three decisions and its
+    end, two of them on an event at a moment and of a level's very probability; the second of class
+    2, never sure."""
     config = TNTConfig(window_us=1000)
 
     def window(*decisions):
@@ -92,30 +120,53 @@ def test_what_is_decided_early_by_hand():
             for t, k, p, why in decisions
         ]
 
-    sure = window((0, 1, 0.5, "every_us"), (100, 0, 0.7, "every_us"), (250, 0, 0.9, "every_us"), (990, 2, 0.95, "end"))
+    sure = window(
+        (0, 1, 0.5, "every_us"),
+        (100, 0, 0.7, "every_us"),
+        (250, 0, 0.9, "every_us"),
+        (990, 2, 0.95, "end"),
+    )
     unsure = window((300, 0, 0.4, "every_us"), (900, 2, 0.45, "window"))
     fields = [early_fields(one, config) for one in (sure, unsure)]
-    assert fields[0]["decided_at"] == [1, 0, *[0] * 7, 2] and fields[1]["decided_at"] == [-1] * 3 + [0] * 6 + [2]
-    assert fields[0]["probability_at"] == [0.5, 0.7, *[0.9] * 7, 0.95] and fields[1]["probability_at"][2:4] == [-1, 0.4]
+    assert fields[0]["decided_at"] == [1, 0, *[0] * 7, 2] and fields[1]["decided_at"] == [
+        -1
+    ] * 3 + [0] * 6 + [2]
+    assert fields[0]["probability_at"] == [0.5, 0.7, *[0.9] * 7, 0.95] and fields[1][
+        "probability_at"
+    ][2:4] == [-1, 0.4]
     assert LEVELS == (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
     assert fields[0]["confident"] == [1, 0, 0, 0, 0, 2, -1] and fields[1]["confident"] == [-1] * 7
-    # the fiftieth after the newest event, as an event at a fiftieth is decided at the next one; the end at the end
-    assert fields[0]["confident_us"] == [20, 120, 120, 260, 260, 1000, -1] and fields[1]["confident_us"] == [-1] * 7
+    # the fiftieth after the newest event, as an event at a fiftieth is decided at the next one; the
+    # end at the end
+    assert (
+        fields[0]["confident_us"] == [20, 120, 120, 260, 260, 1000, -1]
+        and fields[1]["confident_us"] == [-1] * 7
+    )
     records = [{name: [value] for name, value in one.items()} for one in fields]
     report = early_report(records, [0, 2], config)
-    against_time = [(row["time_us"], row["accuracy"], row["decided"]) for row in report["accuracy_against_time"]]
+    against_time = [
+        (row["time_us"], row["accuracy"], row["decided"]) for row in report["accuracy_against_time"]
+    ]
     assert against_time[:4] == [(100, 0, 0.5), (200, 0.5, 0.5), (300, 0.5, 0.5), (400, 0.5, 1)]
     assert against_time[-1] == (1000, 0.5, 1)
     found = {row["level"]: row for row in report["confidence"]}
     assert [found[level]["decided"] for level in LEVELS] == [0.5] * 6 + [0]
     assert [found[level]["accuracy"] for level in LEVELS] == [0, 1, 1, 1, 1, 0, None]
-    assert [found[level]["window_accuracy"] for level in LEVELS] == [0.5, 1, 1, 1, 1, 0.5, 0.5]  # else at their ends
-    assert (found[0.6]["median_ms"], found[0.95]["p90_ms"], found[0.99]["median_ms"]) == (0.12, 1.0, None)
+    # else at their ends
+    assert [found[level]["window_accuracy"] for level in LEVELS] == [0.5, 1, 1, 1, 1, 0.5, 0.5]
+    assert (found[0.6]["median_ms"], found[0.95]["p90_ms"], found[0.99]["median_ms"]) == (
+        0.12,
+        1.0,
+        None,
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"version": "0.1"}, "a worker has async_tnt .*, but this program is 0.1"), ({}, "not the model that the job")],
+    [
+        ({"version": "0.1"}, "a worker has async_tnt .*, but this program is 0.1"),
+        ({}, "not the model that the job"),
+    ],
 )
 def test_a_worker_refuses_the_job_of_another_program_or_model(changes, message):
     with pytest.raises(ValueError, match=message):
@@ -129,7 +180,9 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     model.save(tmp_path / "m.safetensors")
     words = "evaluate", tmp_path / "m.safetensors", samples, "--out", tmp_path / "r.jsonl"
     assert program(*words)[0] == 0
-    thesis_model(model.config, model.weights, model.classes, {"other": "record"}).save(tmp_path / "m.safetensors")
+    thesis_model(model.config, model.weights, model.classes, {"other": "record"}).save(
+        tmp_path / "m.safetensors"
+    )
     assert program(*words)[0] == 0  # the training record changes no decision
     weights = {**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(1)}
     thesis_model(model.config, weights, model.classes).save(tmp_path / "m.safetensors")
@@ -155,18 +208,38 @@ def test_results_of_whatever_changes_a_decision_are_never_mixed(tmp_path, progra
     }
     for name, model in models.items():
         model.save(tmp_path / f"{name}.safetensors")
-    selections = ["", "--roi 0,0,20,20", "--roi 1,0,20,20", "--roi 0,0,34,34", "--roi 0,0,34,34 --crop --sensor 34x34"]
-    selections += ["--sensor 34x34", *(f"--mask {tmp_path / name}.npy" for name in ("upper", "lower"))]
-    kinds = [("base", options) for options in selections] + [(name, "") for name in list(models)[1:]]
+    selections = [
+        "",
+        "--roi 0,0,20,20",
+        "--roi 1,0,20,20",
+        "--roi 0,0,34,34",
+        "--roi 0,0,34,34 --crop --sensor 34x34",
+    ]
+    selections += [
+        "--sensor 34x34",
+        *(f"--mask {tmp_path / name}.npy" for name in ("upper", "lower")),
+    ]
+    kinds = [("base", options) for options in selections] + [
+        (name, "") for name in list(models)[1:]
+    ]
     settings = set()
     for model, options in kinds:
-        words = "evaluate", tmp_path / f"{model}.safetensors", folder.parent, *options.split(), "--out"
+        words = (
+            "evaluate",
+            tmp_path / f"{model}.safetensors",
+            folder.parent,
+            *options.split(),
+            "--out",
+        )
         out = tmp_path / f"{len(settings)}.jsonl"
         assert program(*words, out)[0] == 0
         settings.add(json.loads(out.read_text())["settings"])
         for earlier in range(len(settings) - 1):
             code, _, message = program(*words, tmp_path / f"{earlier}.jsonl")
-            assert code == 2 and "was made with another model, version or selection of pixels" in message
+            assert (
+                code == 2
+                and "was made with another model, version or selection of pixels" in message
+            )
     assert len(settings) == len(kinds)
     replace(base, record={"other": "record"}).save(tmp_path / "base.safetensors")
     words = "evaluate", tmp_path / "base.safetensors", folder.parent, "--out", tmp_path / "0.jsonl"
@@ -188,7 +261,9 @@ def test_results_of_whatever_changes_a_decision_are_never_mixed(tmp_path, progra
         ),  # without Dask
     ],
 )
-def test_what_cannot_be_done_is_one_line_and_exit_code_2(words, text, samples, tmp_path, program, monkeypatch):
+def test_what_cannot_be_done_is_one_line_and_exit_code_2(
+    words, text, samples, tmp_path, program, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "distributed", None)
     (tmp_path / "empty").mkdir()

@@ -33,7 +33,9 @@ def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("set")
     for name, n in (("upright", 5), ("flat", 4), ("slanted", 2)):
         for k in range(n):
-            events = bar(name, k, duration_us=(20_000, 100_000, 200_000)[k % 3], start_us=10**12 * (k % 2))
+            events = bar(
+                name, k, duration_us=(20_000, 100_000, 200_000)[k % 3], start_us=10**12 * (k % 2)
+            )
             if k == 1:
                 events["t"][700:] += 1_000_000
             write(folder / "Test" / name / f"{k}{('.npz', '.npy')[k % 2]}", events)
@@ -50,7 +52,8 @@ def decided_by_hand(model, start_us, events):
 
 @pytest.fixture(scope="module")
 def windows(model, dataset):
-    """(recording, label, start, events, decisions at each fiftieth that brought events) of each window."""
+    """(recording, label, start, events, decisions at each fiftieth that brought events) of each
+    window."""
     found = []
     for path in sorted(dataset.glob("Test/*/*")):
         events = open_recording(path).read()
@@ -95,7 +98,11 @@ def test_the_numbers_are_those_of_an_independent_count(saved, dataset, windows, 
 
 
 def test_classes_without_recordings_do_not_count_in_the_balance():
-    windows = [np.array([[0.9, 0.1, 0.0]]), np.array([[0.2, 0.8, 0.0]]), np.array([[0.1, 0.9, 0.0]])]
+    windows = [
+        np.array([[0.9, 0.1, 0.0]]),
+        np.array([[0.2, 0.8, 0.0]]),
+        np.array([[0.1, 0.9, 0.0]]),
+    ]
     scores = score_recordings(["a", "b", "never there"], [0, 0, 1], windows)
     assert scores["per_class"] == {"a": 0.5, "b": 1.0, "never there": None}
     assert scores["balanced_accuracy"] == 0.75
@@ -106,19 +113,31 @@ def test_early_decisions_are_those_of_an_independent_count(saved, dataset, windo
     windows = [(label, decisions) for _, label, *_, decisions in windows]
     assert [row["level"] for row in report["confidence"]] == [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
     for row in report["confidence"]:
-        first = [(label, next((d for d in window if d.probability >= row["level"]), None)) for label, window in windows]
+        first = [
+            (label, next((d for d in window if d.probability >= row["level"]), None))
+            for label, window in windows
+        ]
         sure = [(label, d) for label, d in first if d is not None]
         assert row["decided"] == pytest.approx(len(sure) / len(windows))
-        at_last = [window[-1] if d is None else d for (_, d), (_, window) in zip(first, windows, strict=True)]
+        at_last = [
+            window[-1] if d is None else d
+            for (_, d), (_, window) in zip(first, windows, strict=True)
+        ]
         right = [d.index == label for d, (label, _) in zip(at_last, windows, strict=True)]
         assert row["window_accuracy"] == pytest.approx(np.mean(right))
         if not sure:
             assert row["accuracy"] is None and row["median_ms"] is None and row["p90_ms"] is None
             continue
         assert row["accuracy"] == pytest.approx(np.mean([d.index == label for label, d in sure]))
-        last = [window[-1] for _, window in windows]  # no event comes after it: decided at the window's end
-        ms = [60 if d in last else 1.2 * ((d.time_us - d.window_start_us) // 1_200 + 1) for _, d in sure]
-        assert (row["median_ms"], row["p90_ms"]) == pytest.approx((np.median(ms), np.quantile(ms, 0.9)))
+        # no event comes after it: decided at the window's end
+        last = [window[-1] for _, window in windows]
+        ms = [
+            60 if d in last else 1.2 * ((d.time_us - d.window_start_us) // 1_200 + 1)
+            for _, d in sure
+        ]
+        assert (row["median_ms"], row["p90_ms"]) == pytest.approx(
+            (np.median(ms), np.quantile(ms, 0.9))
+        )
     decided = [row["decided"] for row in report["confidence"]]
     assert decided[0] == 1 and decided[2] > 0 and decided[-1] == 0
 
@@ -138,18 +157,27 @@ def record_by_hand(model, events):
         start_us, inside = int(events["t"][0]) + k * window_us, events[in_time & (number == k)]
         since = inside["t"] - start_us
         by_size, before, processor = {0: None}, 0, Processor(model, start_us=start_us)
-        for n in np.unique([*np.searchsorted(since, range(step_us, window_us, step_us)), len(inside)]).tolist():
+        for n in np.unique(
+            [*np.searchsorted(since, range(step_us, window_us, step_us)), len(inside)]
+        ).tolist():
             processor.push(inside[before:n])
             by_size[n], before = processor.fire() if n else None, n
         # in the last window time ends with its events
         passed = int(since[-1]) if k == number.max() else window_us - 1
         moments = [m for m in range(step_us, passed + 1, step_us) if m < window_us]
         sizes = np.searchsorted(since, moments).tolist()
-        due = [(m, n) for i, (m, n) in enumerate(zip(moments, sizes, strict=True)) if n > (sizes[i - 1] if i else 0)]
+        due = [
+            (m, n)
+            for i, (m, n) in enumerate(zip(moments, sizes, strict=True))
+            if n > (sizes[i - 1] if i else 0)
+        ]
         made = [*((m, by_size[n]) for m, n in due), (window_us, by_size[len(inside)])]
         tenths = [*(5 * step_us * j for j in range(1, 10)), window_us]
         at = [by_size[n] for n in np.searchsorted(since, tenths).tolist()]
-        first = [next(((m, d) for m, d in made if d.probability >= level), (-1, None)) for level in LEVELS]
+        first = [
+            next(((m, d) for m, d in made if d.probability >= level), (-1, None))
+            for level in LEVELS
+        ]
         record["window_start_us"].append(start_us)
         record["window_probabilities"].append(made[-1][1].probabilities.tolist())
         record["decided_at"].append([-1 if d is None else d.index for d in at])
@@ -167,7 +195,9 @@ def record_by_hand(model, events):
 
 
 @pytest.mark.parametrize("window_us", [60_000, 60_049, 137])
-def test_a_record_is_what_an_independent_count_of_its_recording_gives(model, window_us, tmp_path, program):
+def test_a_record_is_what_an_independent_count_of_its_recording_gives(
+    model, window_us, tmp_path, program
+):
     """Also where a fiftieth of a window is no whole number of microseconds; pauses, late events."""
     of_window = thesis_model(model.config.replace(window_us=window_us), model.weights, CLASSES)
     saved = of_window.save(tmp_path / "m.safetensors")
@@ -191,13 +221,17 @@ def test_a_record_is_what_an_independent_count_of_its_recording_gives(model, win
         [json.loads(line) for line in out.read_text().splitlines()],
         json.loads(printed),
     )
-    assert code == 0 and [record["recording"] for record in records] == [f"flat/{k}.npy" for k in range(3)]
+    assert code == 0 and [record["recording"] for record in records] == [
+        f"flat/{k}.npy" for k in range(3)
+    ]
     for record, expected in zip(records, kept, strict=True):
         assert {name: record[name] for name in expected} == expected
     for name in ("decisions", "events", "late"):
         assert report[name] == sum(record[name] for record in kept)
     decided = np.concatenate([np.reshape(record["decided_at"], -1) for record in kept])
-    probability = np.concatenate([np.reshape(record["probability_at"], -1) for record in kept])[decided >= 0]
+    probability = np.concatenate([np.reshape(record["probability_at"], -1) for record in kept])[
+        decided >= 0
+    ]
     right, tenth = (
         decided[decided >= 0] == CLASSES.index("flat"),
         np.minimum(probability * 10, 9).astype(int),
@@ -209,12 +243,18 @@ def test_a_record_is_what_an_independent_count_of_its_recording_gives(model, win
         assert [row[name] for row in report["calibration"]] == pytest.approx(
             [values[some].mean() for some in of_tenths]
         )
-    errors = [some.mean() * abs(probability[some].mean() - right[some].mean()) for some in of_tenths]
+    errors = [
+        some.mean() * abs(probability[some].mean() - right[some].mean()) for some in of_tenths
+    ]
     assert report["calibration_error"] == pytest.approx(sum(errors))
-    assert report["late"] > 0 and {us for record in kept for row in record["confident_us"] for us in row} > {-1}
+    assert report["late"] > 0 and {
+        us for record in kept for row in record["confident_us"] for us in row
+    } > {-1}
 
 
-def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(model, program, tmp_path):
+def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(
+    model, program, tmp_path
+):
     """Two may begin at the same moment."""
     of_events = thesis_model(model.config.replace(window_events=10), model.weights, CLASSES)
     events = bar("flat", 0)[:200]
@@ -225,7 +265,9 @@ def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(m
     assert report["windows"] == report["decisions"] == 20
     assert report["accuracy_against_time"] == report["confidence"] == []
     code, printed, err = program(*words)
-    assert (code, err) == (0, "") and "20 windows" in printed and "ms into the window" not in printed
+    assert (
+        (code, err) == (0, "") and "20 windows" in printed and "ms into the window" not in printed
+    )
 
 
 def test_the_text_names_classes_and_times(saved, dataset, program):
@@ -247,7 +289,11 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     code, printed, err = program("evaluate", saved, folder, "--json")
     report = json.loads(printed)
     assert code == 0 and report["recordings"] == 4 and report["per_class"]["slanted"] is None
-    assert err.count("\n") == 4 and err.count("async-tnt: skipped: ") == 4 and "--roi X,Y,128,128 --crop" in err
+    assert (
+        err.count("\n") == 4
+        and err.count("async-tnt: skipped: ") == 4
+        and "--roi X,Y,128,128 --crop" in err
+    )
     for name, why in (
         ("torn.npz", "not a readable NumPy file"),
         ("silent.npz", "no events"),
@@ -261,7 +307,10 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("MODEL", "unknown"), "the model does not know class jump, wave; it knows flat, slanted, upright"),
+        (
+            ("MODEL", "unknown"),
+            "the model does not know class jump, wave; it knows flat, slanted, upright",
+        ),
         (("MODEL", "damaged"), "none of 1 recordings can be evaluated; "),
         (("MODEL", "empty"), "no recordings in its class folders (upright)"),
     ],
@@ -273,5 +322,7 @@ def test_errors_are_one_line_and_exit_code_2(words, message, saved, tmp_path, pr
     for name in ("damaged", "empty"):
         (tmp_path / name / "upright").mkdir(parents=True)
     (tmp_path / "damaged" / "upright" / "0.npy").write_bytes(b"torn")
-    code, printed, err = program("evaluate", *(saved if word == "MODEL" else word for word in words))
+    code, printed, err = program(
+        "evaluate", *(saved if word == "MODEL" else word for word in words)
+    )
     assert code == 2 and message in err and err.count("\n") == 1 and printed == "", err

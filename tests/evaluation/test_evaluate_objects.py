@@ -1,4 +1,5 @@
-"""`async-tnt evaluate` of a map model: counts by hand, tables in both forms, and what is refused."""
+"""`async-tnt evaluate` of a map model: counts by hand, tables in both forms, and what is
+refused."""
 
 import json
 import weakref
@@ -17,9 +18,20 @@ from async_tnt.evaluation.object_tables import ObjectTable, read_table
 from async_tnt.kernels.objects import FOUND_SIZE, X, Y
 
 CONFIG = TNTConfig(
-    sensor=(64, 40), grid=(64, 40), representation="count", bins=1, polarity="split", transform="none", window_us=1000
+    sensor=(64, 40),
+    grid=(64, 40),
+    representation="count",
+    bins=1,
+    polarity="split",
+    transform="none",
+    window_us=1000,
 )
-BOXES = [(name, kind) for name, kind in zip(("ts", "x", "y", "w", "h", "class_id"), ("i8", *4 * ("f4",), "u4"))]  # noqa: B905
+BOXES = [
+    (name, kind)
+    for name, kind in zip(
+        ("ts", "x", "y", "w", "h", "class_id"), ("i8", "f4", "f4", "f4", "f4", "u4"), strict=True
+    )
+]
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +56,11 @@ TRUTH = [(9900, "on", 20, 10), (6000, "on", 21, 12), (6000, "off", 50, 30), (600
 
 @pytest.fixture
 def folder(tmp_path):
-    np.savez(tmp_path / "a_td.npz", sensor=CONFIG.sensor, **dict(zip("txyp", np.array(EVENTS[::-1]).T, strict=True)))
+    np.savez(
+        tmp_path / "a_td.npz",
+        sensor=CONFIG.sensor,
+        **dict(zip("txyp", np.array(EVENTS[::-1]).T, strict=True)),
+    )
     return tmp_path
 
 
@@ -58,21 +74,36 @@ def write_boxes(path, rows=TRUTH):
     np.save(path, np.array(numbers, BOXES))
 
 
-@pytest.mark.parametrize("write, name", [(write_points, "a_td_objects.csv"), (write_boxes, "a_bbox.npy")])
+@pytest.mark.parametrize(
+    "write, name", [(write_points, "a_td_objects.csv"), (write_boxes, "a_bbox.npy")]
+)
 def test_counts_by_hand(folder, saved, program, write, name):
-    """At 6000: three are there, three found, two of them right; after .3 of the window one is found. At 9900 one."""
+    """At 6000: three are there, three found, two of them right; after .3 of the window one is
+    found. At 9900 one."""
     write(folder / name)
     code, out, _ = program("evaluate", saved, folder, "--json")
     report = json.loads(out)
     assert code == 0
     assert report["per_class"]["on"] == {"f1": 0.66667, "objects": 3, "found": 3, "right": 2}
     assert report["per_class"]["off"] == {"f1": 1.0, "objects": 1, "found": 1, "right": 1}
-    assert (report["objects"], report["found"], report["recordings"], report["moments"]) == (4, 4, 1, 2)
+    assert (report["objects"], report["found"], report["recordings"], report["moments"]) == (
+        4,
+        4,
+        1,
+        2,
+    )
     assert report["precision"] == report["recall"] == report["f1"] == 0.75
-    assert report["f1_against_time_ms"] == {"0.3": round(4 / 6, 5), "0.5": round(4 / 6, 5), "1": 0.75}
+    assert report["f1_against_time_ms"] == {
+        "0.3": round(4 / 6, 5),
+        "0.5": round(4 / 6, 5),
+        "1": 0.75,
+    }
     assert "F1 0.7500: 0.7500 of 4 objects found are right" in program("evaluate", saved, folder)[1]
     write_points(folder / "a_td_objects.csv", [(6000, "on", -1, 5)])
-    assert "off the sensor cannot be found: 1; is the table in" in program("evaluate", saved, folder)[2]
+    assert (
+        "off the sensor cannot be found: 1; is the table in"
+        in program("evaluate", saved, folder)[2]
+    )
 
 
 def test_recordings_are_read_by_the_options(folder, saved, program):
@@ -81,7 +112,9 @@ def test_recordings_are_read_by_the_options(folder, saved, program):
     (folder / "a_td.npz").unlink()
     (folder / "a_td.csv").write_text("".join(f"{x},{y},{p},{t}\n" for t, x, y, p in sorted(EVENTS)))
     assert program("evaluate", saved, folder, "--sensor", "64x40")[0] == 2
-    code, out, _ = program("evaluate", saved, folder, "--sensor", "64x40", "--columns", "xypt", "--json")
+    code, out, _ = program(
+        "evaluate", saved, folder, "--sensor", "64x40", "--columns", "xypt", "--json"
+    )
     assert code == 0 and json.loads(out) == expected
 
 
@@ -103,18 +136,27 @@ def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, saved, progr
         assert report[name] == sum(one[name] for one in alone), name
     for kind in ("on", "off"):
         for name in ("objects", "found", "right"):
-            assert report["per_class"][kind][name] == sum(one["per_class"][kind][name] for one in alone), (kind, name)
+            assert report["per_class"][kind][name] == sum(
+                one["per_class"][kind][name] for one in alone
+            ), (kind, name)
     assert len(report["skipped"]) == 1 and "c.npz" in report["skipped"][0]
-    at = {ms: round(2 * right / n, 5) for ms, right, n in [("0.3", 2, 8), ("0.5", 2, 8), ("1", 4, 12)]}
+    at = {
+        ms: round(2 * right / n, 5) for ms, right, n in [("0.3", 2, 8), ("0.5", 2, 8), ("1", 4, 12)]
+    }
     assert report["f1_against_time_ms"] == at
 
 
 def test_prophesees_names(folder, saved, program):
-    """By the dictionary beside the boxes; of a class that the model does not know, they do not count."""
+    """By the dictionary beside the boxes; of a class that the model does not know, they do not
+    count."""
     write_boxes(folder / "a_bbox.npy")
     (folder / "label_map_dictionary.json").write_text('{"0": "off", "1": "truck"}')
     code, out, err = program("evaluate", saved, folder, "--json")
-    assert (code, json.loads(out)["objects"], json.loads(out)["unknown_classes"]) == (0, 3, {"truck": 1})
+    assert (code, json.loads(out)["objects"], json.loads(out)["unknown_classes"]) == (
+        0,
+        3,
+        {"truck": 1},
+    )
     assert "objects of classes that the model does not know do not count: truck (1)" in err
 
 
@@ -132,7 +174,10 @@ def test_what_is_wrong_is_said(folder, saved, program):
         assert "needs the columns t, class, x, y (and w, h of boxes), lacks " in error()
     for twice in ("t", "class", "x", "y"):
         write_points(folder / "a_td_objects.csv", [(*TRUTH[0], 5)], head=f"t,class,x,y,{twice}")
-        assert f"a_td_objects.csv: the column '{twice}' is there 2 times; leave out all but one" in error()
+        assert (
+            f"a_td_objects.csv: the column '{twice}' is there 2 times; leave out all but one"
+            in error()
+        )
     write_points(folder / "a_td_objects.csv", [(6000, "on", 5)])
     assert "x, y, w and h numbers" in error()
     write_points(folder / "a_td_objects.csv", [(6000, 5, 5)], "t,x,y,class")
@@ -142,7 +187,9 @@ def test_what_is_wrong_is_said(folder, saved, program):
     write_points(folder / "a_td_objects.csv", [(5, "on", 5, 5)])
     assert "no event in the 1000 us before any time in its table, 5 to 5" in error()
     write_points(folder / "a_td_objects.csv")
-    assert "--crop, --out, --workers cannot be used with it" in error("--workers", "2", "--out", "a.jsonl", "--crop")
+    assert "--crop, --out, --workers cannot be used with it" in error(
+        "--workers", "2", "--out", "a.jsonl", "--crop"
+    )
     write_points(folder / "a_td_objects.csv", [(-1, "on", 5, 5)])
     assert "w, h and t at least 0" in error()
     write_points(folder / "a_td_objects.csv")
@@ -156,7 +203,9 @@ def test_what_is_wrong_is_said(folder, saved, program):
     assert program("evaluate", saved, folder, "--sensor", "64x40", "--strict")[0] == 0
 
 
-@pytest.mark.parametrize("damage", [slice(0, 4), slice(10, 11)], ids=["another format", "no literal"])
+@pytest.mark.parametrize(
+    "damage", [slice(0, 4), slice(10, 11)], ids=["another format", "no literal"]
+)
 def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
     write_boxes(path := tmp_path / "a_bbox.npy")
     content = bytearray(path.read_bytes())
@@ -186,7 +235,9 @@ def scored_by_hand(model, events, rows, share):
     counts = np.zeros((3, 2), int)
     for end_us in sorted({row[0] for row in rows}):
         start_us = end_us - CONFIG.window_us
-        inside = events[(events["t"] >= start_us) & (events["t"] < start_us + share * CONFIG.window_us)]
+        inside = events[
+            (events["t"] >= start_us) & (events["t"] < start_us + share * CONFIG.window_us)
+        ]
         inside = inside[np.argsort(inside["t"], kind="stable")]
         inside["t"] -= start_us
         processor = Processor(model, start_us=0)
@@ -196,7 +247,11 @@ def scored_by_hand(model, events, rows, share):
             counts[0, label] += 1
         for one in processor.fire().objects:
             counts[1, one.index] += 1
-            away = {k: np.hypot(x - one.x, y - one.y) for k, (label, x, y) in enumerate(waiting) if label == one.index}
+            away = {
+                k: np.hypot(x - one.x, y - one.y)
+                for k, (label, x, y) in enumerate(waiting)
+                if label == one.index
+            }
             nearest = min(away, key=away.get, default=None)
             if nearest is not None and away[nearest] <= 5:
                 counts[2, one.index] += 1
@@ -226,23 +281,34 @@ def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, order, packet_
     assert list(found) == [0.3, 0.5, 1.0]
     for share, scores in found.items():
         expected = scored_by_hand(model, events, rows, share)
-        assert [scores.there.tolist(), scores.found.tolist(), scores.right.tolist()] == expected, share
+        assert [scores.there.tolist(), scores.found.tolist(), scores.right.tolist()] == expected, (
+            share
+        )
         (there, n_found, right), words = (
             np.sum(expected, axis=1).tolist(),
             scores.to_dict(model.classes),
         )
-        assert (5 if share == 1 else 0) < right < there and scores.f1 == 2 * right / (there + n_found)
-        assert words["precision"] == round(right / n_found, 5) and words["recall"] == round(right / there, 5)
+        assert (5 if share == 1 else 0) < right < there and scores.f1 == 2 * right / (
+            there + n_found
+        )
+        assert words["precision"] == round(right / n_found, 5) and words["recall"] == round(
+            right / there, 5
+        )
 
 
-@pytest.mark.parametrize("moment, is_known", [(8900, False), (8901, True), (9900, True), (9901, False)])
+@pytest.mark.parametrize(
+    "moment, is_known", [(8900, False), (8901, True), (9900, True), (9901, False)]
+)
 def test_a_window_has_its_start_and_not_its_end(folder, saved, program, moment, is_known):
     """Of a recording of one event, at 8900."""
     np.savez(folder / "a_td.npz", sensor=CONFIG.sensor, events=events_of([8900], [20], [10], [1]))
     write_points(folder / "a_td_objects.csv", [(moment, "on", 20, 10)])
     code, _, err = program("evaluate", saved, folder)
     assert (code == 0) == is_known
-    assert is_known or f"no event in the 1000 us before any time in its table, {moment} to {moment}" in err
+    assert (
+        is_known
+        or f"no event in the 1000 us before any time in its table, {moment} to {moment}" in err
+    )
 
 
 def test_memory_does_not_grow_with_the_time_between_moments(saved):
@@ -270,9 +336,16 @@ def test_memory_does_not_grow_with_the_time_between_moments(saved):
 
 def test_how_near_is_near_enough(tmp_path):
     """Within a box, of at least a pixel a side, or so many pixels from a point."""
-    write_points(tmp_path / "a_objects.csv", [(1, "on", 10, 20, 8, 0), (2, "on", 10, 20, 0, 0)], "t,class,x,y,w,h")
+    write_points(
+        tmp_path / "a_objects.csv",
+        [(1, "on", 10, 20, 8, 0), (2, "on", 10, 20, 0, 0)],
+        "t,class,x,y,w,h",
+    )
     table = read_table(tmp_path / "a_objects.csv", ("on",))
-    assert (table.reach.tolist(), table.middle.tolist()) == ([[4, 0.5], [5, 5]], [[14, 20], [10, 20]])
+    assert (table.reach.tolist(), table.middle.tolist()) == (
+        [[4, 0.5], [5, 5]],
+        [[14, 20], [10, 20]],
+    )
 
 
 def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
@@ -286,7 +359,8 @@ def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
 
 
 def test_matches_by_hand():
-    """An object is matched once, with the nearest of its class; a second one found there is too many."""
+    """An object is matched once, with the nearest of its class; a second one found there is too
+    many."""
     found = np.zeros((4, FOUND_SIZE))
     found[:, :4] = [(10, 10, 0.9, 0), (11, 10, 0.8, 0), (30, 10, 0.7, 1), (50, 10, 0.6, 1)]
     labels, middles = np.array([0, 0, 1]), np.array([[10.0, 10], [40, 40], [50, 13]])
@@ -313,18 +387,26 @@ def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
         across, down = np.broadcast_to(reach, (1, 2))[0]
         for angle in np.linspace(0, 2 * np.pi, 33):
             for share, right in ((0.999, 1), (1.001, 0)):
-                found[0, [X, Y]] = middle[0] + share * np.array([across * np.cos(angle), down * np.sin(angle)])
-                assert score_objects(found, np.zeros(1, int), middle, reach, 1).right.sum() == right, (reach, angle)
+                found[0, [X, Y]] = middle[0] + share * np.array(
+                    [across * np.cos(angle), down * np.sin(angle)]
+                )
+                assert (
+                    score_objects(found, np.zeros(1, int), middle, reach, 1).right.sum() == right
+                ), (reach, angle)
 
 
-CELLS = st.one_of(st.integers(), st.floats().map(str), st.sampled_from(["on", "", '"', "\0", "1e999", "nan"]))
+CELLS = st.one_of(
+    st.integers(), st.floats().map(str), st.sampled_from(["on", "", '"', "\0", "1e999", "nan"])
+)
 
 
 @given(
     st.one_of(
         st.binary(max_size=80),
         st.lists(st.lists(CELLS, max_size=7), max_size=4).map(
-            lambda rows: "\n".join(["t,class,x,y,w,h", *(",".join(map(str, row)) for row in rows)]).encode()
+            lambda rows: "\n".join(
+                ["t,class,x,y,w,h", *(",".join(map(str, row)) for row in rows)]
+            ).encode()
         ),
     ),
     st.sampled_from(["a_objects.csv", "a_bbox.npy"]),

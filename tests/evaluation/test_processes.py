@@ -1,4 +1,5 @@
-"""Every way to run many tasks: each task is done once, lost workers are replaced, and workers end with the program."""
+"""Every way to run many tasks: each task is done once, lost workers are replaced, and workers end
+with the program."""
 
 import contextlib
 import os
@@ -33,8 +34,13 @@ def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, 
     names = [*NAMES[:10], "poison", *NAMES[10:20]]
     records = list(run(deadly, make_tasks(tmp_path / "set", names), lost=lost))
     assert sorted(record["recording"] for record in records) == sorted(names)
-    errors = {record["recording"]: record["error"] for record in records if record["error"] is not None}
-    assert errors.keys() == {"poison"} and "its worker ended: killed, out of memory" in errors["poison"]
+    errors = {
+        record["recording"]: record["error"] for record in records if record["error"] is not None
+    }
+    assert (
+        errors.keys() == {"poison"}
+        and "its worker ended: killed, out of memory" in errors["poison"]
+    )
     if "processes" in request.node.name:  # Dask repeats tasks of a worker that has ended
         assert sorted((tmp_path / "set" / "begun").read_text().split()) == sorted(names)
 
@@ -67,7 +73,9 @@ def test_closing_or_an_error_ends_workers_in_the_middle_of_their_tasks(end, tmp_
 
 @posix
 def test_killing_the_program_ends_its_workers_in_the_middle_of_their_tasks(tmp_path):
-    with started("-c", f"from evaluation.simple_work import run_sleepers; run_sleepers({str(tmp_path)!r})") as process:
+    with started(
+        "-c", f"from evaluation.simple_work import run_sleepers; run_sleepers({str(tmp_path)!r})"
+    ) as process:
         until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
         pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
         assert all(is_running(pid) for pid in pids)
@@ -80,7 +88,9 @@ def test_a_call_over_its_limit_ends_the_worker():
     worker.submit(twice, 2)
     assert worker.result() == 4
     worker.submit(time.sleep, 3600, limit_s=0.1)  # by itself, if its parent is gone
-    with pytest.raises(WorkerEnded, match="a worker process crashed, hung, was killed, or ran out of memory"):
+    with pytest.raises(
+        WorkerEnded, match="a worker process crashed, hung, was killed, or ran out of memory"
+    ):
         worker.result()
     worker.end()
     worker = Worker()
@@ -94,7 +104,10 @@ def test_a_call_over_its_limit_ends_the_worker():
 def test_a_cluster_without_workers(empty_cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(ways, "CONNECT_S", 120.0)
     monkeypatch.setattr(ways, "WORKERS_S", 0.5)
-    with pytest.raises(ConnectionError, match=r"has no workers: start some, with one thread each: dask worker tcp://"):
+    with pytest.raises(
+        ConnectionError,
+        match=r"has no workers: start some, with one thread each: dask worker tcp://",
+    ):
         list(run_on_dask(record_of, make_tasks(tmp_path / "set", ["00"]), empty_cluster, lost))
 
 

@@ -1,4 +1,5 @@
-"""The result file: one record per recording, and the same file whatever happened on the way to it."""
+"""The result file: one record per recording, and the same file whatever happened on the way to
+it."""
 
 import fcntl
 import os
@@ -49,7 +50,11 @@ def collected_to(out, tasks, function=record_of, run=HERE, progress=Bar, **words
         kept.append(done)
         return progress(total, title, done=done)
 
-    return collect(function, tasks, run, out, progress=noted, report=said.append, **words), *kept, said
+    return (
+        collect(function, tasks, run, out, progress=noted, report=said.append, **words),
+        *kept,
+        said,
+    )
 
 
 def noting(done):
@@ -88,12 +93,19 @@ def test_interrupted_in_any_way_to_run_it_resumes_to_the_same_file(run, tasks, t
         collected_to(out, tasks, run=run, progress=stopping_after(2))
     resumed, kept, said = collected_to(out, tasks[::-1], run=run)
     assert kept == 2 and said == [f"{out}: 2 of 5 recordings are done, resuming"]
-    assert out.read_bytes() == plain.read_bytes() and sum(path.is_file() for path in tmp_path.iterdir()) == 2
+    assert (
+        out.read_bytes() == plain.read_bytes()
+        and sum(path.is_file() for path in tmp_path.iterdir()) == 2
+    )
     assert resumed == records
 
 
 @settings(max_examples=20)
-@given(order=st.permutations(NAMES), stops=st.lists(st.integers(0, 5), max_size=3), torn=st.integers(0, 400))
+@given(
+    order=st.permutations(NAMES),
+    stops=st.lists(st.integers(0, 5), max_size=3),
+    torn=st.integers(0, 400),
+)
 def test_orders_stops_and_torn_ends_give_the_same_file(tmp_path_factory, order, stops, torn):
     folder = tmp_path_factory.mktemp("any")
     tasks = make_tasks(folder / "set", order)
@@ -116,14 +128,21 @@ def test_new_and_changed_recordings_are_done_and_no_others(finished, tmp_path):
     done = []
     records, kept, _ = collected_to(finished, tasks, noting(done))
     assert sorted(done) == ["a", "dd", "new"] and kept == len(NAMES) - 2
-    assert {r["recording"]: r["label"] for r in records} == {**{n: n for n in [*NAMES, "new"]}, "dd": "longer"}
+    assert {r["recording"]: r["label"] for r in records} == {
+        **{n: n for n in [*NAMES, "new"]},
+        "dd": "longer",
+    }
     fresh = finished.with_stem("fresh")
     collected_to(fresh, tasks)
     assert finished.read_bytes() == fresh.read_bytes()
 
 
-@pytest.mark.parametrize("change", [{"bytes": 7}, {"modified_ns": 7}, {"label": "another class"}], ids=str)
-def test_a_recording_of_another_size_time_or_class_is_done_again_and_no_other(finished, tasks, change):
+@pytest.mark.parametrize(
+    "change", [{"bytes": 7}, {"modified_ns": 7}, {"label": "another class"}], ids=str
+)
+def test_a_recording_of_another_size_time_or_class_is_done_again_and_no_other(
+    finished, tasks, change
+):
     done = []
     tasks[1] = replace(tasks[1], **change)
     records, kept, _ = collected_to(finished, tasks, noting(done))
@@ -138,9 +157,13 @@ def test_a_recording_of_another_size_time_or_class_is_done_again_and_no_other(fi
     [{"version": "0.1"}, {"model_sha256": "b" * 64}, {"pixels": PixelSelection(roi=(0, 0, 9, 9))}],
     ids=["version", "model", "pixels"],
 )
-def test_results_of_another_version_model_or_selection_of_pixels_are_refused(finished, tmp_path, changes):
+def test_results_of_another_version_model_or_selection_of_pixels_are_refused(
+    finished, tmp_path, changes
+):
     theirs = make_tasks(tmp_path / "set", NAMES, replace(JOB, **changes))
-    with pytest.raises(ValueError, match="was made with another model, version or selection of pixels"):
+    with pytest.raises(
+        ValueError, match="was made with another model, version or selection of pixels"
+    ):
         collected_to(finished, theirs)
     assert len(collected_to(finished, theirs, restart=True)[0]) == len(NAMES)
 
@@ -155,10 +178,15 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
     unfinished = finished.with_stem("unfinished")
     with pytest.raises(Stopped):
         collected_to(unfinished, tasks, progress=stopping_after(3))
-    for theirs in make_tasks(tmp_path / "other", ["x", "y"]), [replace(task, modified_ns=1) for task in tasks]:
+    for theirs in (
+        make_tasks(tmp_path / "other", ["x", "y"]),
+        [replace(task, modified_ns=1) for task in tasks],
+    ):
         for out, n in (finished, 5), (unfinished, 3):
             before = out.read_bytes()
-            with pytest.raises(ValueError, match=rf"holds results \({n}\), but none of a recording as it is"):
+            with pytest.raises(
+                ValueError, match=rf"holds results \({n}\), but none of a recording as it is"
+            ):
                 collected_to(out, theirs)
             assert out.read_bytes() == before
     collected_to(unfinished, theirs, restart=True)
@@ -169,7 +197,10 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
 )
 def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
     lines = unfinished.read_bytes().splitlines(keepends=True)
-    for content, is_ours in (b"".join([*lines[:2], line + b"\n", *lines[2:]]), True), (b"x" + line, False):
+    for content, is_ours in (
+        (b"".join([*lines[:2], line + b"\n", *lines[2:]]), True),
+        (b"x" + line, False),
+    ):
         unfinished.write_bytes(content)
         for restart in (False, True)[: 2 - is_ours]:
             with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
@@ -178,11 +209,15 @@ def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
     unfinished.write_bytes(b"".join(lines))
     with closing(ResultFile(unfinished, JOB, restart=True)) as file:
         assert not file.records
-    assert unfinished.read_bytes() == b"".join(lines)  # nothing is discarded before there is something new
+    # nothing is discarded before there is something new
+    assert unfinished.read_bytes() == b"".join(lines)
 
 
 def test_two_programs_at_once_are_refused(unfinished):
-    with closing(ResultFile(unfinished, JOB)), pytest.raises(OSError, match=r"r\.\w+: another program is writing it"):
+    with (
+        closing(ResultFile(unfinished, JOB)),
+        pytest.raises(OSError, match=r"r\.\w+: another program is writing it"),
+    ):
         ResultFile(unfinished, JOB)
     ResultFile(unfinished, JOB).close()
 

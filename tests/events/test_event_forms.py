@@ -33,9 +33,21 @@ LAYOUTS = {  # fuzzing makes any other
     "dv": [("timestamp", "<i8"), ("x", "<i2"), ("y", "<i2"), ("polarity", "<i1")],
     "ours": EVENT_DTYPE,
     "aligned, with titles": np.dtype(
-        [(("column", "x"), "<u2"), (("row", "y"), "<u2"), (("on?", "p"), "i1"), (("us", "t"), "<i8")], align=True
+        [
+            (("column", "x"), "<u2"),
+            (("row", "y"), "<u2"),
+            (("on?", "p"), "i1"),
+            (("us", "t"), "<i8"),
+        ],
+        align=True,
     ),
-    "more fields": [("id", "S3"), *EVENT_DTYPE.descr, ("wall", "M8[us]"), ("w", "<f4", (2,)), ("note", "U2")],
+    "more fields": [
+        ("id", "S3"),
+        *EVENT_DTYPE.descr,
+        ("wall", "M8[us]"),
+        ("w", "<f4", (2,)),
+        ("note", "U2"),
+    ],
     "big-endian": [("t", ">i8"), ("x", ">u2"), ("y", ">u2"), ("p", ">i2")],
     "with objects": [*EVENT_DTYPE.descr, ("note", "O")],
 }
@@ -69,7 +81,11 @@ def decoded(decoder, events):
 
 def assert_decoded(events, expected=EVENTS):
     """Twice by one decoder, and by `as_events`; the caller's arrays are left as they are."""
-    arrays = [a for a in (events if isinstance(events, (tuple, list)) else [events]) if isinstance(a, np.ndarray)]
+    arrays = [
+        a
+        for a in (events if isinstance(events, (tuple, list)) else [events])
+        if isinstance(a, np.ndarray)
+    ]
     before = [a.tobytes() for a in arrays]
     decoder = EventDecoder(SENSOR)
     assert decoded(decoder, events) == decoded(decoder, events) == expected
@@ -79,7 +95,7 @@ def assert_decoded(events, expected=EVENTS):
     assert [a.tobytes() for a in arrays] == before
 
 
-# -- structured arrays -----------------------------------------------------------------------------------
+# -- structured arrays -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
@@ -95,11 +111,13 @@ def test_records_of_every_layout(layout):
 def test_any_memory(stored):
     for layout in ("ours", "big-endian"):
         assert_decoded(stored(records(LAYOUTS[layout])))
-    assert_decoded(tuple(stored(np.array(column, dtype)) for column, dtype in zip(EVENTS, TYPES, strict=True)))
+    assert_decoded(
+        tuple(stored(np.array(column, dtype)) for column, dtype in zip(EVENTS, TYPES, strict=True))
+    )
     assert_decoded([stored(np.array(column)) for column in EVENTS])
 
 
-# -- columns ---------------------------------------------------------------------------------------------
+# -- columns ---------------------------------------------------------------------------------------
 
 
 def test_columns_that_are_not_arrays():
@@ -113,7 +131,7 @@ def test_columns_that_are_not_arrays():
         assert_decoded([make(T), np.array(X), Y, [bool(p) for p in P]])
 
 
-# -- single events, objects, nothing ---------------------------------------------------------------------
+# -- single events, objects, nothing ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [int, np.uint16, torch.tensor])
@@ -125,7 +143,11 @@ def test_single_events(number):
 
 def test_objects_and_named_tuples_name_their_columns():
     for t, p in (("t", "p"), ("ts", "pol"), ("timestamp", "polarity"), ("t", "on")):
-        assert_decoded(SimpleNamespace(**{t: np.array(T), "x": np.array(X), "y": Y, p: [bool(value) for value in P]}))
+        assert_decoded(
+            SimpleNamespace(
+                **{t: np.array(T), "x": np.array(X), "y": Y, p: [bool(value) for value in P]}
+            )
+        )
         assert_decoded(SimpleNamespace(**{t: 7, "x": 1, "y": 2, p: True}), [[7], [1], [2], [1]])
     order = namedtuple("Order", "x y p t")
     assert_decoded(order(x=X, y=Y, p=P, t=T))
@@ -169,7 +191,8 @@ def test_times_with_a_unit(kind, unit):
 
 
 class Table:
-    """As pandas' (`columns`), or polars' and pyarrow's (`column_names`): of some names the last column is returned."""
+    """As pandas' (`columns`), or polars' and pyarrow's (`column_names`): of some names the last
+    column is returned."""
 
     def __init__(self, attribute, names, columns):
         setattr(self, attribute, list(names))
@@ -219,7 +242,8 @@ MICROSECONDS = {
 
 @pytest.mark.parametrize("form", NAMED_FORMS.values(), ids=NAMED_FORMS)
 def test_times_beyond_int64_microseconds_are_named(form):
-    """Up to the last one that an event may have they are exact, rounded down; beyond int64 nothing wraps around."""
+    """Up to the last one that an event may have they are exact, rounded down; beyond int64 nothing
+    wraps around."""
     decoder = EventDecoder(SENSOR)
     message = r"^`t` must be in \[0, 2\*\*62\) microseconds, got -?\d.* at event 1$"
     for (unit, us), kind in itertools.product(MICROSECONDS.items(), ("datetime64", "timedelta64")):
@@ -227,7 +251,10 @@ def test_times_beyond_int64_microseconds_are_named(form):
         for n in (last, last // 3, 1):
             t = np.array([0, n], np.int64).view(f"{kind}[{unit}]")
             expected = [[0, math.floor(n * us)], [1, 1], [2, 2], [1, 0]]
-            assert decoded(decoder, form(t, np.array([1, 1]), np.array([2, 2]), np.array([1, 0]))) == expected
+            assert (
+                decoded(decoder, form(t, np.array([1, 1]), np.array([2, 2]), np.array([1, 0])))
+                == expected
+            )
         for n in (2**62, 2**63 - 1, -(2**62), 1 - 2**63, (2**64 + 5) // us, -((2**64) // us)):
             if not -(2**63) < n < 2**63 or 0 <= n <= last or -1 <= n * us <= 0:
                 continue
@@ -243,10 +270,15 @@ def test_years_and_months():
         t = np.array([n], np.int64)
         expected = (np.datetime64(date) - np.datetime64("1970-01-01")) // np.timedelta64(1, "us")
         assert decoded(EventDecoder(SENSOR), (t.view(f"M8[{unit}]"), *one))[0] == [int(expected)]
-        with pytest.raises(ValueError, match=rf"^`t` must be durations of a fixed length, got timedelta64\[{unit}\]"):
+        with pytest.raises(
+            ValueError,
+            match=rf"^`t` must be durations of a fixed length, got timedelta64\[{unit}\]",
+        ):
             as_events((t.view(f"m8[{unit}]"), *one), SENSOR)
         for far in (2**40, 2**62, -(2**62)):
-            with pytest.raises(ValueError, match=rf"^`t` must be in .*, got {far} {unit} at event 0$"):
+            with pytest.raises(
+                ValueError, match=rf"^`t` must be in .*, got {far} {unit} at event 0$"
+            ):
                 as_events((np.array([far]).view(f"M8[{unit}]"), *one), SENSOR)
 
 
@@ -275,7 +307,9 @@ def test_a_column_named_twice_is_an_error(twice, tmp_path):
             content = BytesIO()
             np.save(content, np.array(column))
             archive.writestr(f"{name}.npy", content.getvalue())
-    message = rf"need one field `{twice}`, got {twice} 2 times|holds the array '{twice}' more than once"
+    message = (
+        rf"need one field `{twice}`, got {twice} 2 times|holds the array '{twice}' more than once"
+    )
     for table in tables_of(names, columns):
         with pytest.raises(ValueError, match=message):
             as_events(table, SENSOR)
@@ -288,7 +322,8 @@ def test_a_column_named_twice_is_an_error(twice, tmp_path):
 
 @pytest.mark.parametrize("order", ["".join(order) for order in itertools.permutations("txyp")])
 def test_plain_arrays_whose_order_is_stated(order):
-    """The right order is taken, every other one that is seen to be wrong is refused, and the right one named."""
+    """The right order is taken, every other one that is seen to be wrong is refused, and the right
+    one named."""
     columns = dict(zip("txyp", (sorted(T), X, Y, P), strict=True))
     expected = [columns[name] for name in "txyp"]
     for dtype in (np.int64, np.uint32, np.float64):
@@ -298,8 +333,14 @@ def test_plain_arrays_whose_order_is_stated(order):
         for wrong in map("".join, itertools.permutations("txyp")):
             if wrong.index("t") == order.index("t") and wrong.index("p") == order.index("p"):
                 continue  # x for y cannot be seen
-            named = order if order.index("x") < order.index("y") else order.translate(str.maketrans("xy", "yx"))
-            with pytest.raises(ValueError, match=f"^the columns are not '{wrong}'; they look like '{named}'$"):
+            named = (
+                order
+                if order.index("x") < order.index("y")
+                else order.translate(str.maketrans("xy", "yx"))
+            )
+            with pytest.raises(
+                ValueError, match=f"^the columns are not '{wrong}'; they look like '{named}'$"
+            ):
                 event_columns(table, wrong)
 
 
@@ -312,12 +353,28 @@ def test_unsorted_times_and_small_ones_are_not_taken_for_another_order():
 def test_plain_arrays_that_are_refused():
     whole = "`t` must be whole numbers, as float64 below 9007199254740992, got"
     for table, order, message in (
-        ([[1, 2, 3]], "txyp", r"`table` must be numbers in shape \(N, 4\), got int64 in shape \(1, 3\)"),
-        ([[1, 2, 3, 1]], "txy", "`order` must have the letters t, x, y and p, each once, got 'txy'"),
+        (
+            [[1, 2, 3]],
+            "txyp",
+            r"`table` must be numbers in shape \(N, 4\), got int64 in shape \(1, 3\)",
+        ),
+        (
+            [[1, 2, 3, 1]],
+            "txy",
+            "`order` must have the letters t, x, y and p, each once, got 'txy'",
+        ),
         ([[0.5, 2, 3, 1]], "txyp", f"{whole} 0.5 in row 0; times are microseconds"),
         ([[float("nan"), 2, 3, 1]], "txyp", f"{whole} nan in row 0; times are microseconds"),
-        (np.float32([[2**24, 2, 3, 1]]), "txyp", "`t` must be whole numbers, as float32 below 16777216, got 1.*"),
-        ([["a", "b", "c", "d"]], "txyp", r"`table` must be numbers in shape \(N, 4\), got <U1 in shape \(1, 4\)"),
+        (
+            np.float32([[2**24, 2, 3, 1]]),
+            "txyp",
+            "`t` must be whole numbers, as float32 below 16777216, got 1.*",
+        ),
+        (
+            [["a", "b", "c", "d"]],
+            "txyp",
+            r"`table` must be numbers in shape \(N, 4\), got <U1 in shape \(1, 4\)",
+        ),
     ):
         with pytest.raises(ValueError, match=f"^{message}$"):
             event_columns(table, order)

@@ -1,5 +1,5 @@
-"""Any record layout, any numbers around the limits, any Python object: the decoder agrees with a slow oracle, and
-nothing but ValueError or TypeError ever comes out of it."""
+"""Any record layout, any numbers around the limits, any Python object: the decoder agrees with a
+slow oracle, and nothing but ValueError or TypeError ever comes out of it."""
 
 from collections import namedtuple
 from types import SimpleNamespace
@@ -14,8 +14,14 @@ from async_tnt.events import NAMES, EventDecoder, as_events, checked_columns, na
 
 INTEGERS = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 OURS = ("i8", "u2", "u2", "u1")
-SENSORS = st.sampled_from([(34, 34), (346, 260), (128, 127), (129, 300), (256, 255), (2**15, 2**15), (2, 2)])
-LIMITS = [0, 2**62, *(sign * 2**bits for bits in (7, 8, 15, 16, 31, 32, 63, 64) for sign in (1, -1))]
+SENSORS = st.sampled_from(
+    [(34, 34), (346, 260), (128, 127), (129, 300), (256, 255), (2**15, 2**15), (2, 2)]
+)
+LIMITS = [
+    0,
+    2**62,
+    *(sign * 2**bits for bits in (7, 8, 15, 16, 31, 32, 63, 64) for sign in (1, -1)),
+]
 
 
 def oracle(rows, kinds, sensor):
@@ -48,7 +54,8 @@ def outcome(take, *args):
 
 @st.composite
 def rows_for(draw, types, sensor, min_size=0):
-    """Up to five rows of numbers that their types can hold: valid, or with one field around the limits."""
+    """Up to five rows of numbers that their types can hold: valid, or with one field around the
+    limits."""
     trouble = draw(st.sampled_from([*NAMES, None, None, None]))
     columns = []
     for field, number in zip(NAMES, types, strict=True):
@@ -58,8 +65,14 @@ def rows_for(draw, types, sensor, min_size=0):
             low, high = int(np.iinfo(number).min), int(np.iinfo(number).max)
         elif number not in ("?", None):
             low, high = 0, 1000
-        valid = st.sampled_from([-1, 1]) if field == "p" and low < 0 else st.integers(0, min(end - 1, high))
-        around = [limit + d for limit in [*LIMITS, end] for d in (-1, 0, 1, 3) if low <= limit + d <= high]
+        valid = (
+            st.sampled_from([-1, 1])
+            if field == "p" and low < 0
+            else st.integers(0, min(end - 1, high))
+        )
+        around = [
+            limit + d for limit in [*LIMITS, end] for d in (-1, 0, 1, 3) if low <= limit + d <= high
+        ]
         columns.append(st.one_of(valid, st.sampled_from(around)) if field == trouble else valid)
     return draw(st.lists(st.tuples(*columns), min_size=min_size, max_size=5))
 
@@ -71,14 +84,21 @@ def layouts(draw):
     numbers = [draw(st.one_of(st.sampled_from(some), st.sampled_from(INTEGERS))) for some in usual]
     if draw(st.integers(0, 3)) == 0:
         numbers[draw(st.integers(0, 3))] = draw(st.sampled_from(["f8", "?", "S9", "M8[us]"]))
-    formats = [number if number == "?" else draw(st.sampled_from("<<<>")) + number for number in numbers]
+    formats = [
+        number if number == "?" else draw(st.sampled_from("<<<>")) + number for number in numbers
+    ]
     names = [draw(st.sampled_from(aliases)) for aliases in NAMES.values()]
     order = draw(st.permutations(range(4)))
     offsets, end = {}, 0
     for k in order:  # fields anywhere in memory, whatever order their names are in
         offsets[k] = end + draw(st.sampled_from([0, 0, 1, 3]))
         end = offsets[k] + np.dtype(formats[k]).itemsize
-    fields = {"names": names, "formats": formats, "offsets": [offsets[k] for k in range(4)], "itemsize": end + 2}
+    fields = {
+        "names": names,
+        "formats": formats,
+        "offsets": [offsets[k] for k in range(4)],
+        "itemsize": end + 2,
+    }
     return np.dtype(fields), names
 
 
@@ -90,7 +110,10 @@ def test_records_of_any_layout(data, layout, sensor):
     kinds = {field: dtype.fields[name][0].kind for field, name in zip(NAMES, names, strict=True)}
     expected = oracle(rows, kinds, sensor)
 
-    events = np.full(len(rows) * dtype.itemsize, data.draw(st.integers(0, 255)), np.uint8).view(dtype)  # padding, too
+    # padding, too
+    events = np.full(len(rows) * dtype.itemsize, data.draw(st.integers(0, 255)), np.uint8).view(
+        dtype
+    )
     for name, column in zip(names, zip(*rows, strict=True), strict=False):
         events[name] = column
     before = events.tobytes()
@@ -98,7 +121,8 @@ def test_records_of_any_layout(data, layout, sensor):
     decoder = EventDecoder(sensor)
     assert outcome(decoder.decode, events) == expected  # most of them by the fast path
     assert outcome(decoder.decode, events) == expected
-    assert outcome(lambda: checked_columns(*named_columns(events), sensor)) == expected  # all by the slow one
+    # all by the slow one
+    assert outcome(lambda: checked_columns(*named_columns(events), sensor)) == expected
     columns = tuple(events[name] for name in names)
     assert outcome(decoder.decode, columns) == (expected if rows else [])
     if rows:
@@ -123,11 +147,13 @@ def test_columns_of_any_numbers(data, sensor, types):
         assert outcome(decoder.decode, arrays) == expected
 
 
-# -- anything at all -----------------------------------------------------------------------------------------
+# -- anything at all -------------------------------------------------------------------------------
 
 
 def containers(parts):
-    fields = st.sampled_from([name for names in NAMES.values() for name in names] + ["polarity_events", "shape"])
+    fields = st.sampled_from(
+        [name for names in NAMES.values() for name in names] + ["polarity_events", "shape"]
+    )
     return st.one_of(
         st.lists(parts, max_size=6),
         st.tuples(parts, parts, parts, parts),
@@ -141,12 +167,20 @@ SCALARS = st.one_of(
     st.integers(),
     st.floats(),
     st.text(max_size=4),
-    st.sampled_from([None, True, 1j, object(), int, ..., range(4), iter(()), np.float32(1), np.ma.masked]),
+    st.sampled_from(
+        [None, True, 1j, object(), int, ..., range(4), iter(()), np.float32(1), np.ma.masked]
+    ),
 )
-COLUMNS = st.sampled_from([[0, 1], (1, 1), [True, False], [-1, 1], np.array([0, 1], ">u2"), [33, 2**62]])  # two events
-RECORDS = st.tuples(*[hnp.scalar_dtypes()] * 4).map(lambda types: list(zip("txyp", types, strict=True)))
+# two events
+COLUMNS = st.sampled_from(
+    [[0, 1], (1, 1), [True, False], [-1, 1], np.array([0, 1], ">u2"), [33, 2**62]]
+)
+RECORDS = st.tuples(*[hnp.scalar_dtypes()] * 4).map(
+    lambda types: list(zip("txyp", types, strict=True))
+)
 ARRAYS = hnp.arrays(
-    st.one_of(hnp.scalar_dtypes(), RECORDS, st.just(EVENT_DTYPE)), hnp.array_shapes(min_dims=0, max_side=4)
+    st.one_of(hnp.scalar_dtypes(), RECORDS, st.just(EVENT_DTYPE)),
+    hnp.array_shapes(min_dims=0, max_side=4),
 )
 
 

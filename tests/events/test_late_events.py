@@ -25,7 +25,9 @@ FORMS = {
     "records": lambda events: events,
     "columns as they are": lambda events: tuple(events[name].copy() for name in "txyp"),
     "lists": lambda events: tuple(events[name].tolist() for name in "txyp"),
-    "other records": lambda events: events.astype([("t", ">u8"), ("x", ">u2"), ("y", ">u2"), ("p", ">i2")]),
+    "other records": lambda events: events.astype(
+        [("t", ">u8"), ("x", ">u2"), ("y", ">u2"), ("p", ">i2")]
+    ),
 }
 
 
@@ -41,12 +43,16 @@ def test_by_hand():
     for _ in range(2):
         assert rows(drop.decode(events)) == packet(T)[KEPT].tolist()
         assert (drop.n_dropped, drop.newest_us) == (4, 9)
-        assert rows(drop.decode(events)) == [row for row in packet(T).tolist() if row[0] == 9]  # 9 is not older than 9
+        # 9 is not older than 9
+        assert rows(drop.decode(events)) == [row for row in packet(T).tolist() if row[0] == 9]
         assert (drop.n_dropped, drop.newest_us) == (11, 9)
         drop.reset()
     one_by_one = [row for event in packet(T).tolist() for row in rows(drop.decode_one(*event))]
     assert (one_by_one, drop.n_dropped, drop.newest_us) == (packet(T)[KEPT].tolist(), 4, 9)
-    with pytest.raises(ValueError, match=r"^`t` must not run backwards \(late=\"raise\"\), got 6 after 7 at event 2; "):
+    with pytest.raises(
+        ValueError,
+        match=r"^`t` must not run backwards \(late=\"raise\"\), got 6 after 7 at event 2; ",
+    ):
         refuse.decode(events)
     assert (refuse.newest_us, refuse.n_dropped) == (-1, 0)
     refuse.decode_one(9, 0, 0, 1)
@@ -70,7 +76,10 @@ def test_any_stream_in_any_packets(times, cuts, late, form):
         for i, row in enumerate(events.tolist()):
             if row[0] < newest_then and late != "accept":
                 n_late += 1
-                first_late = first_late or f"got {row[0]} after {newest_then}{f' at event {i}' * (len(events) > 1)}; "
+                first_late = (
+                    first_late
+                    or f"got {row[0]} after {newest_then}{f' at event {i}' * (len(events) > 1)}; "
+                )
             else:
                 expected.append(row)
             newest_then = max(newest_then, row[0])
@@ -88,7 +97,10 @@ def test_volume_and_processor_count_every_late_event_once():
     config = TNTConfig(sensor=SENSOR, window_us=100)
     volume, control = TNTVolume(config, late="drop"), TNTVolume(config)
     processor = Processor(config, classifier=lambda volume: [0.0], late="drop")
-    for update, update_one in ((volume.update, volume.update_one), (processor.push, processor.push_one)):
+    for update, update_one in (
+        (volume.update, volume.update_one),
+        (processor.push, processor.push_one),
+    ):
         update(packet(T))
         update(packet([8, 8, 9]))
         update_one(6, 1, 1, 1)  # in the window

@@ -1,4 +1,5 @@
-"""Small data sets in the layouts of N-MNIST and MNIST, MNIST itself, and the laboratory's commands as a function."""
+"""Small data sets in the layouts of N-MNIST and MNIST, MNIST itself, and the laboratory's commands
+as a function."""
 
 import importlib
 
@@ -10,7 +11,8 @@ from experiments.script_options import exit_with
 
 @pytest.fixture(scope="session")
 def nmnist(tmp_path_factory):
-    """4 recordings of each digit in Train (by their names, of MNIST's test images 5 to 44), 1 in Test."""
+    """4 recordings of each digit in Train (by their names, of MNIST's test images 5 to 44), 1 in
+    Test."""
     return write_small_nmnist(tmp_path_factory.mktemp("N-MNIST"), n_train=4, first_number=60_006)
 
 

@@ -15,7 +15,9 @@ from experiments.bench_moments import Moments, made_columns
 from experiments.bench_timing import spread
 
 WINDOW_US = 1000
-SMALL = random_model(TNTConfig(sensor=(20, 16), grid=(20, 16), bins=3, window_us=WINDOW_US), widths=(4, 6, 8))
+SMALL = random_model(
+    TNTConfig(sensor=(20, 16), grid=(20, 16), bins=3, window_us=WINDOW_US), widths=(4, 6, 8)
+)
 LOGITS = np.array([1.0, -20.0], np.float32)
 
 
@@ -32,13 +34,21 @@ def test_every_moment_has_so_many_new_events_after_the_first_one_of_its_window(n
         moment = moments[i]
         assert moment.n_new == n_new and moment.start_us % WINDOW_US == 0
         assert (moment.events["t"] // WINDOW_US == moment.start_us // WINDOW_US).all()
-        assert np.array_equal(moment.before.events, moment.events[:-n_new]) and moment.before.n_new == 0
+        assert (
+            np.array_equal(moment.before.events, moment.events[:-n_new])
+            and moment.before.n_new == 0
+        )
         if moment.follows:
             assert np.array_equal(moment.before.events, last.events)
         else:
-            assert len(moment.before.events) == 1 and (last is None or moment.start_us > last.start_us)
+            assert len(moment.before.events) == 1 and (
+                last is None or moment.start_us > last.start_us
+            )
         last = moment
-    with pytest.raises(ValueError, match=f"a window of at least {n_new + 1} events is needed, the longest has {n_new}"):
+    with pytest.raises(
+        ValueError,
+        match=f"a window of at least {n_new + 1} events is needed, the longest has {n_new}",
+    ):
         Moments([window(n_new), window(1)], WINDOW_US, n_new)
 
 
@@ -59,19 +69,34 @@ class Answer:
 def test_different_logits_stop_the_comparison(mode):
     blocks = list(Moments([window(40)], WINDOW_US, 2).blocks(3, 4))
     wrong = LOGITS + np.array([0, 3e-3], np.float32)  # 1.5e-4 of the largest
-    for logits, words in ((wrong, r"1\.5e-04 apart at event 3 of"), (LOGITS * np.float32(np.nan), "nan apart")):
+    for logits, words in (
+        (wrong, r"1\.5e-04 apart at event 3 of"),
+        (LOGITS * np.float32(np.nan), "nan apart"),
+    ):
         with pytest.raises(WorkDiffers, match=rf"within 0\.0001, got ours and wrong {words}"):
             timed({"ours": Answer(LOGITS), "wrong": Answer(logits)}, blocks, mode)
-    assert timed({"ours": Answer(LOGITS), "other": Answer(None)}, blocks, mode).largest_difference == 0
+    assert (
+        timed({"ours": Answer(LOGITS), "other": Answer(None)}, blocks, mode).largest_difference == 0
+    )
 
 
 def test_ratios_are_paired_and_by_hand():
-    us = {"ours": np.array([[1.0, 2.0, 9.0], [4.0, 4.0, 4.0]]), "other": np.array([[3.0, 2.0, 9.0], [8.0, 20.0, 12.0]])}
+    us = {
+        "ours": np.array([[1.0, 2.0, 9.0], [4.0, 4.0, 4.0]]),
+        "other": np.array([[3.0, 2.0, 9.0], [8.0, 20.0, 12.0]]),
+    }
     paired, of_blocks = (Timed(us, call_by_call=mode).report() for mode in (True, False))
     assert paired["ratio"]["other"]["median"] == np.median([3, 1, 1, 2, 5, 3])
     assert of_blocks["ratio"]["other"]["median"] == np.mean([3 / 2, 12 / 4])
     assert of_blocks["us"] == paired["us"] and paired["us"]["ours"]["median"] == 4.0
-    assert spread(np.array([1, 2, 3, 4, 9])) == {"median": 3, "q1": 2, "q3": 4, "min": 1, "max": 9, "n": 5}
+    assert spread(np.array([1, 2, 3, 4, 9])) == {
+        "median": 3,
+        "q1": 2,
+        "q3": 4,
+        "min": 1,
+        "max": 9,
+        "n": 5,
+    }
 
 
 @pytest.mark.parametrize("n_new", [1, 7])
@@ -106,12 +131,16 @@ def test_batch_processing_equals_the_reference(settings):
     from experiments.bench_torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
-    events = structured(made_columns(np.random.default_rng(5), config.sensor, 3000, 3 * config.window_us))
+    events = structured(
+        made_columns(np.random.default_rng(5), config.sensor, 3000, 3 * config.window_us)
+    )
     events = events[events["t"] < 20_000]
     expected = reference_volume(events, config, 0)
     with torch.inference_mode():
         found = TorchBatch(config).volume(*as_tensors(events, 0)).numpy()
     assert np.abs(expected).max() > 1
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())
-    with pytest.raises(ValueError, match="must be tnt, running and signed, got none, center, signed"):
+    with pytest.raises(
+        ValueError, match="must be tnt, running and signed, got none, center, signed"
+    ):
         TorchBatch(config.replace(transform="none", landmark="center"))

@@ -20,7 +20,11 @@ from experiments.nmnist_files import write_nmnist
 from experiments.page_parts import RESULTS
 from experiments.simulated_digits import simulate_digit
 
-COMMANDS = [path for path in Path(experiments.__file__).parent.glob("*.py") if "exit_with(main)" in path.read_text()]
+COMMANDS = [
+    path
+    for path in Path(experiments.__file__).parent.glob("*.py")
+    if "exit_with(main)" in path.read_text()
+]
 
 
 @pytest.mark.parametrize("name", [path.stem for path in COMMANDS])
@@ -29,7 +33,10 @@ def test_every_command_has_help_and_stands_in_the_list(name, capsys):
     with pytest.raises(SystemExit, match="0"):
         importlib.import_module(f"experiments.{name}").main(["--help"])
     assert capsys.readouterr().out.startswith(f"usage: python -m experiments.{name} ")
-    assert f"`python -m experiments.{name}" in (Path(experiments.__file__).parent / "README.md").read_text()
+    assert (
+        f"`python -m experiments.{name}"
+        in (Path(experiments.__file__).parent / "README.md").read_text()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +46,11 @@ def quick(tmp_path_factory):
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         words = ["--quick", "--json", str(folder / "d.json"), "--picture", str(folder / "d.png")]
         assert decisions.main(words) == 0
-    return json.loads((folder / "d.json").read_text(encoding="utf-8")), printed.getvalue(), folder / "d.png"
+    return (
+        json.loads((folder / "d.json").read_text(encoding="utf-8")),
+        printed.getvalue(),
+        folder / "d.png",
+    )
 
 
 def test_every_row_is_timed_or_left_out_with_a_reason(quick):
@@ -48,18 +59,23 @@ def test_every_row_is_timed_or_left_out_with_a_reason(quick):
         rows = report[part]["1"]["in_blocks"]["us"]
         assert set(rows) | set(report["left_out"][part]) == set(report["work"][part])
         assert not set(rows) & set(report["left_out"][part])
-        assert not [work for name, work in report["work"][part].items() if name in rows and work not in text]
+        assert not [
+            work for name, work in report["work"][part].items() if name in rows and work not in text
+        ]
 
 
 def test_the_recorded_run_was_a_full_one_of_this_script(quick):
     recorded = json.loads((RESULTS / "decisions.json").read_text(encoding="utf-8"))
-    assert {k: recorded["settings"][k] for k in decisions.FULL} == decisions.FULL and not recorded["settings"]["quick"]
+    assert {k: recorded["settings"][k] for k in decisions.FULL} == decisions.FULL and not recorded[
+        "settings"
+    ]["quick"]
     assert recorded["left_out"] == {"network": {}, "end_to_end": {}}
     assert recorded["work"] == quick[0]["work"]
 
 
 def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
-    """On simulated recordings in N-MNIST's layout: numbered from 1, as the images that they show."""
+    """On simulated recordings in N-MNIST's layout: numbered from 1, as the images that they
+    show."""
     mnist = write_small_mnist(tmp_path, 20)
     images, labels = load_mnist(mnist, "train")
     for i, (image, label) in enumerate(zip(images, labels, strict=True)):
@@ -70,10 +86,14 @@ def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
     events, right = report["events_per_gradient"], report["polarity_as_expected"]
     assert report["recordings"] == 20 and min(right[:4]) > 0.9 > right[-1]
     assert events[0] > events[3] > 2 * events[5]
-    assert events[3] / events[0] == pytest.approx(report["cosine"][3] / report["cosine"][0], abs=0.15)
+    assert events[3] / events[0] == pytest.approx(
+        report["cosine"][3] / report["cosine"][0], abs=0.15
+    )
     for found in report["between_saccades"].values():
         assert 100 < found["angle_deg"] < 130
-        assert found["signed"] == pytest.approx(found["expected"], abs=0.2) and found["unsigned"] > 0.3
+        assert (
+            found["signed"] == pytest.approx(found["expected"], abs=0.2) and found["unsigned"] > 0.3
+        )
 
 
 def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
@@ -84,13 +104,18 @@ def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(incremental, "NETWORKS", two)
     words = ["--quick", "--json", str(tmp_path / "i.json"), "--picture", str(tmp_path / "i.png")]
     assert incremental.main(words) == 0
-    report, text = json.loads((tmp_path / "i.json").read_text(encoding="utf-8")), capsys.readouterr().out
+    report, text = (
+        json.loads((tmp_path / "i.json").read_text(encoding="utf-8")),
+        capsys.readouterr().out,
+    )
     assert list(report["networks"]) == list(two) and all(name in text for name in two)
     for row in report["networks"].values():
         counts = [row["touched"][n]["multiplications"] for n in ("1", "10", "100", "1300", "whole")]
         assert counts == sorted(counts) and counts[0] < counts[-1] / 5
         assert {"incremental", "dense", "torch"} <= row["network"]["1"]["in_blocks"]["us"].keys()
-    assert report["networks"]["conv4"]["touched"]["whole"]["multiplications"] == pytest.approx(12.3e6, rel=0.02)
+    assert report["networks"]["conv4"]["touched"]["whole"]["multiplications"] == pytest.approx(
+        12.3e6, rel=0.02
+    )
     assert (tmp_path / "i.png").stat().st_size > 10_000
 
 
@@ -99,9 +124,13 @@ def test_inputs_that_are_compared_are_different_ones():
     from async_tnt.training.settings import default_config
     from experiments import cars, unseen_motions
 
-    of_cars = [words.split()[1] for name, words in cars.RECIPES.items() if name.startswith("equal_")]
+    of_cars = [
+        words.split()[1] for name, words in cars.RECIPES.items() if name.startswith("equal_")
+    ]
     for volumes in (of_cars, [words[1] for words in unseen_motions.VOLUMES.values()]):
         configs = {default_config(**volume_of(volume)) for volume in volumes}
         assert len(configs) == len(volumes)
-    found = cars.with_earlier({"recipes": {"bare": 3}}, {"recipes": {"bare": 1, "an older one": 2}}, ["bare"])
+    found = cars.with_earlier(
+        {"recipes": {"bare": 3}}, {"recipes": {"bare": 1, "an older one": 2}}, ["bare"]
+    )
     assert found == {"recipes": {"bare": 3, "an older one": 2}}

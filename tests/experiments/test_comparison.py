@@ -1,4 +1,5 @@
-"""N-MOVING-MNIST's simulator beside N-MNIST: numbers by hand, and real recordings where the data is at hand."""
+"""N-MOVING-MNIST's simulator beside N-MNIST: numbers by hand, and real recordings where the data is
+at hand."""
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ ALONG, ACROSS = "ON - OFF centroid, along the motion", "ON - OFF centroid, acros
 
 
 def test_centroids_along_and_across_the_motion_by_hand():
-    """ON - OFF is (-2, -4): downwards, at 90 degrees, that is -4 along and 2 across; at 180 degrees 2 along and 4."""
+    """ON - OFF is (-2, -4): downwards, at 90 degrees, that is -4 along and 2 across; at 180 degrees
+    2 along and 4."""
     rows = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0), (9_000, 9, 9, 1)]
     events = np.array(rows, EVENT_DTYPE)
     both = describe_motions([events, events], (0, 9_000), [90, 180])
@@ -24,17 +26,25 @@ def test_centroids_along_and_across_the_motion_by_hand():
 
 
 def test_simulations_are_like_the_real_recordings_of_the_same_images(data):
-    """Of N-MNIST's first 60: the same pixels, polarity and saccade, and far more so than of another image."""
+    """Of N-MNIST's first 60: the same pixels, polarity and saccade, and far more so than of another
+    image."""
     if not (data / "mnist").is_dir():
         pytest.skip(f"no mnist in {data}")
     paths = sorted((data / "nmnist" / "Train").glob("*/00*.bin"), key=lambda path: path.stem)[:60]
     images, _ = load_mnist(data / "mnist", "train")
     real = [read_nmnist(path) for path in paths]
-    simulated = [simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i)) for i, path in enumerate(paths)]
-    expected, got = (describe_motions(some, SACCADE_CUTS_US, _nmnist_directions()) for some in (real, simulated))
+    simulated = [
+        simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i))
+        for i, path in enumerate(paths)
+    ]
+    expected, got = (
+        describe_motions(some, SACCADE_CUTS_US, _nmnist_directions()) for some in (real, simulated)
+    )
     for name in expected:
         close = {"abs": 0.65} if name.startswith("ON - OFF") else {"rel": 0.12}
-        assert got[name] == pytest.approx(expected[name], **close), side_by_side({"real": expected, "simulated": got})
+        assert got[name] == pytest.approx(expected[name], **close), side_by_side(
+            {"real": expected, "simulated": got}
+        )
 
     def count_map(events):
         counts = np.zeros((3, 2, 34, 34))

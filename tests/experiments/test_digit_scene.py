@@ -45,27 +45,38 @@ def test_translate_equals_the_sum_over_the_image_that_defines_it():
 def test_log_luminance_spans_the_contrast_either_way():
     at = np.array([0.0])
     dark = render(POINT, at, at, scene=SHARP)
-    bright = render(POINT, at, at, scene=Scene(contrast=4.0, gamma=1.0, blur_px=0.0, dark_on_bright=False))
+    bright = render(
+        POINT, at, at, scene=Scene(contrast=4.0, gamma=1.0, blur_px=0.0, dark_on_bright=False)
+    )
     np.testing.assert_allclose([dark.max(), dark.min()], [0.0, -np.log(4.0)], atol=1e-12)
     np.testing.assert_allclose([bright.max(), bright.min()], [0.0, -np.log(4.0)], atol=1e-12)
     assert dark[0, 1, 2] == dark.min() and bright[0, 1, 2] == bright.max()
 
 
 def test_gamma_is_applied_to_the_image_and_uint8_reaches_full_scale_at_255():
-    assert shown(POINT / 2, 0.0, 0.0, Scene(contrast=4.0, gamma=2.0, blur_px=0.0))[1, 2] == pytest.approx(0.25)
-    np.testing.assert_array_equal(shown((POINT * 255).astype(np.uint8), 2.0, 2.0), shown(POINT, 2.0, 2.0))
+    assert shown(POINT / 2, 0.0, 0.0, Scene(contrast=4.0, gamma=2.0, blur_px=0.0))[
+        1, 2
+    ] == pytest.approx(0.25)
+    np.testing.assert_array_equal(
+        shown((POINT * 255).astype(np.uint8), 2.0, 2.0), shown(POINT, 2.0, 2.0)
+    )
 
 
 def test_blur_keeps_the_light_and_has_the_stated_width():
     frame, x = shown(POINT, 12.0, 12.0, Scene(contrast=4.0, gamma=1.0, blur_px=1.5)), np.arange(34)
     np.testing.assert_allclose([frame.sum(), frame.sum(0) @ x, frame.sum(1) @ x], [1.0, 14.0, 13.0])
-    assert abs(np.sqrt(frame.sum(0) @ (x - 14.0) ** 2) - 1.5) < 0.05  # cut off at 3.3 standard deviations
+    # cut off at 3.3 standard deviations
+    assert abs(np.sqrt(frame.sum(0) @ (x - 14.0) ** 2) - 1.5) < 0.05
 
 
 @pytest.mark.parametrize(
     ("image", "dx", "message"),
     [
-        (np.zeros((2, 2), int), [0.0], r"`image` must be uint8 \(0-255\) or floating \(0-1\), got int64"),
+        (
+            np.zeros((2, 2), int),
+            [0.0],
+            r"`image` must be uint8 \(0-255\) or floating \(0-1\), got int64",
+        ),
         (np.full((2, 2), 1.5), [0.0], r"must lie in \[0, 1\], got 1\.5 to 1\.5"),
         (np.zeros((2, 2)), [np.inf], "must be finite"),
     ],
@@ -78,5 +89,8 @@ def test_invalid_images_and_displacements_are_refused(image, dx, message):
 
 
 def test_saccade_by_hand():
-    progress = Saccade(10_000, 40_000, 1.0, 0.0).progress([0, 10_000, 20_000, 30_000, 50_000, 90_000])
-    np.testing.assert_allclose(progress, [0, 0, 10 / 64 - 15 / 256 + 6 / 1024, 0.5, 1, 1])  # s(1/4), then halfway
+    progress = Saccade(10_000, 40_000, 1.0, 0.0).progress(
+        [0, 10_000, 20_000, 30_000, 50_000, 90_000]
+    )
+    # s(1/4), then halfway
+    np.testing.assert_allclose(progress, [0, 0, 10 / 64 - 15 / 256 + 6 / 1024, 0.5, 1, 1])

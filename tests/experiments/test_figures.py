@@ -18,7 +18,8 @@ IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
 @pytest.mark.parametrize("script, name", [(figure_motions, "motions")])
 def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_path):
-    """Up to the dots that one matplotlib puts elsewhere than the next. When this fails: draw them again."""
+    """Up to the dots that one matplotlib puts elsewhere than the next. When this fails: draw them
+    again."""
     again = tmp_path / "again.png"
     assert script.main(["3", "--picture", str(again)]) == 0
     kept, drawn = (in_squares(image.imread(path)) for path in (IMAGES / f"{name}.png", again))
@@ -26,18 +27,29 @@ def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_p
 
 
 def test_a_convolution_is_equivariant_to_what_the_figure_says(tmp_path):
-    errors = {case.words: figure_groups.compared(case, figure_groups.counted())[2] for case in figure_groups.CASES}
+    errors = {
+        case.words: figure_groups.compared(case, figure_groups.counted())[2]
+        for case in figure_groups.CASES
+    }
     differ = {words for words, error in errors.items() if error > 1e-12}
-    assert differ == {"turned", "moved by 1 px, pooled by 2"} and min(errors[words] for words in differ) > 0.5
+    assert (
+        differ == {"turned", "moved by 1 px, pooled by 2"}
+        and min(errors[words] for words in differ) > 0.5
+    )
     assert figure_groups.main(["--picture", str(tmp_path / "groups.png")]) == 0
     assert (tmp_path / "groups.png").stat().st_size > 10_000
 
 
 def test_the_moving_picture_shows_what_is_decided():
     labels = [
-        decision.label for _, decision, _ in figure_stream.moments() if decision is not None and decision.events > 900
+        decision.label
+        for _, decision, _ in figure_stream.moments()
+        if decision is not None and decision.events > 900
     ]
     assert list(dict.fromkeys(labels)) == ["3", "7", "8"]
     picture = figure_stream.frame(*next(figure_stream.moments()))
     kept = IMAGES / "stream.gif"
-    assert picture.size == (figure_stream.WIDTH, figure_stream.HEIGHT) and 50_000 < kept.stat().st_size < 2_000_000
+    assert (
+        picture.size == (figure_stream.WIDTH, figure_stream.HEIGHT)
+        and 50_000 < kept.stat().st_size < 2_000_000
+    )

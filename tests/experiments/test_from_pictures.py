@@ -22,7 +22,8 @@ def test_fonts_draw_the_same_symbols_each_in_its_way(tmp_path):
     drawn = {path.read_bytes() for path in tmp_path.glob("*/*.png")}
     assert len(drawn) > 0.9 * sum(map(len, files.values()))
     heart, spade = (read_picture(tmp_path / name / files["he"][0]).cover for name in ("he", "sp"))
-    assert heart[: len(heart) // 4].mean() > 0.6 > 0.4 > spade[: len(spade) // 4].mean()  # two lobes, and a tip
+    # two lobes, and a tip
+    assert heart[: len(heart) // 4].mean() > 0.6 > 0.4 > spade[: len(spade) // 4].mean()
     write_glyphs(tmp_path / "alike", {"a": "a", "also a": "a"}, None)
     assert not (tmp_path / "alike").exists()
 
@@ -46,7 +47,10 @@ def test_the_official_test_part_is_gathered_from_both_folders(tmp_path):
         (tmp_path / name).write_bytes(name.encode())
     for _ in range(2):
         link_official(tmp_path, tmp_path / "out")
-    found = {path.relative_to(tmp_path / "out/official").as_posix() for path in tmp_path.glob("out/official/*/*")}
+    found = {
+        path.relative_to(tmp_path / "out/official").as_posix()
+        for path in tmp_path.glob("out/official/*/*")
+    }
     assert found == {"3/60001.bin", "3/60002.bin", "4/00002.bin"}
 
 
@@ -67,9 +71,17 @@ def test_digits_in_other_motions_and_at_other_speeds(real_mnist, monkeypatch):
 def test_pictures_and_the_first_recordings_of_each_class(mnist, nmnist, tmp_path):
     write_mnist(tmp_path / "mnist", mnist, 10)
     n = few_recordings.write_set(tmp_path / "both", tmp_path / "mnist", nmnist, 2)
-    assert n == 2 and len(list(tmp_path.glob("both/*/*.bin"))) == 20 and len(list(tmp_path.glob("both/*/*.png"))) == 10
+    assert (
+        n == 2
+        and len(list(tmp_path.glob("both/*/*.bin"))) == 20
+        and len(list(tmp_path.glob("both/*/*.png"))) == 10
+    )
     assert few_recordings.write_set(tmp_path / "alone", None, nmnist, 10_000) == 4
-    rows = [{"per_class": n, "networks": [{"accuracy": 0.9, "window_accuracy": 0.8}]} for n in (0, 10)]
+    rows = [
+        {"per_class": n, "networks": [{"accuracy": 0.9, "window_accuracy": 0.8}]} for n in (0, 10)
+    ]
     report = {"ways": {"pictures and recordings": rows, "recordings alone": rows[1:]}}
-    assert dataset_tables.few_recordings(report).endswith("| 0 | .800 / .900 | - |\n| 10 | .800 / .900 | .800 / .900 |")
+    assert dataset_tables.few_recordings(report).endswith(
+        "| 0 | .800 / .900 | - |\n| 10 | .800 / .900 | .800 / .900 |"
+    )
     few_recordings.draw(report).savefig(tmp_path / "drawn.png")

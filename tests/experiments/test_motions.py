@@ -9,7 +9,10 @@ from experiments.trajectories import nmnist_saccades
 
 RNG = np.random.default_rng(0)
 STRAIGHT = {
-    f"{kind} {motion.name}": motion for kind in KINDS if kind not in ("nmnist", "beyond") for motion in motions_of(kind)
+    f"{kind} {motion.name}": motion
+    for kind in KINDS
+    if kind not in ("nmnist", "beyond")
+    for motion in motions_of(kind)
 }
 of_straight = pytest.mark.parametrize("motion", STRAIGHT.values(), ids=STRAIGHT)
 
@@ -24,14 +27,21 @@ def test_a_digit_is_displaced_as_stated_from_the_centre_or_through_it(motion):
     np.testing.assert_allclose(motion.trajectory(RNG).position(at_centre_us), (3, 3))
     elsewhere = motion.trajectory(RNG, image=(10, 20), sensor=(100, 50))
     np.testing.assert_allclose(elsewhere.position(at_centre_us), (45, 15))
-    if at_centre_us:  # stays on the sensor: most digits leave the outermost ring of MNIST's 28 x 28 pixels empty
+    # stays on the sensor: most digits leave the outermost ring of MNIST's 28 x 28 pixels empty
+    if at_centre_us:
         assert min(x.min(), y.min()) + 1 >= 0 and max(x.max(), y.max()) + 26 <= 33
 
 
 def test_motions_beyond_those_that_are_resynthesized():
-    """14 px through the centre at constant velocity; 5 px and back; round a loop whose first side is 4 px."""
+    """14 px through the centre at constant velocity; 5 px and back; round a loop whose first side
+    is 4 px."""
     moving = motions_of("beyond")
-    assert [motion.name for motion in moving[:4]] == ["000deg-14px", "000deg-back", "000deg-loop", "036deg-14px"]
+    assert [motion.name for motion in moving[:4]] == [
+        "000deg-14px",
+        "000deg-back",
+        "000deg-loop",
+        "036deg-14px",
+    ]
     for motion in moving:
         path = np.stack(motion.trajectory(RNG).position(np.linspace(0, 105_000, 211)), axis=1)
         angle = np.radians(motion.direction_deg)
@@ -45,16 +55,20 @@ def test_motions_beyond_those_that_are_resynthesized():
         assert np.ptp(across) == pytest.approx(4 if motion.shape == "loop" else 0, abs=0.01)
 
 
-@pytest.mark.parametrize("motion", motions_of()[::4], ids=lambda motion: motion.name)  # of all distances
+# of all distances
+@pytest.mark.parametrize("motion", motions_of()[::4], ids=lambda motion: motion.name)
 def test_events_move_as_stated_by_cross_correlation(motion):
-    """Of all events of the window's first fifth with all of its last: .8 of the displacement lies between them."""
+    """Of all events of the window's first fifth with all of its last: .8 of the displacement lies
+    between them."""
     rng = np.random.default_rng(motion.index)
     image = np.zeros((28, 28))
     image[9:19, 10:12] = image[9:11, 10:18] = image[14:16, 12:20] = 1.0
     trajectory = motion.trajectory(rng, sensor=(64, 64))
     events = simulate_digit(image, rng, trajectory=trajectory, sensor=(64, 64))
     counts = [np.zeros((64, 64)) for _ in range(2)]
-    for count, some in zip(counts, (events[events["t"] < 21_000], events[events["t"] >= 84_000]), strict=True):
+    for count, some in zip(
+        counts, (events[events["t"] < 21_000], events[events["t"] >= 84_000]), strict=True
+    ):
         np.add.at(count, (some["y"], some["x"]), np.where(some["p"], 1.0, -1.0))
     spectra = [np.fft.fft2(count) for count in counts]
     correlation = np.fft.fftshift(np.fft.ifft2(spectra[0].conj() * spectra[1]).real)

@@ -1,4 +1,5 @@
-"""The set: every recording is what its seed says, however the work was shared out, cut or interrupted."""
+"""The set: every recording is what its seed says, however the work was shared out, cut or
+interrupted."""
 
 import json
 import shutil
@@ -54,7 +55,10 @@ def test_workers_and_the_size_of_shards_change_no_recording(mnist, made, tmp_pat
     other = build(mnist, tmp_path / "larger", **QUICK | {"recordings_per_shard": 3})
     assert len(other.shards) == 60
     for index, image in ((0, 0), (11, 2), (11, 3), (29, 4)):
-        (path, place), (other_path, other_place) = made.locate(index, image), other.locate(index, image)
+        (path, place), (other_path, other_place) = (
+            made.locate(index, image),
+            other.locate(index, image),
+        )
         one, same = open_shard(path), open_shard(other_path)
         assert one.recording(place).tolist() == same.recording(other_place).tolist()
         assert one.image[place] == same.image[other_place] == image
@@ -69,27 +73,39 @@ def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, mad
     times = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
     build(mnist, copied, **QUICK)
     assert files_of(copied) == files_of(made.folder)
-    kept = {path.name for path in copied.iterdir() if times.get(path.name) == path.stat().st_mtime_ns}
+    kept = {
+        path.name for path in copied.iterdir() if times.get(path.name) == path.stat().st_mtime_ns
+    }
     assert kept == set(times) - {missing.name, cut.name, flipped.name, f"{missing.name}.part"}
 
 
-def test_a_set_of_other_parameters_or_without_its_manifest_is_refused_and_left_alone(mnist, made, tmp_path):
+def test_a_set_of_other_parameters_or_without_its_manifest_is_refused_and_left_alone(
+    mnist, made, tmp_path
+):
     before = files_of(made.folder)
-    with pytest.raises(ValueError, match=r"set\.json: made with other .*: seed is 0, requested 1\. Give the same, or "):
+    with pytest.raises(
+        ValueError,
+        match=r"set\.json: made with other .*: seed is 0, requested 1\. Give the same, or ",
+    ):
         build(mnist, made.folder, **QUICK | {"seed": 1})
     (tmp_path / made.shards[0].name).write_bytes(made.shards[0].read_bytes())
-    with pytest.raises(ValueError, match=r"shards without set\.json, which says how they were made"):
+    with pytest.raises(
+        ValueError, match=r"shards without set\.json, which says how they were made"
+    ):
         build(mnist, tmp_path, **QUICK | {"seed": 3})
     assert files_of(made.folder) == before
 
 
 def test_open_set_gives_what_build_gave(made):
-    """A shard for each motion and two images; all recordings differ, and lie in one window of 105 ms."""
+    """A shard for each motion and two images; all recordings differ, and lie in one window of 105
+    ms."""
     opened = open_set(made.folder)
     assert opened == made and opened.motions == motions_of("constant")
     assert len(made) == 150 and [len(shard) for shard in made] == [2, 2, 1] * 30
     assert sorted(files_of(made.folder)) == [*(path.name for path in made.shards), "set.json"]
-    assert len({shard.recording(i).tobytes() for shard in made for i in range(len(shard))}) == len(made)
+    assert len({shard.recording(i).tobytes() for shard in made for i in range(len(shard))}) == len(
+        made
+    )
     # the last half microsecond would round up to 105,000, where the next window begins
     assert 104_900 < max(int(shard.t.max()) for shard in made) < 105_000
 
@@ -99,6 +115,8 @@ def test_a_damaged_manifest_is_refused_in_one_line(made, tmp_path):
     elsewhere = json.dumps(content | {"shards": ["../elsewhere", *content["shards"][1:]]})
     for text in (elsewhere, elsewhere[:-1], "[]"):
         (tmp_path / "set.json").write_text(text)
-        with pytest.raises(ValueError, match=r"set\.json: damaged, or not a set of this release: ") as caught:
+        with pytest.raises(
+            ValueError, match=r"set\.json: damaged, or not a set of this release: "
+        ) as caught:
             open_set(tmp_path)
         assert "\n" not in str(caught.value)

@@ -1,4 +1,5 @@
-"""Shards and MNIST's files: what is written is read; other or damaged files are refused by name, or keep the rules."""
+"""Shards and MNIST's files: what is written is read; other or damaged files are refused by name, or
+keep the rules."""
 
 import gzip
 
@@ -17,7 +18,12 @@ FLOW = np.arange(8.0).reshape(4, 1, 2)
 
 
 def write(path, recordings=RECORDINGS, **changes):
-    about = {"labels": np.arange(4), "image": 100 + np.arange(4), "flow": FLOW, "flow_times_us": [500]}
+    about = {
+        "labels": np.arange(4),
+        "image": 100 + np.arange(4),
+        "flow": FLOW,
+        "flow_times_us": [500],
+    }
     about |= {"sensor": (34, 34), "duration_us": 1_000, "metadata": {"seed": 7}, **changes}
     write_shard(path, recordings, **about)
     return path
@@ -27,7 +33,9 @@ def check(shard):
     """The format's rules, written a second time."""
     recordings = [shard.recording(i) for i in range(len(shard))]
     for events in recordings:
-        assert (np.diff(events["t"]) >= 0).all() and ((events["t"] >= 0) & (events["t"] < 1_000_000)).all()
+        assert (np.diff(events["t"]) >= 0).all() and (
+            (events["t"] >= 0) & (events["t"] < 1_000_000)
+        ).all()
         width, height = shard.metadata["sensor"]
         assert (events["x"] < width).all() and (events["y"] < height).all()
         assert (events["p"] <= 1).all()
@@ -50,7 +58,10 @@ def test_a_shard_has_what_was_written(tmp_path):
     [
         ({"labels": [0, 1, 2, 300]}, "`labels` must hold whole numbers that fit in uint8"),
         ({"sensor": (20, 34)}, r"`x` must be in \[0, 20\), got"),
-        ({"recordings": [*RECORDINGS[:3], RECORDINGS[3][::-1]]}, "`t` must not decrease within a recording"),
+        (
+            {"recordings": [*RECORDINGS[:3], RECORDINGS[3][::-1]]},
+            "`t` must not decrease within a recording",
+        ),
         ({"flow": FLOW * np.nan}, "`flow` must be finite"),
         ({"flow": FLOW[:3]}, r"`flow` must have shape \(4, 1, 2\), got \(3, 1, 2\)"),
     ],
@@ -67,7 +78,9 @@ def test_damaged_shards_are_refused_or_keep_the_rules(data, tmp_path_factory):
     path, raw = tmp_path_factory.getbasetemp() / "damaged", bytearray(whole)
     for _ in range(data.draw(st.integers(1, 4))):
         place = data.draw(st.integers(0, max(0, len(raw) - 1)))
-        raw[place : place + data.draw(st.integers(0, 16))] = data.draw(st.binary(max_size=8) | st.just(b"9"))
+        raw[place : place + data.draw(st.integers(0, 16))] = data.draw(
+            st.binary(max_size=8) | st.just(b"9")
+        )
     path.write_bytes(raw)
     try:
         shard = open_shard(path)
@@ -98,10 +111,18 @@ def test_mnist_is_read_gzipped_or_not(tmp_path, split):
 @pytest.mark.parametrize(
     ("images", "labels", "message"),
     [
-        (idx_bytes(IMAGES[:, 1:]), idx_bytes(LABELS), r"must have shape \(N, 28, 28\), got \(3, 27, 28\)"),
+        (
+            idx_bytes(IMAGES[:, 1:]),
+            idx_bytes(LABELS),
+            r"must have shape \(N, 28, 28\), got \(3, 27, 28\)",
+        ),
         (idx_bytes(IMAGES), idx_bytes(np.array([0, 10, 1])), "expected 3 labels in 0-9"),
         (idx_bytes(IMAGES), idx_bytes(LABELS)[:-1], r"shape \(3,\) takes 3 bytes, got 2"),
-        (b"\x89PNG....", idx_bytes(LABELS), "not an IDX file of uint8 values, it begins with 89 50 4e 47"),
+        (
+            b"\x89PNG....",
+            idx_bytes(LABELS),
+            "not an IDX file of uint8 values, it begins with 89 50 4e 47",
+        ),
         (b"\x1f\x8b\x08damaged", idx_bytes(LABELS), "damaged gzip file"),
     ],
 )

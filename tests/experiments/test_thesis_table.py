@@ -46,13 +46,16 @@ def test_pairs_that_are_compared_differ_in_one_thing():
             assert (a.augmentation, a.config.transform) == (b.augmentation, "none")
             continue
         if against == "thesis-baseline":  # the thesis itself moves the windows of one row
-            assert a.config.t_max == 8 and (a.augmentation == b.augmentation) == (row == "thesis-tnt")
+            assert a.config.t_max == 8 and (a.augmentation == b.augmentation) == (
+                row == "thesis-tnt"
+            )
             continue
         differ = [
             a.augmentation != b.augmentation,
             a.config.polarity != b.config.polarity,
             a.config.t_max != b.config.t_max and row.split("-")[0] == against.split("-")[0],
-            a.config.replace(polarity="signed", t_max=2) != b.config.replace(polarity="signed", t_max=2),
+            a.config.replace(polarity="signed", t_max=2)
+            != b.config.replace(polarity="signed", t_max=2),
             a.motions != b.motions,
             a.span != b.span,
         ]
@@ -60,7 +63,15 @@ def test_pairs_that_are_compared_differ_in_one_thing():
 
 
 def test_images_seen_in_training_are_read_from_the_names():
-    names = ["3/00001.bin", "3/60000.bin", "7/60001.bin", "7/60026.bin", "1/70000.bin", "1/other.bin", "1/70001.bin"]
+    names = [
+        "3/00001.bin",
+        "3/60000.bin",
+        "7/60001.bin",
+        "7/60026.bin",
+        "1/70000.bin",
+        "1/other.bin",
+        "1/70001.bin",
+    ]
     assert shown_test_images(names).tolist() == [0, 25, 9999]
 
 
@@ -103,7 +114,10 @@ def test_numbers_and_tables_by_hand():
     assert part["per_motion"]["saccade 2"] == pytest.approx(0.495)
     assert table["thesis-tnt"]["all/bell"]["deviation"] is None
     assert markdown_table(table, ["comparison"]).splitlines()[2] == "| raw | .990 ± .014 |"
-    assert markdown_table(table, ["thesis"]).splitlines()[2] == "| TNT | .960 (.981) | .500 | .600 (.592) |"
+    assert (
+        markdown_table(table, ["thesis"]).splitlines()[2]
+        == "| TNT | .960 (.981) | .500 | .600 (.592) |"
+    )
 
 
 def test_results_put_into_a_file_of_more_rows():
@@ -114,31 +128,57 @@ def test_results_put_into_a_file_of_more_rows():
     before = next(d for d in old["differences"] if (d["row"], d["column"]) == (row, column))
     effect = {**old["effects"][0], "mean": 0.5, "p": 0.0}
     cells = {row: {column: {**old["table"][row][column], "mean": 0.25}}}
-    new = {**old, "command": "again", "seeds": [7], "machine": {"cpu": "another"}, "table": cells, "effects": [effect]}
+    new = {
+        **old,
+        "command": "again",
+        "seeds": [7],
+        "machine": {"cpu": "another"},
+        "table": cells,
+        "effects": [effect],
+    }
     moved = {**old["rows"]["raw-motions"], "motions": {"all": {}}}
     new |= {"rows": {"raw-motions": moved}, "validation": {}, "curves": {"x": []}}
     new |= {"differences": [{**before, "mean": 0.125, "p": 0.9}]}
-    assert len(merged(old, {**new, "differences": []})["differences"]) == len(old["differences"]) - 1  # of old numbers
+    # of old numbers
+    assert (
+        len(merged(old, {**new, "differences": []})["differences"]) == len(old["differences"]) - 1
+    )
     found = merged(old, new)
     assert found["table"][row][column]["mean"] == 0.25 and found["machine"]["cpu"] == "another"
-    assert found["table"][row]["1/sim"] == old["table"][row]["1/sim"] and list(found["table"]) == list(old["table"])
+    assert found["table"][row]["1/sim"] == old["table"][row]["1/sim"] and list(
+        found["table"]
+    ) == list(old["table"])
     assert found["seeds"] == [0, 1, 2, 3, 4, 7] and found["command"] == f"{old['command']}; again"
-    assert found["curves"] == {**old["curves"], "x": []} and found["rows"].keys() == old["rows"].keys()
-    assert found["rows"]["raw-motions"]["motions"] == {**old["rows"]["raw-motions"]["motions"], "all": {}}
+    assert (
+        found["curves"] == {**old["curves"], "x": []} and found["rows"].keys() == old["rows"].keys()
+    )
+    assert found["rows"]["raw-motions"]["motions"] == {
+        **old["rows"]["raw-motions"]["motions"],
+        "all": {},
+    }
     of = [d for d in found["differences"] if d["question"] == before["question"]]
-    assert [d["mean"] for d in of if (d["row"], d["column"]) == (row, column)] == [0.125] and len(of) > 30
-    assert [d["holm"] for d in of] == holm([d["p"] for d in of]) != [d["holm"] for d in old["differences"][: len(of)]]
+    assert [d["mean"] for d in of if (d["row"], d["column"]) == (row, column)] == [0.125] and len(
+        of
+    ) > 30
+    assert (
+        [d["holm"] for d in of]
+        == holm([d["p"] for d in of])
+        != [d["holm"] for d in old["differences"][: len(of)]]
+    )
     assert found["differences"][len(of) :] == old["differences"][len(of) :]
     assert [e["mean"] for e in found["effects"]] == [0.5, *(e["mean"] for e in old["effects"][1:])]
     assert [e["holm"] for e in found["effects"]] == holm([e["p"] for e in found["effects"]])
 
 
 def test_an_interval_by_hand():
-    """Two seeds, two digits: means of seeds .2, .4, of digits .1, .5, so variances .02 / 2 and .08 / 2."""
+    """Two seeds, two digits: means of seeds .2, .4, of digits .1, .5, so variances .02 / 2 and .08
+    / 2."""
     found = interval(np.array([[0.0, 0.4], [0.2, 0.6]]))
     freedom = 0.05**2 / (0.01**2 + 0.04**2)
     half = stats.t.ppf(0.975, freedom) * 0.05**0.5
-    assert [found[name] for name in ("mean", "low", "high")] == pytest.approx([0.3, 0.3 - half, 0.3 + half])
+    assert [found[name] for name in ("mean", "low", "high")] == pytest.approx(
+        [0.3, 0.3 - half, 0.3 + half]
+    )
     assert found["p"] == pytest.approx(2 * stats.t.sf(0.3 / 0.05**0.5, freedom))
     assert interval(np.zeros((2, 3)))["p"] == 1 and interval(np.ones((2, 3)))["p"] == 0
 
@@ -147,7 +187,12 @@ def test_an_interval_holds_the_truth_in_19_of_20_cases():
     rng = np.random.default_rng(1)
     held = 0
     for _ in range(400):
-        values = 0.1 + rng.normal(0, 0.02, (5, 1)) + rng.normal(0, 0.2, (1, 100)) + rng.normal(0, 0.2, (5, 100))
+        values = (
+            0.1
+            + rng.normal(0, 0.02, (5, 1))
+            + rng.normal(0, 0.2, (1, 100))
+            + rng.normal(0, 0.2, (5, 100))
+        )
         found = interval(values)
         held += found["low"] <= 0.1 <= found["high"]
     assert 0.92 < held / 400 < 0.985
@@ -155,32 +200,55 @@ def test_an_interval_holds_the_truth_in_19_of_20_cases():
 
 def test_differences_are_taken_digit_by_digit_and_adjusted_within_their_question():
     """Two motions of three digits, one of which has no window in one motion."""
-    better, worse = np.array([[1, 1, 1], [1, 0, -1]], np.int8), np.array([[0, 1, 0], [0, 0, -1]], np.int8)
+    better, worse = (
+        np.array([[1, 1, 1], [1, 0, -1]], np.int8),
+        np.array([[0, 1, 0], [0, 0, -1]], np.int8),
+    )
     right = {
         (row, "all/sim"): {seed: of for seed in range(3)}
-        for row, of in (("thesis-tnt", better), ("thesis-baseline", worse), ("thesis-regress", worse), ("raw", worse))
+        for row, of in (
+            ("thesis-tnt", better),
+            ("thesis-baseline", worse),
+            ("thesis-regress", worse),
+            ("raw", worse),
+        )
     }
     tnt, regress = differences(right)
-    assert (tnt["row"], tnt["against"], tnt["column"], tnt["seeds"]) == ("thesis-tnt", "thesis-baseline", "all/sim", 3)
+    assert (tnt["row"], tnt["against"], tnt["column"], tnt["seeds"]) == (
+        "thesis-tnt",
+        "thesis-baseline",
+        "all/sim",
+        3,
+    )
     assert tnt["mean"] == pytest.approx((1 + 0 + 1) / 3)  # 1, 1/2, 1 against 0, 1/2, 0
     assert (regress["mean"], regress["p"]) == (0, 1) and tnt["holm"] == pytest.approx(2 * tnt["p"])
 
 
 def test_effects_of_factors_by_hand():
-    """TNT gains .2 on bright digits, .1 from the centre, and nothing else; then .4 where both are so."""
+    """TNT gains .2 on bright digits, .1 from the centre, and nothing else; then .4 where both are
+    so."""
     for together in (0.0, 0.1):
         right = {}
         rng = np.random.default_rng(0)
         for name, (kind, dark) in SETS.items():
-            gain = 0.2 * (not dark) + 0.1 * kind.endswith("from-centre") + together * (not dark and "from" in kind)
+            gain = (
+                0.2 * (not dark)
+                + 0.1 * kind.endswith("from-centre")
+                + together * (not dark and "from" in kind)
+            )
             for seed in range(3):
                 base = rng.random((30, 2_000)) < 0.4
-                right.setdefault(("thesis-baseline", f"all/{name}"), {})[seed] = base.astype(np.int8)
+                right.setdefault(("thesis-baseline", f"all/{name}"), {})[seed] = base.astype(
+                    np.int8
+                )
                 gained = base | (rng.random(base.shape) < gain / 0.6)
                 right.setdefault(("thesis-tnt", f"all/{name}"), {})[seed] = gained.astype(np.int8)
         found = {effect["effect"]: effect for effect in effects(right)}
         bright, centre = list(FACTORS)[:2]
-        expected = dict.fromkeys(found, 0.0) | {"mean": 0.15 + together / 4, f"{bright} and {centre}": together / 2}
+        expected = dict.fromkeys(found, 0.0) | {
+            "mean": 0.15 + together / 4,
+            f"{bright} and {centre}": together / 2,
+        }
         expected |= {bright: 0.2 + together / 2, centre: 0.1 + together / 2}
         for name, effect in found.items():
             assert effect["mean"] == pytest.approx(expected[name], abs=0.005), name
@@ -199,16 +267,31 @@ def test_time_from_the_first_event_to_the_last_is_that_of_a_window_of_events(nmn
         columns = windows.events(i, config.window_us)
         stream = TNTVolume(config.replace(window_events=n))
         stream.update(structured([column[:n] for column in columns]))
-        np.testing.assert_allclose(volumes[i], stream.array, atol=0.02)  # times are whole microseconds
+        # times are whole microseconds
+        np.testing.assert_allclose(volumes[i], stream.array, atol=0.02)
     whole = spanned(windows, 1_000_000)
     t = whole.events(0, config.window_us)[0]
-    assert (t[0], t[-1]) == (0, config.window_us - 1) and len(t) == len(windows.events(0, config.window_us)[0])
+    assert (t[0], t[-1]) == (0, config.window_us - 1) and len(t) == len(
+        windows.events(0, config.window_us)[0]
+    )
 
 
 @pytest.fixture(scope="module")
 def words(nmnist, mnist):
     """A small table of two rows."""
-    words = ["--nmnist", nmnist, "--mnist", mnist, "--images", 2, "--rows", "raw", "regressor-translated", "--seeds", 3]
+    words = [
+        "--nmnist",
+        nmnist,
+        "--mnist",
+        mnist,
+        "--images",
+        2,
+        "--rows",
+        "raw",
+        "regressor-translated",
+        "--seeds",
+        3,
+    ]
     return [*words, "--iterations", 3, "--batch", 16, "--workers", 1, "--out"]
 
 
@@ -228,9 +311,12 @@ def test_results_record_what_was_done(done):
     assert set(record["table"]) == {"raw", "regressor-translated"}
     for columns in record["table"].values():
         assert list(columns)[:6] == ["all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim"]
-        assert list(columns)[6:] == [f"{on}/{name}" for name in list(SETS)[1:] for on in ("all", "1")]
+        assert list(columns)[6:] == [
+            f"{on}/{name}" for name in list(SETS)[1:] for on in ("all", "1")
+        ]
         sizes = [columns[c]["windows"] for c in columns]
-        assert sizes == [30, 30, 20, 120, *[60] * 18]  # of 40 recordings; of 2 images that none of them shows
+        # of 40 recordings; of 2 images that none of them shows
+        assert sizes == [30, 30, 20, 120, *[60] * 18]
         assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, 30, 30, *[0] * 16]
         assert list(columns["1/sim"]["against_time_ms"]) == ["10", "20", "30", "50", "75"]
     assert record["data"]["simulated"]["bell"]["images"] == [0, 1]
@@ -241,7 +327,8 @@ def test_results_record_what_was_done(done):
 
 
 def test_the_numbers_are_those_of_the_networks_beside_them(done):
-    """Counted once more, recording by recording, through the stream's own volumes and compiled network."""
+    """Counted once more, recording by recording, through the stream's own volumes and compiled
+    network."""
     model = load_model(done / "networks" / Run("raw", "1", 3).name / "model.safetensors")
     processor, right, early = Processor(model, start_us=0), [], []
     for shard in open_set(done / "simulated" / "sim"):
@@ -273,13 +360,37 @@ def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
 
 def test_rows_with_resynthesis(nmnist, mnist, tmp_path, experiment):
     """Motions are made once for both seeds, and counted in the results."""
-    words = ["--rows", "raw-moved", "--trained-on", "confounded", "--seeds", 0, 1, "--out", tmp_path]
-    words += ["--nmnist", nmnist, "--mnist", mnist, "--images", 2, "--iterations", 4, "--batch", 16, "--workers", 1]
+    words = [
+        "--rows",
+        "raw-moved",
+        "--trained-on",
+        "confounded",
+        "--seeds",
+        0,
+        1,
+        "--out",
+        tmp_path,
+    ]
+    words += [
+        "--nmnist",
+        nmnist,
+        "--mnist",
+        mnist,
+        "--images",
+        2,
+        "--iterations",
+        4,
+        "--batch",
+        16,
+        "--workers",
+        1,
+    ]
     code, printed, _ = experiment("thesis_table", *words)
     record = json.loads((tmp_path / "results.json").read_text())
     assert code == 0 and "confounded/all" in printed
     motions = record["rows"]["raw-moved"]["motions"]["confounded"]
-    assert motions["windows"] == 40 == motions["with_path"] and motions["variations"] == 2  # no more than epochs
+    # no more than epochs
+    assert motions["windows"] == 40 == motions["with_path"] and motions["variations"] == 2
     assert record["table"]["raw-moved"]["confounded/sim"]["windows"] == 60
     assert sorted(record["validation"]) == [f"raw-moved-confounded-seed{s}" for s in (0, 1)]
 

@@ -1,4 +1,5 @@
-"""Which places of a map see a changed one: a word of 64 at a time, as if each were looked at by itself."""
+"""Which places of a map see a changed one: a word of 64 at a time, as if each were looked at by
+itself."""
 
 import numpy as np
 from hypothesis import given
@@ -48,7 +49,9 @@ def test_a_place_is_listed_if_a_tap_falls_on_a_changed_one(data):
     assert places[:n].tolist() == [7 << 16 | x for x in np.flatnonzero(seen)]
 
 
-@given(st.integers(0, 180), st.integers(1, 64), st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1))
+@given(
+    st.integers(0, 180), st.integers(1, 64), st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1)
+)
 def test_neighbours_are_noted_together(column, n, changed, before):
     changed %= 1 << n
     bits = np.zeros(FRAME + 5, np.uint64)

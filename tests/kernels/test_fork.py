@@ -6,7 +6,8 @@ import sys
 
 import pytest
 
-# A thread compiles until the main thread, which forks, waits for it; a fork that does not wait ends the test at once.
+# A thread compiles until the main thread, which forks, waits for it; a fork that does not wait ends
+# the test at once.
 FORK = """
 import contextlib, os, signal, sys, threading, time, traceback
 import numba

@@ -1,6 +1,7 @@
 """Kernels in vector registers write the bits of their plain loops, and nothing beside them.
 
-That the loops compute the right numbers is shown where networks and volumes equal their twins in NumPy.
+That the loops compute the right numbers is shown where networks and volumes equal their twins in
+NumPy.
 """
 
 import math
@@ -31,7 +32,8 @@ def numbers(n: int, seed: int, dtype=np.float32) -> np.ndarray:
 MAPS, WEIGHTS = numbers(9000, 1), numbers(60_000, 2)
 AT, LISTED, OUT = 3, 5, 6000
 LISTS = [
-    [7, 3 << 16 | 2, 3 << 16 | 3, 0, 5 << 16 | 6, 1, 4 << 16, 2, 3, 4 << 16 | 1, 9, 2 << 16 | 5][:n] for n in SIZES
+    [7, 3 << 16 | 2, 3 << 16 | 3, 0, 5 << 16 | 6, 1, 4 << 16, 2, 3, 4 << 16 | 1, 9, 2 << 16 | 5][:n]
+    for n in SIZES
 ]
 KERNELS = [  # runs or taps, the length of a run, channels
     ([40], 1, 1),
@@ -59,9 +61,14 @@ def weights_of(n_products: int, size: int, low: float, high: float) -> np.ndarra
 
 
 def assert_same(name: str, program, weights, list_of_places, more, channels: int) -> None:
-    """Both spellings write the same bits, only where they may, and return the same; a second call changes nothing."""
+    """Both spellings write the same bits, only where they may, and return the same; a second call
+    changes nothing."""
     places = np.array([1 << 20] * LISTED + list_of_places, np.uint32)
-    written = {OUT + 400 * (p >> 16) + channels * (p & 0xFFFF) + c for p in list_of_places for c in range(channels)}
+    written = {
+        OUT + 400 * (p >> 16) + channels * (p & 0xFFFF) + c
+        for p in list_of_places
+        for c in range(channels)
+    }
     for value in (None, 0.0, np.inf, -np.inf):
         before, found = MAPS.copy(), []
         if value is not None:
@@ -73,7 +80,9 @@ def assert_same(name: str, program, weights, list_of_places, more, channels: int
             assert run(program, AT, places, LISTED, *more(maps, weights)) == 0
         assert found[0] == found[1]
         assert value or changed == (1 << len(list_of_places)) - 1
-        assert set(np.flatnonzero(maps.view(np.uint32) != before.view(np.uint32)).tolist()) <= written
+        assert (
+            set(np.flatnonzero(maps.view(np.uint32) != before.view(np.uint32)).tolist()) <= written
+        )
 
 
 @pytest.mark.parametrize("list_of_places", LISTS, ids=len)
@@ -84,7 +93,14 @@ def test_mix_tiles(runs, run_length, channels, list_of_places, limits):
     weights = weights_of(len(runs) * run_length, size, *limits)
     n = len(list_of_places)
     more = lambda maps, weights: (n, maps, 11, OUT, weights, 20, channels)  # noqa: E731
-    assert_same("mix_tile", program_of(P.MIX, runs, run_length, channels), weights, list_of_places, more, channels)
+    assert_same(
+        "mix_tile",
+        program_of(P.MIX, runs, run_length, channels),
+        weights,
+        list_of_places,
+        more,
+        channels,
+    )
 
 
 @pytest.mark.parametrize("kind", [P.SUM, P.MAXIMUM])
@@ -94,7 +110,14 @@ def test_channel_tiles(kind, runs, run_length, channels):
     weights = weights_of(len(runs) if kind == P.SUM else 0, size, -0.4, 0.9)
     for place in LISTS[-1]:
         program = program_of(kind, runs, run_length, channels)
-        assert_same("channel_tile", program, weights, [place], lambda maps, weights: (maps, weights), channels)
+        assert_same(
+            "channel_tile",
+            program,
+            weights,
+            [place],
+            lambda maps, weights: (maps, weights),
+            channels,
+        )
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
@@ -103,12 +126,15 @@ def test_function_tiles(function, channels):
     program = program_of(P.FUNCTION, [40], 1, channels)
     program[AT + P.APPLIED] = list(FUNCTIONS).index(function)
     weights = weights_of(0, -(-channels // LANES) * LANES, -np.inf, 0.8)
-    assert_same("channel_tile", program, weights, [7], lambda maps, weights: (maps, weights), channels)
+    assert_same(
+        "channel_tile", program, weights, [7], lambda maps, weights: (maps, weights), channels
+    )
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_functions_are_those_of_mathematics(function):
-    """To a few units in the last place of float32, GELU to 2e-6 of the number, and at the ends of its range."""
+    """To a few units in the last place of float32, GELU to 2e-6 of the number, and at the ends of
+    its range."""
     apply = njit(lambda which, x: apply_function(which, x))
     which, tolerance = list(FUNCTIONS).index(function), 4e-7
     exact = {
@@ -121,13 +147,20 @@ def test_functions_are_those_of_mathematics(function):
         "hardswish": lambda x: x * np.clip(x + 3, 0, 6) / 6,
     }[function]
     rng = np.random.default_rng(0)
-    for values in (rng.normal(size=2_000), 10 * rng.normal(size=2_000), 10.0 ** rng.uniform(-20, 20, 2_000)):
+    for values in (
+        rng.normal(size=2_000),
+        10 * rng.normal(size=2_000),
+        10.0 ** rng.uniform(-20, 20, 2_000),
+    ):
         x = np.float32(np.abs(values) if function == "log1p" else values)
         found = np.array([apply(which, v) for v in x])
         expected, bound = exact(x.astype(np.float64)), tolerance
-        if function.startswith("gelu"):  # where it is small, it is a small difference of larger numbers
+        # where it is small, it is a small difference of larger numbers
+        if function.startswith("gelu"):
             expected, found, bound = expected / np.abs(x), found / np.abs(x), 1e-6
-        np.testing.assert_allclose(found, expected, rtol=bound, atol=bound if function.startswith("gelu") else 1e-37)
+        np.testing.assert_allclose(
+            found, expected, rtol=bound, atol=bound if function.startswith("gelu") else 1e-37
+        )
     at_ends = [apply(which, np.float32(x)) for x in (-0.75, 0.0, np.inf, np.nan)]
     assert at_ends[0] == pytest.approx(exact(np.array([-0.75]))[0], rel=1e-6)
     assert at_ends[1] == exact(np.zeros(1))[0] and np.isnan(at_ends[3])
@@ -163,7 +196,9 @@ def test_add_f64x2():
         assert cells.tobytes() == expected.tobytes() and cells.all()
 
 
-@pytest.mark.parametrize("same", [[], range(8), [0, 3, 6, 7]], ids=["none_known", "all_known", "some_known"])
+@pytest.mark.parametrize(
+    "same", [[], range(8), [0, 3, 6, 7]], ids=["none_known", "all_known", "some_known"]
+)
 def test_round_eight(same):
     buffer = numbers(40, 10, np.float64)
     buffer[7] = 0

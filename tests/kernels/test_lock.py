@@ -13,7 +13,8 @@ from async_tnt.kernels.lock import LARGE
 
 
 def others_run_during(compute) -> bool:
-    """Whether another thread, which waits for the lock, gets it while something is computed again and again."""
+    """Whether another thread, which waits for the lock, gets it while something is computed again
+    and again."""
     ready, ran = threading.Event(), []
     other = threading.Thread(target=lambda: ran.append(ready.wait()))
     compute()  # compiled
@@ -45,5 +46,6 @@ def test_others_run_while_large_packets_are_added_and_whole_windows_classified(n
     assert others_run_during(lambda: decoder.decode(events)) == is_large
     assert others_run_during(lambda: [classifier.answer(volume) for volume in volumes]) == is_large
     assert others_run_during(lambda: volumes[0].absorb(columns, 0, n)) == is_large
-    processor = Processor(model, every_events=LARGE)  # whose kernel has released it before it calls the others
+    # whose kernel has released it before it calls the others
+    processor = Processor(model, every_events=LARGE)
     assert others_run_during(lambda: processor.push(events))

@@ -1,4 +1,5 @@
-"""The networks that the laws of this folder hold for, each with its configuration. Another one is one line more."""
+"""The networks that the laws of this folder hold for, each with its configuration. Another one is
+one line more."""
 
 from __future__ import annotations
 
@@ -15,13 +16,22 @@ WINDOW_US = 4000
 
 
 class Network:
-    """A grid, bins, widths of the layers and a number of classes; `settings` are those of TNTConfig.
+    """A grid, bins, widths of the layers and a number of classes; `settings` are those of
+    TNTConfig.
 
     The laws use the methods below and nothing else of it.
     """
 
-    def __init__(self, grid: tuple[int, int], bins: int, widths: tuple[int, ...], classes: int, **settings) -> None:
-        defaults = {"sensor": grid, "grid": grid, "bins": bins, "window_us": WINDOW_US, "t_max": 2.0}
+    def __init__(
+        self, grid: tuple[int, int], bins: int, widths: tuple[int, ...], classes: int, **settings
+    ) -> None:
+        defaults = {
+            "sensor": grid,
+            "grid": grid,
+            "bins": bins,
+            "window_us": WINDOW_US,
+            "t_max": 2.0,
+        }
         self.config = TNTConfig(**defaults | settings)
         self.widths, self.classes = widths, classes
 
@@ -34,7 +44,9 @@ class Network:
     @cache  # noqa: B019 (the networks of the list below live as long as the tests)
     def model(self, seed: int = 0) -> Model:
         """Random weights; the same model each time."""
-        model = random_model(self.config, classes=self.classes, widths=self.widths, seed=seed, sharpness=30.0)
+        model = random_model(
+            self.config, classes=self.classes, widths=self.widths, seed=seed, sharpness=30.0
+        )
         if self.widths > (1, 1, 1):
             return model
         alive = {name: np.abs(w) for name, w in model.weights.items() if not name.startswith("fc2")}
@@ -47,18 +59,23 @@ class Network:
 
     @cache  # noqa: B019
     def dense(self, seed: int = 0) -> CompiledClassifier:
-        """The standard that updates are compared with: called with arrays only, and so computing everything."""
+        """The standard that updates are compared with: called with arrays only, and so computing
+        everything."""
         return self.classifier(seed)
 
     def volume(self, config: TNTConfig | None = None) -> TNTVolume:
         config = config or self.config
-        return TNTVolume(config, regressor=CompiledRegressor(self.model()) if config.needs_regressor else None)
+        return TNTVolume(
+            config, regressor=CompiledRegressor(self.model()) if config.needs_regressor else None
+        )
 
 
 class TrainedNetwork(Network):
     """One of the networks that `train` offers, with random weights and statistics."""
 
-    def __init__(self, name: str, grid: tuple[int, int], bins: int, classes: int, **settings) -> None:
+    def __init__(
+        self, name: str, grid: tuple[int, int], bins: int, classes: int, **settings
+    ) -> None:
         super().__init__(grid, bins, (), classes, **settings)
         self.name = name
 

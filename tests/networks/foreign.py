@@ -7,7 +7,10 @@ onnx = pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)"
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `onnx`)")
 
 node, TensorProto = onnx.helper.make_node, onnx.TensorProto
-WEIGHTS = {"w": np.random.default_rng(0).normal(size=(60, 3)), "b": np.random.default_rng(1).normal(size=3)}
+WEIGHTS = {
+    "w": np.random.default_rng(0).normal(size=(60, 3)),
+    "b": np.random.default_rng(1).normal(size=3),
+}
 
 
 def network(
@@ -23,14 +26,23 @@ def network(
 ):
     """Flatten and Gemm, unless `nodes` are given."""
     if nodes is None:
-        nodes = [node("Flatten", [inputs[0][0]], ["flat"]), node("Gemm", ["flat", "w", "b"], [outputs[0][0]])]
-        weights = {name: w.astype(onnx.helper.tensor_dtype_to_np_dtype(dtype)) for name, w in WEIGHTS.items()}
+        nodes = [
+            node("Flatten", [inputs[0][0]], ["flat"]),
+            node("Gemm", ["flat", "w", "b"], [outputs[0][0]]),
+        ]
+        weights = {
+            name: w.astype(onnx.helper.tensor_dtype_to_np_dtype(dtype))
+            for name, w in WEIGHTS.items()
+        }
     info = onnx.helper.make_tensor_value_info
     graph = onnx.helper.make_graph(
         nodes,
         "foreign",
         [info(name, dtype, shape) for name, shape in inputs],
-        [info(name, dtype if output_dtype is None else output_dtype, shape) for name, shape in outputs],
+        [
+            info(name, dtype if output_dtype is None else output_dtype, shape)
+            for name, shape in outputs
+        ],
         [onnx.numpy_helper.from_array(np.asarray(w), name) for name, w in (weights or {}).items()],
     )
     opsets = [onnx.helper.make_opsetid("", opset), onnx.helper.make_opsetid("my", 1)]

@@ -14,8 +14,14 @@ CONFIG = TNTConfig(sensor=(20, 18), grid=(20, 18), bins=3)
 class Block(nn.Module):
     def __init__(self, channels):
         super().__init__()
-        self.conv1, self.norm1 = nn.Conv2d(channels, channels, 3, padding=1, bias=False), nn.BatchNorm2d(channels)
-        self.conv2, self.norm2 = nn.Conv2d(channels, channels, 3, padding=1), nn.BatchNorm2d(channels, affine=False)
+        self.conv1, self.norm1 = (
+            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
+            nn.BatchNorm2d(channels),
+        )
+        self.conv2, self.norm2 = (
+            nn.Conv2d(channels, channels, 3, padding=1),
+            nn.BatchNorm2d(channels, affine=False),
+        )
 
     def forward(self, x):
         y = F.relu(self.norm1(self.conv1(x)))
@@ -23,14 +29,22 @@ class Block(nn.Module):
 
 
 class Branches(nn.Module):
-    """Residual blocks, a concatenation, a mean, a view: methods, functions and modules, one of a function's name."""
+    """Residual blocks, a concatenation, a mean, a view: methods, functions and modules, one of a
+    function's name."""
 
     def __init__(self):
         super().__init__()
-        self.stem = nn.Sequential(nn.BatchNorm2d(3), nn.Conv2d(3, 6, 5, stride=2, padding=2), nn.ReLU6())
+        self.stem = nn.Sequential(
+            nn.BatchNorm2d(3), nn.Conv2d(3, 6, 5, stride=2, padding=2), nn.ReLU6()
+        )
         self.block, self.pool = Block(6), nn.MaxPool2d(3, 2, 1)
-        self.mul, self.drop = nn.Conv2d(12, 12, (3, 2), groups=12, padding="same"), nn.Dropout2d(0.5)
-        self.head = nn.Sequential(nn.Linear(12, 7), nn.BatchNorm1d(7), nn.LeakyReLU(), nn.Dropout(), nn.Linear(7, 4))
+        self.mul, self.drop = (
+            nn.Conv2d(12, 12, (3, 2), groups=12, padding="same"),
+            nn.Dropout2d(0.5),
+        )
+        self.head = nn.Sequential(
+            nn.Linear(12, 7), nn.BatchNorm1d(7), nn.LeakyReLU(), nn.Dropout(), nn.Linear(7, 4)
+        )
 
     def forward(self, x):
         x = self.pool(self.block(self.stem(x)))

@@ -1,5 +1,6 @@
-"""Torch modules made at random from what people write: layers and functions, in place or not, shared, hooked, of own
-classes, with views and with results that nobody reads. Each can be made again from its seed."""
+"""Torch modules made at random from what people write: layers and functions, in place or not,
+shared, hooked, of own classes, with views and with results that nobody reads. Each can be made
+again from its seed."""
 
 from __future__ import annotations
 
@@ -160,7 +161,11 @@ class _Builder:
                 lambda: lambda m, x: scale_(x),
             ]
         if self.chance(0.12):
-            choices = [lambda: self.part(ReLU(inplace)), lambda: self.part(Plain()), lambda: lambda m, x: relu(x)]
+            choices = [
+                lambda: self.part(ReLU(inplace)),
+                lambda: self.part(Plain()),
+                lambda: lambda m, x: relu(x),
+            ]
         return self.pick(*choices)()
 
     def layer(self, shape):
@@ -171,33 +176,54 @@ class _Builder:
         kernel, stride = self.pick(1, 2, 3, (3, 2)), self.pick(1, 1, 2)
         padding = self.pick(0, 1, "same") if stride == 1 else self.pick(0, 1)
         ceil = self.pick(False, False, True)
-        pool = {"kernel_size": self.pick(2, (2, 3)), "stride": self.pick(None, 1, 2), "padding": self.pick(0, 0, 1)}
+        pool = {
+            "kernel_size": self.pick(2, (2, 3)),
+            "stride": self.pick(None, 1, 2),
+            "padding": self.pick(0, 0, 1),
+        }
         norm = nn.BatchNorm2d(channels, affine=self.pick(True, False))
         norm.running_mean.normal_()
         norm.running_var.uniform_(0.5, 2.0)
         return self.pick(
             lambda: self.part(
                 conv(
-                    channels, filters, kernel, stride, padding, self.pick(1, 1, 2), groups, bias=self.pick(True, False)
+                    channels,
+                    filters,
+                    kernel,
+                    stride,
+                    padding,
+                    self.pick(1, 1, 2),
+                    groups,
+                    bias=self.pick(True, False),
                 )
             ),
             lambda: self.part(norm),
             lambda: self.part(nn.MaxPool2d(**pool, ceil_mode=ceil)),
-            lambda: self.part(nn.AvgPool2d(**pool, ceil_mode=ceil, count_include_pad=self.pick(True, False))),
+            lambda: self.part(
+                nn.AvgPool2d(**pool, ceil_mode=ceil, count_include_pad=self.pick(True, False))
+            ),
             lambda: self.part(nn.AdaptiveAvgPool2d(self.pick(2, (3, None), (5, 4), 7))),
-            lambda: self.part(nn.Sequential(nn.Conv2d(channels, 4 * filters, 1), nn.PixelShuffle(2))),
+            lambda: self.part(
+                nn.Sequential(nn.Conv2d(channels, 4 * filters, 1), nn.PixelShuffle(2))
+            ),
             lambda: lambda m, x: F.pixel_shuffle(torch.cat([x, x, 2 * x, x], 1), 2),
             lambda: lambda m, x: F.max_pool2d(x, **pool),
             lambda: lambda m, x: F.avg_pool2d(x, pool["kernel_size"], pool["stride"]),
             lambda: lambda m, x: F.dropout(x, 0.4, m.training),
-            lambda: self.part(self.pick(nn.Dropout(inplace=self.pick(True, False)), nn.Dropout2d(), nn.Identity())),
+            lambda: self.part(
+                self.pick(nn.Dropout(inplace=self.pick(True, False)), nn.Dropout2d(), nn.Identity())
+            ),
             lambda: lambda m, x: x.contiguous(),
         )()
 
     def join(self):
         alpha = self.pick(1, 2)
         if self.chance(0.5):
-            return self.pick(lambda m, x, y: x.add_(y), lambda m, x, y: _iadd(x, y), lambda m, x, y: torch.add(x, y))
+            return self.pick(
+                lambda m, x, y: x.add_(y),
+                lambda m, x, y: _iadd(x, y),
+                lambda m, x, y: torch.add(x, y),
+            )
         return self.pick(
             lambda m, x, y: x + y,
             lambda m, x, y: torch.cat([x, y], 1),

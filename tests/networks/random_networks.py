@@ -1,4 +1,5 @@
-"""Networks made at random: any layers in any order, branches that are added or joined, weights with zeros."""
+"""Networks made at random: any layers in any order, branches that are added or joined, weights with
+zeros."""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -10,7 +11,9 @@ from async_tnt.networks.layer_operations import ELEMENTWISE
 SIDES = st.sampled_from([(1, 1), (2, 2), (3, 3), (3, 3), (5, 5), (1, 3), (2, 5), (4, 1)])
 ACTIVATIONS = ("relu", "leaky_relu", "prelu", "clip", *ELEMENTWISE)
 POOLS = ("max_pool", "average_pool", "sum_pool", "inside_average_pool")
-CONFIG = TNTConfig(sensor=(9, 8), grid=(9, 8), bins=2, window_us=1000, transform="none", landmark="center")
+CONFIG = TNTConfig(
+    sensor=(9, 8), grid=(9, 8), bins=2, window_us=1000, transform="none", landmark="center"
+)
 
 
 class _Builder:
@@ -44,24 +47,37 @@ class _Builder:
             while (kernel[axis] - 1) * dilation[axis] + 1 > side:
                 kernel[axis] -= 1
             most = min(kernel[axis] - 1, 2)
-            padding[axis], padding[2 + axis] = self.draw(st.integers(0, most)), self.draw(st.integers(0, most))
+            padding[axis], padding[2 + axis] = (
+                self.draw(st.integers(0, most)),
+                self.draw(st.integers(0, most)),
+            )
         stride = self.draw(st.sampled_from([[1, 1], [1, 1], [2, 2], [3, 1]]))
         return {"kernel": kernel, "stride": list(stride), "padding": padding}
 
     def conv(self, source: str, shape) -> str:
         channels = shape[0]
         dilation = self.draw(st.sampled_from([[1, 1], [1, 1], [2, 1], [1, 2], [2, 3]]))
-        groups = self.draw(st.sampled_from([n for n in range(1, channels + 1) if channels % n == 0]))
+        groups = self.draw(
+            st.sampled_from([n for n in range(1, channels + 1) if channels % n == 0])
+        )
         n_filters = (
-            groups * self.draw(st.integers(1, 3)) if groups > 1 else self.draw(st.sampled_from([1, 2, 5, 18, 35]))
+            groups * self.draw(st.integers(1, 3))
+            if groups > 1
+            else self.draw(st.sampled_from([1, 2, 5, 18, 35]))
         )
         window = self.window(shape, dilation)
         n_products = channels // groups * window["kernel"][0] * window["kernel"][1]
         scale = 1.7 / np.sqrt(n_products)
-        weights = {"weight": self.tensor(n_filters, channels // groups, *window["kernel"], low=-scale, high=scale)}
+        weights = {
+            "weight": self.tensor(
+                n_filters, channels // groups, *window["kernel"], low=-scale, high=scale
+            )
+        }
         if self.draw(st.booleans()):
             weights["bias"] = self.tensor(n_filters)
-        return self.add("conv", [source], weights=weights, **window, dilation=dilation, groups=groups)
+        return self.add(
+            "conv", [source], weights=weights, **window, dilation=dilation, groups=groups
+        )
 
     def dense(self, source: str, n_inputs: int, n_units: int) -> str:
         scale = 1.7 / np.sqrt(n_inputs)
@@ -100,7 +116,18 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
         shape = maps[source]
         op = draw(
             st.sampled_from(
-                ["conv", "conv", "conv", "batch_norm", *ACTIVATIONS, *POOLS, "adaptive", "spread", "add", "concat"]
+                [
+                    "conv",
+                    "conv",
+                    "conv",
+                    "batch_norm",
+                    *ACTIVATIONS,
+                    *POOLS,
+                    "adaptive",
+                    "spread",
+                    "add",
+                    "concat",
+                ]
             )
         )
         same = [name for name, other in maps.items() if other == shape]
@@ -115,7 +142,11 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
             size = [draw(st.integers(1, side + 1)) for side in shape[1:]]
             name = make.add("adaptive_average_pool", [source], size=size)
         elif op == "spread":
-            blocks = [block for block in (1, 2, 3) if shape[0] % block**2 == 0 and block * max(shape[1:]) < 80]
+            blocks = [
+                block
+                for block in (1, 2, 3)
+                if shape[0] % block**2 == 0 and block * max(shape[1:]) < 80
+            ]
             if not blocks:
                 continue
             name = make.add("depth_to_space", [source], block=draw(st.sampled_from(blocks)))
@@ -124,7 +155,9 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
         elif op == "concat":
             if shape[0] > 60:
                 continue
-            name = make.add(op, [source, *draw(st.lists(st.sampled_from(joined), min_size=1, max_size=2))])
+            name = make.add(
+                op, [source, *draw(st.lists(st.sampled_from(joined), min_size=1, max_size=2))]
+            )
         else:
             name = make.activation(op, source, shape)
         maps[name] = make.shapes[name]
@@ -137,7 +170,9 @@ def random_models(draw, config: TNTConfig = CONFIG) -> Model:
     source = make.add("flatten", [source])
     n = int(np.prod(shape))
     if draw(st.booleans()):
-        source = make.activation(draw(st.sampled_from(["relu", "clip", "tanh"])), source, (n,), flat=True)
+        source = make.activation(
+            draw(st.sampled_from(["relu", "clip", "tanh"])), source, (n,), flat=True
+        )
     if draw(st.booleans()):
         n_units = draw(st.sampled_from([1, 17, 40]))
         source = make.dense(source, n, n_units)

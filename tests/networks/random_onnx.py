@@ -1,5 +1,6 @@
-"""ONNX files made at random, as other programs write them and as they should not: opsets 9 to 22, old and new forms of
-attributes, training mode, operations of other domains, weights of any type. Each can be made again from its seed."""
+"""ONNX files made at random, as other programs write them and as they should not: opsets 9 to 22,
+old and new forms of attributes, training mode, operations of other domains, weights of any type.
+Each can be made again from its seed."""
 
 from __future__ import annotations
 
@@ -52,7 +53,9 @@ class _Builder:
             if self.pick(True, False):
                 negative = helper.make_node("Neg", ["a"], ["b"])
                 opsets = [helper.make_opsetid("", self.opset)]
-                self.functions.append(helper.make_function("my", op, ["a"], ["b"], [negative], opsets))
+                self.functions.append(
+                    helper.make_function("my", op, ["a"], ["b"], [negative], opsets)
+                )
         outputs = [name, *(f"{name}_{k}" for k in range(1, n_outputs))]
         self.nodes.append(helper.make_node(op, [self.value, *inputs], outputs, **attributes))
         self.value = name
@@ -91,16 +94,29 @@ class _Builder:
         if training and self.opset >= 14:
             self.node("BatchNormalization", *inputs, n_outputs=self.pick(1, 3), training_mode=1)
         else:
-            self.node("BatchNormalization", *inputs, n_outputs=5 if training else 1, epsilon=self.pick(1e-5, 1e-3))
+            self.node(
+                "BatchNormalization",
+                *inputs,
+                n_outputs=5 if training else 1,
+                epsilon=self.pick(1e-5, 1e-3),
+            )
 
     def clip(self) -> None:
         low, high = self.pick(None, -0.5, 0.0), self.pick(None, 1.0, 6.0)
         if self.opset < 11:
-            limits = {name: value for name, value in (("min", low), ("max", high)) if value is not None}
+            limits = {
+                name: value for name, value in (("min", low), ("max", high)) if value is not None
+            }
             self.node("Clip", **limits)
             return
         shape = (1,) if self.chance(0.2) else (2,) if self.chance(0.1) else ()
-        self.node("Clip", *("" if v is None else self.constant(np.full(shape, v, np.float32)) for v in (low, high)))
+        self.node(
+            "Clip",
+            *(
+                "" if v is None else self.constant(np.full(shape, v, np.float32))
+                for v in (low, high)
+            ),
+        )
 
     def dropout(self) -> None:
         if self.opset < 12:
@@ -157,7 +173,9 @@ class _Builder:
         self.pick(
             lambda: self.node("Relu"),
             lambda: self.node("LeakyRelu", **self.pick({}, {"alpha": 0.3})),
-            lambda: self.node("PRelu", self.weights(*((self.shape[-1],) if self.chance(0.2) else slopes))),
+            lambda: self.node(
+                "PRelu", self.weights(*((self.shape[-1],) if self.chance(0.2) else slopes))
+            ),
             self.clip,
             self.dropout,
             *2 * [self.function],
@@ -186,7 +204,9 @@ class _Builder:
         elif choice == "pool":
             self.node("GlobalAveragePool")
         if choice != "reshape":
-            self.node("Flatten", **self.pick({}, {"axis": 1}, {"axis": 2} if self.chance(0.3) else {}))
+            self.node(
+                "Flatten", **self.pick({}, {"axis": 1}, {"axis": 2} if self.chance(0.3) else {})
+            )
             return
         shape = self.pick([1, -1], [0, -1], [-1, n], [1, n])
         if self.chance(0.3):
@@ -200,19 +220,28 @@ class _Builder:
             return
         transposed = self.pick(0, 1)
         weight = self.weights(*((units, n) if transposed else (n, units)))
-        bias = [self.weights(*self.pick((units,), (1, units), (1,), ()))] if self.pick(True, False) else []
+        bias = (
+            [self.weights(*self.pick((units,), (1, units), (1,), ()))]
+            if self.pick(True, False)
+            else []
+        )
         odd = self.pick({"alpha": 0.5}, {"beta": 2.0}, {}) if self.chance(0.3) else {}
         self.node("Gemm", weight, *bias, **({"transB": 1} if transposed else {}), **odd)
 
     def softmax(self) -> None:
-        self.node("Softmax", **self.pick({}, {"axis": 1}, {"axis": -1}, {"axis": 0} if self.chance(0.5) else {}))
+        self.node(
+            "Softmax",
+            **self.pick({}, {"axis": 1}, {"axis": -1}, {"axis": 0} if self.chance(0.5) else {}),
+        )
 
     def file(self, output_shape: list[str] | None = None) -> onnx.ModelProto:
         opsets = [helper.make_opsetid("", self.opset), helper.make_opsetid("my", 1)]
         given = [helper.make_tensor_value_info("x", TensorProto.FLOAT, [self.pick(1, "N"), *SHAPE])]
         output = helper.make_tensor_value_info(self.value, TensorProto.FLOAT, output_shape)
         graph = helper.make_graph(self.nodes, "made", given, [output], self.constants)
-        return helper.make_model(graph, opset_imports=opsets, ir_version=8, functions=self.functions[:1])
+        return helper.make_model(
+            graph, opset_imports=opsets, ir_version=8, functions=self.functions[:1]
+        )
 
 
 def _shape(proto: onnx.ModelProto) -> tuple[int, ...] | None:
@@ -236,13 +265,18 @@ def _shapes(proto: onnx.ModelProto) -> dict[str, list[int]]:
     """The shape of each value, by ONNX's own rules, where they tell; 0 for an open side."""
     graph = onnx.shape_inference.infer_shapes(proto).graph
     values = [*graph.input, *graph.value_info, *graph.output]
-    return {value.name: [side.dim_value for side in value.type.tensor_type.shape.dim] for value in values}
+    return {
+        value.name: [side.dim_value for side in value.type.tensor_type.shape.dim]
+        for value in values
+    }
 
 
 class _Of:
     """A node as the rules below see it: attributes, constant inputs, the shape of its first map."""
 
-    def __init__(self, node: onnx.NodeProto, values: dict[str, np.ndarray], shapes: dict[str, list[int]]) -> None:
+    def __init__(
+        self, node: onnx.NodeProto, values: dict[str, np.ndarray], shapes: dict[str, list[int]]
+    ) -> None:
         self.op, self.domain, self.n_outputs = node.op_type, node.domain, len(node.output)
         self.attributes = {one.name: helper.get_attribute_value(one) for one in node.attribute}
         self.constants = [values[name] for name in node.input if name in values]
@@ -258,14 +292,18 @@ def _pads_otherwise(of: _Of) -> bool:
     """`auto_pad` beside `pads`, or with a stride, where the sides of the input decide."""
     auto_pad = of.get("auto_pad", "NOTSET")
     has_stride = list(of.get("strides", [1, 1])) != [1, 1]
-    return (auto_pad.startswith("SAME") and has_stride) or (auto_pad != "NOTSET" and any(of.get("pads", [0])))
+    return (auto_pad.startswith("SAME") and has_stride) or (
+        auto_pad != "NOTSET" and any(of.get("pads", [0]))
+    )
 
 
 def _pools_otherwise(of: _Of) -> bool:
     is_dilated = list(of.get("dilations", [1, 1])) != [1, 1]
     pads = of.get("pads", [0] * 4)
     sides = [side + pads[k] + pads[2 + k] for k, side in enumerate(of.source[2:4])]
-    is_larger = any(k > side > 0 for k, side in zip(of.get("kernel_shape", []), sides, strict=False))
+    is_larger = any(
+        k > side > 0 for k, side in zip(of.get("kernel_shape", []), sides, strict=False)
+    )
     return _pads_otherwise(of) or is_dilated or is_larger or of.get("ceil_mode", 0) == 1
 
 
@@ -351,7 +389,14 @@ def _has_other_constants(of: _Of) -> bool:
 def random_onnx(seed: int) -> onnx.ModelProto:
     """A network of one input (1 or N, *SHAPE), whose output is (1, N_CLASSES) in most cases."""
     builder = _Builder(seed)
-    steps = builder.batch_norm, builder.pool, builder.affine, builder.activation, builder.join, builder.spread
+    steps = (
+        builder.batch_norm,
+        builder.pool,
+        builder.affine,
+        builder.activation,
+        builder.join,
+        builder.spread,
+    )
     for _ in range(builder.rng.integers(0, 6)):
         before = list(builder.nodes), builder.value
         builder.pick(*2 * [builder.conv], *steps)()

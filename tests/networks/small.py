@@ -1,4 +1,5 @@
-"""A small model, with a landmark network and without, and files of any content; for the tests in this folder."""
+"""A small model, with a landmark network and without, and files of any content; for the tests in
+this folder."""
 
 import json
 
@@ -19,7 +20,9 @@ def small_model(seed=0, config=SMALL):
 
 def changed(config=SMALL, **weights):
     """The small model's weights with some replaced, or left out (None)."""
-    weights = small_model(config=config).weights | {name.replace("__", "."): w for name, w in weights.items()}
+    weights = small_model(config=config).weights | {
+        name.replace("__", "."): w for name, w in weights.items()
+    }
     return {name: values for name, values in weights.items() if values is not None}
 
 
@@ -28,7 +31,10 @@ def assert_same(one, other):
     assert one.weights.keys() == other.weights.keys()
     for name, values in one.weights.items():
         assert values.dtype == other.weights[name].dtype == "float32"
-        assert values.shape == other.weights[name].shape and values.tobytes() == other.weights[name].tobytes()
+        assert (
+            values.shape == other.weights[name].shape
+            and values.tobytes() == other.weights[name].tobytes()
+        )
 
 
 def write_file(path, weights, of=SMALL, /, **changes):

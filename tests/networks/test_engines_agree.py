@@ -1,4 +1,5 @@
-"""All engines give the compiled network's logits, landmarks and decisions, in Python and by `async-tnt run`."""
+"""All engines give the compiled network's logits, landmarks and decisions, in Python and by
+`async-tnt run`."""
 
 import json
 import re
@@ -26,7 +27,10 @@ def test_logits_are_the_same(tested):
         OnnxClassifier(to_onnx(model)),
         TorchClassifier(torch_classifier(model)),
     )
-    for packet in [None, *np.split(random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000), 3)]:
+    for packet in [
+        None,
+        *np.split(random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000), 3),
+    ]:
         volume.update(packet)
         expected = compiled(volume.array)
         for engine in others:
@@ -65,12 +69,18 @@ def test_an_exported_network_decides_the_same(program, exported):
 @pytest.mark.parametrize("engine", ["onnx", "torch"])
 def test_other_engines_decide_the_same_with_a_landmark_network(engine):
     model = random_regressor_model(seed=2)
-    classifier = OnnxClassifier(to_onnx(model)) if engine == "onnx" else TorchClassifier(torch_classifier(model))
+    classifier = (
+        OnnxClassifier(to_onnx(model))
+        if engine == "onnx"
+        else TorchClassifier(torch_classifier(model))
+    )
     regressor = CompiledRegressor(model) if engine == "onnx" else landmark_function(model)
     ours = Processor(model, every_us=20_000)
     other = Processor(model, classifier=classifier, regressor=regressor, every_us=20_000)
     events = open_recording(SAMPLES[0]).read()
-    pairs = list(zip(ours.push(events) + ours.finish(), other.push(events) + other.finish(), strict=True))
+    pairs = list(
+        zip(ours.push(events) + ours.finish(), other.push(events) + other.finish(), strict=True)
+    )
     assert len(pairs) > 10
     for one, same in pairs:
         assert (one.time_us, one.events, one.label) == (same.time_us, same.events, same.label)
@@ -79,7 +89,9 @@ def test_other_engines_decide_the_same_with_a_landmark_network(engine):
 
 def assert_one_line(program, message, *words, command="run"):
     code, printed, error = program(command, SAMPLES[0], *words)
-    assert (code, printed, error.count("\n")) == (2, "", 1) and error.startswith(f"async-tnt: {message}")
+    assert (code, printed, error.count("\n")) == (2, "", 1) and error.startswith(
+        f"async-tnt: {message}"
+    )
 
 
 def test_files_that_do_not_belong_here_give_one_line(program, exported, tmp_path):
@@ -88,17 +100,25 @@ def test_files_that_do_not_belong_here_give_one_line(program, exported, tmp_path
     no_config = f"{foreign}: an ONNX network without a configuration of this package, "
     assert_one_line(program, no_config, "--model", foreign)
     assert_one_line(program, "no file no.onnx", "--model", "no.onnx")
-    assert_one_line(program, f"{m}: an .onnx file is for run and view", "--model", m, command="check")
+    assert_one_line(
+        program, f"{m}: an .onnx file is for run and view", "--model", m, command="check"
+    )
 
 
 @pytest.mark.parametrize(
     "missing, words, message",
     [
         ("onnxruntime", "run --model EXPORTED", "ONNX networks are run by onnxruntime"),
-        ("onnx", "export digits --out new.onnx", "ONNX networks are written by onnx and run by onnxruntime"),
+        (
+            "onnx",
+            "export digits --out new.onnx",
+            "ONNX networks are written by onnx and run by onnxruntime",
+        ),
     ],
 )
-def test_missing_packages_give_one_line(missing, words, message, monkeypatch, program, exported, tmp_path):
+def test_missing_packages_give_one_line(
+    missing, words, message, monkeypatch, program, exported, tmp_path
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, missing, None)
     code, out, error = program(*words.replace("EXPORTED", str(exported)).split())

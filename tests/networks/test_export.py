@@ -23,11 +23,15 @@ def test_what_an_onnx_file_cannot_hold_is_refused(monkeypatch):
     with pytest.raises(ValueError, match="a weight is named 'logits', as ONNX's input"):
         to_onnx(replace(random_model(), network=named, weights=weights))
     monkeypatch.setattr(onnx_export, "MAX_BYTES", 1000)
-    with pytest.raises(ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"):
+    with pytest.raises(
+        ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"
+    ):
         to_onnx(random_model())
 
 
-@pytest.mark.parametrize("wrong", [lambda logits: -logits, lambda logits: logits * np.nan, lambda logits: logits + 1])
+@pytest.mark.parametrize(
+    "wrong", [lambda logits: -logits, lambda logits: logits * np.nan, lambda logits: logits + 1]
+)
 def test_one_volume_that_differs_is_one_too_many(wrong):
     calls = []
     network = CompiledClassifier(random_model(classes=3))
@@ -42,7 +46,8 @@ def test_one_volume_that_differs_is_one_too_many(wrong):
 
 
 @pytest.mark.parametrize(
-    ("large", "small", "is_same"), [(5e-3, 0, True), (2e-2, 0, False), (0, 5e-5, True), (0, 1e-3, False)]
+    ("large", "small", "is_same"),
+    [(5e-3, 0, True), (2e-2, 0, False), (0, 5e-5, True), (0, 1e-3, False)],
 )
 def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large, small, is_same):
     """Of a network that gives 100 for a volume of large numbers, and 1 for others."""
@@ -50,11 +55,15 @@ def test_numbers_may_differ_by_so_much_of_the_largest_of_their_own_volume(large,
     def network(volume, large=0.0, small=0.0):
         return np.array([100 + large if np.abs(volume).max() > 50 else 1 + small])
 
-    with nullcontext() if is_same else pytest.raises(ValueError, match="its layers compute other numbers"):
+    with (
+        nullcontext()
+        if is_same
+        else pytest.raises(ValueError, match="its layers compute other numbers")
+    ):
         compare(network, partial(network, large=large, small=small), (2, 6, 5))
 
 
-# -- the command -------------------------------------------------------------------------------------------
+# -- the command -----------------------------------------------------------------------------------
 
 
 def test_export_writes_the_file_and_checks_it(tmp_path, program):
@@ -62,7 +71,9 @@ def test_export_writes_the_file_and_checks_it(tmp_path, program):
     code, text, _ = program("export", "digits", "--out", out)
     assert code == 0 and os.listdir(tmp_path) == ["digits.onnx"]
     size = out.stat().st_size
-    assert text.startswith(f"{out} ({size / 1e3:.0f} kB): volume (1, 9, 34, 34) -> logits (1, 10)\nonnxruntime ")
+    assert text.startswith(
+        f"{out} ({size / 1e3:.0f} kB): volume (1, 9, 34, 34) -> logits (1, 10)\nonnxruntime "
+    )
     assert text.endswith(" agrees with the compiled network\n")
     assert out.read_bytes() == to_onnx(load_model("digits")).SerializeToString()
     report = json.loads(program("export", "digits", "--out", out, "--json")[1])
@@ -71,17 +82,26 @@ def test_export_writes_the_file_and_checks_it(tmp_path, program):
 
 def test_nothing_is_written_where_the_networks_do_not_agree(tmp_path, monkeypatch, program):
     model = load_model("digits")
-    wrong = replace(model, weights={**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(0.1)})
+    wrong = replace(
+        model, weights={**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(0.1)}
+    )
     monkeypatch.setattr(onnx_export, "to_onnx", lambda model: to_onnx(wrong))
     out = tmp_path / "m.onnx"
     out.write_bytes(b"what was there")
     code, text, _ = program("export", "digits", "--out", out)
-    assert code == 1 and "nothing is written: its layers compute other numbers (by 0.1, where the largest is" in text
+    assert (
+        code == 1
+        and "nothing is written: its layers compute other numbers (by 0.1, where the largest is"
+        in text
+    )
     assert os.listdir(tmp_path) == ["m.onnx"] and out.read_bytes() == b"what was there"
 
 
 def test_wrong_arguments_give_one_line(tmp_path, program):
-    for out, message in (("m.pt", f"{tmp_path}/m.pt: its name must end in .onnx"), ("no/m.onnx", "no folder ")):
+    for out, message in (
+        ("m.pt", f"{tmp_path}/m.pt: its name must end in .onnx"),
+        ("no/m.onnx", "no folder "),
+    ):
         code, printed, error = program("export", "digits", "--out", tmp_path / out)
         assert (code, printed) == (2, "") and error.startswith(f"async-tnt: {message}")
     assert os.listdir(tmp_path) == []
@@ -102,9 +122,13 @@ def test_onnxruntime_sends_and_keeps_nothing_about_its_use(tmp_path):
 def test_a_landmark_network_has_no_onnx_form(tmp_path, program):
     path = random_regressor_model().save(tmp_path / "m.safetensors")
     code, _, error = program("export", path, "--out", tmp_path / "m.onnx")
-    assert (code, error.count("\n")) == (2, 1) and f"{path} has a landmark network, which has no ONNX form" in error
+    assert (code, error.count("\n")) == (
+        2,
+        1,
+    ) and f"{path} has a landmark network, which has no ONNX form" in error
     (tmp_path / "m.onnx").write_bytes(to_onnx(load_model(path)).SerializeToString())
     with pytest.raises(
-        NotImplementedError, match=r"^the landmark network of .*m.onnx has no ONNX form: load the model"
+        NotImplementedError,
+        match=r"^the landmark network of .*m.onnx has no ONNX form: load the model",
     ):
         load_model(tmp_path / "m.onnx")

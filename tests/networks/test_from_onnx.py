@@ -1,4 +1,5 @@
-"""ONNX files of this and of other programs compute what they computed there, or are refused by name."""
+"""ONNX files of this and of other programs compute what they computed there, or are refused by
+name."""
 
 import json
 import re
@@ -34,7 +35,7 @@ def test_every_model_can_be_exported_and_read_again(tmp_path_factory, model):
     assert CompiledClassifier(again)(volume).tobytes() == logits.tobytes()
 
 
-# -- node by node; of any form: test_random_networks.py ------------------------------------------------------------
+# -- node by node; of any form: test_random_networks.py --------------------------------------------
 
 
 def node(op, inputs="x", output="y", **attributes):
@@ -43,7 +44,9 @@ def node(op, inputs="x", output="y", **attributes):
 
 
 def write_onnx(path, nodes, constants=None, output="y", opset=13, shape=(1, 2, 6, 5)):
-    content = network(nodes, inputs=[("x", shape)], outputs=[(output, ("a", "b"))], weights=constants, opset=opset)
+    content = network(
+        nodes, inputs=[("x", shape)], outputs=[(output, ("a", "b"))], weights=constants, opset=opset
+    )
     path.write_bytes(content)
     return path
 
@@ -51,23 +54,72 @@ def write_onnx(path, nodes, constants=None, output="y", opset=13, shape=(1, 2, 6
 ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
 HALF, YES = np.float32(0.5), np.bool_(True)
 REFUSED = [  # nodes, constants, message, opset
-    ([node("Sin")], {}, "(Sin) has no compiled form; OnnxClassifier(path) runs any float32 network of logits", 13),
-    ([node("Relu", domain="my")], {}, "(Relu) is of the domain 'my', not ONNX's own; OnnxClassifier(path) runs", 13),
+    (
+        [node("Sin")],
+        {},
+        "(Sin) has no compiled form; OnnxClassifier(path) runs any float32 network of logits",
+        13,
+    ),
+    (
+        [node("Relu", domain="my")],
+        {},
+        "(Relu) is of the domain 'my', not ONNX's own; OnnxClassifier(path) runs",
+        13,
+    ),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
-    ([node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)], {}, "(AveragePool): ceil_mode has no compiled form", 13),
+    (
+        [node("AveragePool", kernel_shape=[3, 3], ceil_mode=1)],
+        {},
+        "(AveragePool): ceil_mode has no compiled form",
+        13,
+    ),
     ([node("Log")], {}, "(Log): a logarithm of other than x + 1 has no compiled form", 13),
-    ([node("HardSigmoid")], {}, "(HardSigmoid): alpha 0.2 and beta 0.5, not 1/6 and 1/2, has no compiled form", 13),
-    ([node("BatchNormalization", "x w w w w", training_mode=1)], {"w": ONES}, "(BatchNormalization): a batch", 14),
-    ([node("Dropout", "x half yes")], {"half": HALF, "yes": YES}, "(Dropout): a dropout in training mode has", 13),
-    ([node("Conv", "x w", auto_pad="VALID", pads=[1] * 4)], {"w": KERNEL}, "(Conv): auto_pad VALID beside pads", 13),
-    ([node("Conv", "x w")], {"w": KERNEL > 0}, "(Conv): 'w' of type bool beside an input of float32 has no", 13),
-    ([node("Reshape", "x to")], {"to": np.int64([2, -1])}, "(Reshape): a reshape to [2, -1], not (n, -1), one", 13),
+    (
+        [node("HardSigmoid")],
+        {},
+        "(HardSigmoid): alpha 0.2 and beta 0.5, not 1/6 and 1/2, has no compiled form",
+        13,
+    ),
+    (
+        [node("BatchNormalization", "x w w w w", training_mode=1)],
+        {"w": ONES},
+        "(BatchNormalization): a batch",
+        14,
+    ),
+    (
+        [node("Dropout", "x half yes")],
+        {"half": HALF, "yes": YES},
+        "(Dropout): a dropout in training mode has",
+        13,
+    ),
+    (
+        [node("Conv", "x w", auto_pad="VALID", pads=[1] * 4)],
+        {"w": KERNEL},
+        "(Conv): auto_pad VALID beside pads",
+        13,
+    ),
+    (
+        [node("Conv", "x w")],
+        {"w": KERNEL > 0},
+        "(Conv): 'w' of type bool beside an input of float32 has no",
+        13,
+    ),
+    (
+        [node("Reshape", "x to")],
+        {"to": np.int64([2, -1])},
+        "(Reshape): a reshape to [2, -1], not (n, -1), one",
+        13,
+    ),
     ([node("Flatten")], {}, "the network must be of opset 7 or later, got [6]", 6),
 ]
 
 
-@pytest.mark.parametrize("nodes, constants, message, opset", REFUSED, ids=[row[2][:40] for row in REFUSED])
-def test_a_node_without_a_compiled_form_is_refused_by_name(tmp_path, nodes, constants, message, opset):
+@pytest.mark.parametrize(
+    "nodes, constants, message, opset", REFUSED, ids=[row[2][:40] for row in REFUSED]
+)
+def test_a_node_without_a_compiled_form_is_refused_by_name(
+    tmp_path, nodes, constants, message, opset
+):
     path = write_onnx(tmp_path / "m.onnx", nodes, constants, nodes[-1].output[0], opset)
     begin = f"{path}: node 'y' " if message.startswith("(") else f"{path}: "
     with pytest.raises(NotImplementedError, match=f"^{re.escape(begin + message)}"):
@@ -76,11 +128,21 @@ def test_a_node_without_a_compiled_form_is_refused_by_name(tmp_path, nodes, cons
 
 def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
     """Here with a rule that is wrong: ReLU read as nothing."""
-    nodes = [node("Flatten", "x", "f"), node("MatMul", "f w", "d"), node("Relu", "d", "r"), node("Flatten", "r")]
-    path = write_onnx(tmp_path / "m.onnx", nodes, {"w": np.float32(VOLUMES[0, 0, :9, :20].reshape(60, 3))})
+    nodes = [
+        node("Flatten", "x", "f"),
+        node("MatMul", "f w", "d"),
+        node("Relu", "d", "r"),
+        node("Flatten", "r"),
+    ]
+    path = write_onnx(
+        tmp_path / "m.onnx", nodes, {"w": np.float32(VOLUMES[0, 0, :9, :20].reshape(60, 3))}
+    )
     load_model(path, config=SMALL)
     monkeypatch.setitem(RULES, "Relu", RULES["Identity"])
-    with pytest.raises(NotImplementedError, match=r"cannot be read as layers: its layers compute other numbers \(by"):
+    with pytest.raises(
+        NotImplementedError,
+        match=r"cannot be read as layers: its layers compute other numbers \(by",
+    ):
         load_model(path, config=SMALL)
 
 
@@ -90,8 +152,18 @@ def test_weights_in_a_file_beside_are_read_there(tmp_path, monkeypatch):
     for name, factor in (("a", 1.0), ("b", -1.0)):
         (tmp_path / name).mkdir()
         weights = {"w": np.full((60, 3), factor, np.float32)}
-        path = write_onnx(tmp_path / name / "net.onnx", [node("Flatten", "x", "f"), node("MatMul", "f w")], weights)
-        onnx.save_model(onnx.load(path), path, save_as_external_data=True, location="net.onnx.data", size_threshold=0)
+        path = write_onnx(
+            tmp_path / name / "net.onnx",
+            [node("Flatten", "x", "f"), node("MatMul", "f w")],
+            weights,
+        )
+        onnx.save_model(
+            onnx.load(path),
+            path,
+            save_as_external_data=True,
+            location="net.onnx.data",
+            size_threshold=0,
+        )
         found.append(path)
     monkeypatch.chdir(tmp_path / "b")
     volume = np.ones(SMALL.shape, np.float32)
@@ -104,37 +176,81 @@ def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
     ours.write_bytes(to_onnx(load_model("digits")).SerializeToString())
     (tmp_path / "no.onnx").write_bytes(b"nothing")
     for name, settings, error, message in (
-        (path, {}, TypeError, r"does not say how events become its volume: load_model\(path, config=TNTConf"),
-        (ours, {"config": SMALL}, TypeError, "^`config` and `classes` are for networks of other programs; .* its own$"),
-        ("digits", {"config": SMALL}, TypeError, r"^`config` and `classes` are for \.onnx networks; .* has its own$"),
-        (path, {"config": TNTConfig()}, ValueError, r"must be the volume, N x \(9, 34, 34\), got N x \(2, 6, 5\)"),
+        (
+            path,
+            {},
+            TypeError,
+            r"does not say how events become its volume: load_model\(path, config=TNTConf",
+        ),
+        (
+            ours,
+            {"config": SMALL},
+            TypeError,
+            "^`config` and `classes` are for networks of other programs; .* its own$",
+        ),
+        (
+            "digits",
+            {"config": SMALL},
+            TypeError,
+            r"^`config` and `classes` are for \.onnx networks; .* has its own$",
+        ),
+        (
+            path,
+            {"config": TNTConfig()},
+            ValueError,
+            r"must be the volume, N x \(9, 34, 34\), got N x \(2, 6, 5\)",
+        ),
         (tmp_path / "no.onnx", {"config": SMALL}, ValueError, "is not a readable ONNX network"),
     ):
         with pytest.raises(error, match=message):
             load_model(name, **settings)
     theirs = write_onnx(
-        tmp_path / "t.onnx", [node("Flatten", "x", "f"), node("MatMul", "f w")], {"w": np.ones((60, 3), np.float32)}
+        tmp_path / "t.onnx",
+        [node("Flatten", "x", "f"), node("MatMul", "f w")],
+        {"w": np.ones((60, 3), np.float32)},
     )
     for missing in ("onnxruntime", "onnx"):
         monkeypatch.setitem(sys.modules, missing, None)
-        with pytest.raises(ImportError, match=r"^ONNX networks are .*: pip install 'async_tnt\[onnx\]' \("):
+        with pytest.raises(
+            ImportError, match=r"^ONNX networks are .*: pip install 'async_tnt\[onnx\]' \("
+        ):
             load_model(theirs, config=SMALL)
 
 
 LINEAR = [node("Flatten", "x", "f"), node("MatMul", "f w")]
-SUM = [node("Relu", "x", "r"), node("Add", "r one", "s"), node("Log", "s", "l"), node("Add", "l s", "a")]
-TWICE = [LINEAR[0], node("MatMul", "f q", "g"), node("Gemm", "g q", "h", transB=1), node("MatMul", "h w")]
+SUM = [
+    node("Relu", "x", "r"),
+    node("Add", "r one", "s"),
+    node("Log", "s", "l"),
+    node("Add", "l s", "a"),
+]
+TWICE = [
+    LINEAR[0],
+    node("MatMul", "f q", "g"),
+    node("Gemm", "g q", "h", transB=1),
+    node("MatMul", "h w"),
+]
 ACCEPTED = {
-    "a sum below a logarithm that is read by another node, too": ([*SUM, node("Flatten", "a", "f"), LINEAR[1]], 1),
+    "a sum below a logarithm that is read by another node, too": (
+        [*SUM, node("Flatten", "a", "f"), LINEAR[1]],
+        1,
+    ),
     "one constant as two matrices": (TWICE, 1),
     "a batch of two": (LINEAR, 2),
-    "a leaky ReLU without its slope": ([node("LeakyRelu", "x", "r"), node("Flatten", "r", "f"), LINEAR[1]], 1),
+    "a leaky ReLU without its slope": (
+        [node("LeakyRelu", "x", "r"), node("Flatten", "r", "f"), LINEAR[1]],
+        1,
+    ),
 }
 
 
 @pytest.mark.parametrize("nodes, batch", ACCEPTED.values(), ids=ACCEPTED)
 def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
-    weights = {"one": np.float32(1), "w": np.eye(60, 3, dtype=np.float32), "q": np.tri(60, dtype=np.float32) / 60}
+    weights = {
+        "one": np.float32(1),
+        "w": np.eye(60, 3, dtype=np.float32),
+        "q": np.tri(60, dtype=np.float32) / 60,
+    }
     path = write_onnx(tmp_path / "m.onnx", nodes, weights, shape=(batch, 2, 6, 5))
     assert len(load_model(path, config=SMALL).classes) == 3  # and compared with it
     path.write_bytes(network(dtype=onnx.TensorProto.FLOAT16))  # as exactly as half precision is
@@ -155,9 +271,18 @@ def test_layers_named_as_weights_and_as_the_output_can_be_exported():
 
 
 def test_a_weight_named_as_the_export_names_a_constant_is_kept(tmp_path):
-    layers = [node("Conv", "x k", "c"), node("PRelu", "c act.slope", "act"), node("GlobalAveragePool", "act", "g")]
-    weights = {"k": np.ones((3, 2, 3, 3), np.float32), "act.slope": np.full((3, 1, 1), 0.5, np.float32)}
-    model = load_model(write_onnx(tmp_path / "a.onnx", [*layers, node("Flatten", "g")], weights), config=SMALL)
+    layers = [
+        node("Conv", "x k", "c"),
+        node("PRelu", "c act.slope", "act"),
+        node("GlobalAveragePool", "act", "g"),
+    ]
+    weights = {
+        "k": np.ones((3, 2, 3, 3), np.float32),
+        "act.slope": np.full((3, 1, 1), 0.5, np.float32),
+    }
+    model = load_model(
+        write_onnx(tmp_path / "a.onnx", [*layers, node("Flatten", "g")], weights), config=SMALL
+    )
     (tmp_path / "b.onnx").write_bytes(to_onnx(model).SerializeToString())
     volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
     again = CompiledClassifier(load_model(tmp_path / "b.onnx"))
@@ -167,20 +292,35 @@ def test_a_weight_named_as_the_export_names_a_constant_is_kept(tmp_path):
 @EVEN_KERNEL
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_path, program):
-    """Compiled if it can be (what torch exports can, and is compared as it is read), by onnxruntime if not."""
+    """Compiled if it can be (what torch exports can, and is compared as it is read), by onnxruntime
+    if not."""
     path, config = tmp_path / "net.onnx", tmp_path / "net.json"
     torch.onnx.export(branches().eval(), torch.tensor(VOLUMES[:1]), str(path), dynamo=False)
     config.write_text(json.dumps({"config": CONFIG.to_dict(), "classes": ["a", "b", "c", "d"]}))
     engine = choose_engine(path, config=config)
-    assert (engine.classifier, engine.model.config, engine.classes) == (None, CONFIG, ("a", "b", "c", "d"))
+    assert (engine.classifier, engine.model.config, engine.classes) == (
+        None,
+        CONFIG,
+        ("a", "b", "c", "d"),
+    )
     other = write_onnx(tmp_path / "sin.onnx", [node("Sin", "x", "s"), node("Flatten", "s")])
     small = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2)
     config.write_text(json.dumps({"config": small.to_dict()}))
     engine = choose_engine(other, config=config)
-    assert (type(engine.classifier), engine.model, len(engine.classes)) == (OnnxClassifier, small, 60)
-    odds = write_onnx(tmp_path / "odds.onnx", [node("Sin", "x", "s"), node("Flatten", "s", "l"), node("Softmax", "l")])
+    assert (type(engine.classifier), engine.model, len(engine.classes)) == (
+        OnnxClassifier,
+        small,
+        60,
+    )
+    odds = write_onnx(
+        tmp_path / "odds.onnx",
+        [node("Sin", "x", "s"), node("Flatten", "s", "l"), node("Softmax", "l")],
+    )
     volume = np.ones(small.shape, np.float32)
-    logits, of_odds = engine.classifier(volume), choose_engine(odds, config=config).classifier(volume)
+    logits, of_odds = (
+        engine.classifier(volume),
+        choose_engine(odds, config=config).classifier(volume),
+    )
     np.testing.assert_allclose(of_odds, logits - np.log(np.exp(logits).sum()), atol=1e-5)
     layers = [node("Sin", "x", "s"), node("GlobalAveragePool", "s", "g"), node("Flatten", "g")]
     open_sides = write_onnx(tmp_path / "open.onnx", layers, shape=("n", 2, "h", "w"))
@@ -191,7 +331,9 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     assert len(choose_engine(two, config=config).classes) == 3  # no layer takes two flattened maps
     ours = tmp_path / "ours.onnx"
     ours.write_bytes(to_onnx(load_model("digits")).SerializeToString())
-    with pytest.raises(ValueError, match=r"for networks of other programs; .*ours.onnx has its own"):
+    with pytest.raises(
+        ValueError, match=r"for networks of other programs; .*ours.onnx has its own"
+    ):
         choose_engine(ours, config=config)
 
     np.save(tmp_path / "a.npy", random_events(300, sensor=(5, 6)))
@@ -208,4 +350,7 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     code, _, err = program("run", "--config", config)
     assert code == 2 and "--config is for .onnx files of other programs; digits has its own" in err
     code, _, err = program("run", tmp_path / "a.npy", "--model", other)
-    assert code == 2 and "give one, --config: a file of what `async-tnt info` prints of a model as JSON" in err
+    assert (
+        code == 2
+        and "give one, --config: a file of what `async-tnt info` prints of a model as JSON" in err
+    )

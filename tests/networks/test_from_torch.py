@@ -1,7 +1,7 @@
 """Torch modules: the layers compute what the module computed, or it is refused by name.
 
-Also with changes in place, hooks, own classes, and functions that depend on more than the volume. Many more of them:
-test_random_networks.py.
+Also with changes in place, hooks, own classes, and functions that depend on more than the volume.
+Many more of them: test_random_networks.py.
 """
 
 import numpy as np
@@ -15,9 +15,7 @@ from torch.nn import functional as F
 
 from async_tnt import CompiledClassifier, Model, load_model
 
-WAY_OUT = (
-    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
-)
+WAY_OUT = "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
 
 RARE = 1e6
 """Larger than what any of the volumes gives that a module and its layers are compared on."""
@@ -29,7 +27,8 @@ def model_of(module):
 
 @EVEN_KERNEL
 def test_a_torch_module_computes_what_it_did(tmp_path):
-    """As in eval mode, whichever it is in, and left as it was; saved and loaded, too; and from its layers in torch."""
+    """As in eval mode, whichever it is in, and left as it was; saved and loaded, too; and from its
+    layers in torch."""
     module = branches().train()
     model = model_of(module)
     assert module.training and (model.classes, model.record) == (tuple("abcd"), {"by": "hand"})
@@ -52,10 +51,17 @@ class Written(nn.Module):
     def __init__(self, body):
         super().__init__()
         torch.manual_seed(1)
-        self.body, self.conv, self.dense = body, nn.Conv2d(3, 3, 3, padding=1), nn.Linear(3 * 18 * 20, 4)
+        self.body, self.conv, self.dense = (
+            body,
+            nn.Conv2d(3, 3, 3, padding=1),
+            nn.Linear(3 * 18 * 20, 4),
+        )
         self.head = nn.Conv2d(3, 4, 1)
         self.flatten, self.identity = nn.Flatten(), nn.Identity()
-        self.limit, self.threshold = nn.Hardtanh(-RARE, RARE, inplace=True), nn.Threshold(-RARE, 0.0, inplace=True)
+        self.limit, self.threshold = (
+            nn.Hardtanh(-RARE, RARE, inplace=True),
+            nn.Threshold(-RARE, 0.0, inplace=True),
+        )
         self.register_buffer("scales", torch.tensor([0.5, 2.0, 3.0])[:, None, None])
 
     def forward(self, x):
@@ -79,7 +85,9 @@ WRITTEN = [depends_on_the_mode, scales_the_volume]
 ALONE = nn.Conv2d(3, 4, (18, 20))
 
 
-@pytest.mark.parametrize("module", [*map(Written, WRITTEN), ALONE], ids=[*(f.__name__ for f in WRITTEN), "one layer"])
+@pytest.mark.parametrize(
+    "module", [*map(Written, WRITTEN), ALONE], ids=[*(f.__name__ for f in WRITTEN), "one layer"]
+)
 def test_modes_and_changes_in_place_are_read_as_they_are(module):
     found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
     expected = np.concatenate(
@@ -249,28 +257,57 @@ HIDDEN = [counts_its_calls]
 OTHER_NUMBERS = "the module cannot be read as layers: its layers compute other numbers (by "
 FORM, HOOKS = "has no compiled form", "has hooks, which a trace does not show: remove them"
 REFUSED = [  # what makes it, the beginning of the message
-    (of_layer(nn.Mish(), nn.ReLU(), nn.CELU()), f"layer '0' (Mish) {FORM}; layer '2' (CELU) {FORM}"),
-    (of_layer(nn.Flatten(), nn.Softmax(1)), f"layer '1' (Softmax) {FORM}: a decision has the softmax of its logits"),
-    (of_layer(nn.AvgPool2d(3, 2, 1, True)), "layer '0' (AvgPool2d): ceil_mode with padding that counts"),
-    (of_body(lambda m, x: 1 / m.conv(x)), "operation 'truediv' (truediv): a quotient other than a map by a constant"),
+    (
+        of_layer(nn.Mish(), nn.ReLU(), nn.CELU()),
+        f"layer '0' (Mish) {FORM}; layer '2' (CELU) {FORM}",
+    ),
+    (
+        of_layer(nn.Flatten(), nn.Softmax(1)),
+        f"layer '1' (Softmax) {FORM}: a decision has the softmax of its logits",
+    ),
+    (
+        of_layer(nn.AvgPool2d(3, 2, 1, True)),
+        "layer '0' (AvgPool2d): ceil_mode with padding that counts",
+    ),
+    (
+        of_body(lambda m, x: 1 / m.conv(x)),
+        "operation 'truediv' (truediv): a quotient other than a map by a constant",
+    ),
     (
         of_body(lambda m, x: x + x.mean((2, 3), keepdim=True)),
         "the module cannot be read as layers: layer 'add' (add): ",
     ),
-    (of_body(lambda m, x: m.conv(x) * m.dense.bias), "operation 'mul' (mul): a constant of shape [4] here has"),
+    (
+        of_body(lambda m, x: m.conv(x) * m.dense.bias),
+        "operation 'mul' (mul): a constant of shape [4] here has",
+    ),
     (Two, "the module must take one volume, got 2 arguments"),
-    (of_body(lambda m, x: x if x.sum() > 0 else -x), "torch.fx cannot trace this module: symbolically traced variable"),
+    (
+        of_body(lambda m, x: x if x.sum() > 0 else -x),
+        "torch.fx cannot trace this module: symbolically traced variable",
+    ),
     (of_body(own_function_named_relu), f"operation 'relu' (relu) {FORM}"),
     (hooked, f"layer '0' (Conv2d) {HOOKS}"),
     (of_body(squares_the_volume), f"operation 'pow_' (pow_) {FORM}"),
     *((of_body(body), OTHER_NUMBERS) for body in HIDDEN),
-    (of_body(lambda m, x: x.mean((2, 3), dtype=torch.float64)), "operation 'mean' (mean): the argument 'dtype' has"),
-    (of_body(lambda m, x: m.dense(x.reshape(2, -1))), "operation 'reshape' (reshape): a view other than (n, -1)"),
-    (lambda: torch.jit.trace(nn.Conv2d(3, 4, 3), torch.zeros(1, 3, 18, 20)), "the module is compiled by torch.jit"),
+    (
+        of_body(lambda m, x: x.mean((2, 3), dtype=torch.float64)),
+        "operation 'mean' (mean): the argument 'dtype' has",
+    ),
+    (
+        of_body(lambda m, x: m.dense(x.reshape(2, -1))),
+        "operation 'reshape' (reshape): a view other than (n, -1)",
+    ),
+    (
+        lambda: torch.jit.trace(nn.Conv2d(3, 4, 3), torch.zeros(1, 3, 18, 20)),
+        "the module is compiled by torch.jit",
+    ),
 ]
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
+@pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning"
+)
 @pytest.mark.parametrize(
     "make, message", REFUSED, ids=[f"{k} {message[:60]}" for k, (_, message) in enumerate(REFUSED)]
 )
@@ -282,5 +319,7 @@ def test_a_module_that_is_more_than_its_layers_is_refused_by_name(make, message)
 
 @pytest.mark.parametrize("value", [nn.Conv2d(3, 4, 3).state_dict(), abs])
 def test_what_is_no_module_is_a_type_error(value):
-    with pytest.raises(TypeError, match=f"^`module` must be a torch.nn.Module, got {type(value).__name__}"):
+    with pytest.raises(
+        TypeError, match=f"^`module` must be a torch.nn.Module, got {type(value).__name__}"
+    ):
         model_of(value)

@@ -1,4 +1,5 @@
-"""What the compiled classifier computes: bit for bit its twin in NumPy, by hand, and finite or refused."""
+"""What the compiled classifier computes: bit for bit its twin in NumPy, by hand, and finite or
+refused."""
 
 from importlib import import_module
 from pkgutil import iter_modules
@@ -15,22 +16,37 @@ from async_tnt.kernels import classify
 
 
 def test_no_kernel_may_reorder_arithmetic():
-    """However a stream is cut, its bits stay: sums keep their order, and 1 / 0 is inf as in the equations."""
-    modules = [import_module(f"async_tnt.kernels.{module.name}") for module in iter_modules(kernels.__path__)]
-    compiled = [k for module in modules for k in vars(module).values() if isinstance(k, CPUDispatcher)]
+    """However a stream is cut, its bits stay: sums keep their order, and 1 / 0 is inf as in the
+    equations."""
+    modules = [
+        import_module(f"async_tnt.kernels.{module.name}")
+        for module in iter_modules(kernels.__path__)
+    ]
+    compiled = [
+        k for module in modules for k in vars(module).values() if isinstance(k, CPUDispatcher)
+    ]
     assert len(compiled) > 60
     for kernel in compiled:
-        assert not kernel.targetoptions.get("fastmath") and kernel.targetoptions["error_model"] == "numpy"
-    assert classify.absorb_and_decide.targetoptions["nogil"]  # other threads run while a packet is decided
+        assert (
+            not kernel.targetoptions.get("fastmath")
+            and kernel.targetoptions["error_model"] == "numpy"
+        )
+    # other threads run while a packet is decided
+    assert classify.absorb_and_decide.targetoptions["nogil"]
 
 
 @pytest.mark.parametrize("network", [network for network in NETWORKS if network.widths], ids=str)
 def test_logits_are_those_of_the_twin_bit_for_bit(network):
-    """After events, where many channels are empty, and for arrays in which none is, or each second one."""
+    """After events, where many channels are empty, and for arrays in which none is, or each second
+    one."""
     model, classifier, volume = network.model(), network.classifier(), network.volume()
-    for packet in np.split(random_events(90, seed=1, duration_us=6000, sensor=network.config.sensor), 3):
+    for packet in np.split(
+        random_events(90, seed=1, duration_us=6000, sensor=network.config.sensor), 3
+    ):
         volume.update(packet)
-        assert classifier.refresh(volume).tobytes() == forward(model.weights, volume.array).tobytes()
+        assert (
+            classifier.refresh(volume).tobytes() == forward(model.weights, volume.array).tobytes()
+        )
     assert volume.array.any()
     if network in NETWORKS[:7]:
         array = np.random.default_rng(2).normal(size=network.config.shape).astype(np.float32)
@@ -43,9 +59,13 @@ CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform
 
 
 def by_hand() -> Model:
-    """8 x 8 pixels, one bin: the first convolution is the middle tap and its negative, the second adds the one
-    and four times the other, the dense layer weighs the four places by 1, 10, 100, 1000."""
-    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(2, 1, 1)).weights.items()}
+    """8 x 8 pixels, one bin: the first convolution is the middle tap and its negative, the second
+    adds the one and four times the other, the dense layer weighs the four places by 1, 10, 100,
+    1000."""
+    weights = {
+        name: np.zeros_like(w)
+        for name, w in random_model(CONFIG, classes=2, widths=(2, 1, 1)).weights.items()
+    }
     weights["conv1.weight"][:, 0, 1, 1] = 1, -1
     weights["conv2.weight"][0, :, 1, 1] = 1, 4
     weights["fc1.weight"][:] = 1, 10, 100, 1000
@@ -56,7 +76,8 @@ def by_hand() -> Model:
 
 
 def test_one_small_network_event_by_event():
-    """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16; the hidden unit has a bias of 1/2."""
+    """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16; the hidden unit has
+    a bias of 1/2."""
     classifier, volume, hidden = CompiledClassifier(by_hand()), TNTVolume(CONFIG), 0.5
     volume.open(0)
     assert classifier.refresh(volume).tolist() == [2 * 0.5, 1 - 0.5]
@@ -79,16 +100,23 @@ def test_one_small_network_event_by_event():
 def test_probabilities_of_logits_beyond_the_range_of_exp():
     weights = dict(by_hand().weights)
     weights["fc1.weight"] = np.zeros((1, 4))
-    for biases, expected in (([2000, 1999], 1 / (1 + np.exp(-1))), ([-2000, -1999], 1 / (1 + np.exp(1)))):
+    for biases, expected in (
+        ([2000, 1999], 1 / (1 + np.exp(-1))),
+        ([-2000, -1999], 1 / (1 + np.exp(1))),
+    ):
         model = thesis_model(
-            CONFIG, weights | {"fc2.weight": np.zeros((2, 1)), "fc2.bias": np.array(biases)}, ("a", "b")
+            CONFIG,
+            weights | {"fc2.weight": np.zeros((2, 1)), "fc2.bias": np.array(biases)},
+            ("a", "b"),
         )
         for classifier in (None, lambda volume, biases=biases: biases):
             decision = Processor(model, classifier=classifier).fire()
-            assert decision.probabilities.tolist() == pytest.approx([expected, 1 - expected], rel=1e-12)
+            assert decision.probabilities.tolist() == pytest.approx(
+                [expected, 1 - expected], rel=1e-12
+            )
 
 
-# -- weights so large that logits overflow: an error on every path, and the stream goes on -----------------------
+# -- weights so large that logits overflow: an error on every path, and the stream goes on ---------
 
 FINITE = "^`classifier` must return finite logits, got"
 LOUD = 7, 7  # an event here overflows; elsewhere events hardly count
@@ -100,17 +128,24 @@ def overflowing(**settings) -> list[Processor]:
     weights["fc1.weight"] = np.array([[0.001, 0, 0, 3e38]])
     weights["fc2.weight"] = np.array([[20], [-1]])
     model = thesis_model(CONFIG, weights, ("a", "b"))
-    general = Processor(CONFIG, classifier=CompiledClassifier(model).__call__, classes=["a", "b"], **settings)
+    general = Processor(
+        CONFIG, classifier=CompiledClassifier(model).__call__, classes=["a", "b"], **settings
+    )
     return [Processor(model, **settings), general]
 
 
 @pytest.mark.parametrize(
-    "settings, size",  # `late="drop"` has seen all times of a packet, also of one that is absorbed in part
-    [({"every_events": 1}, 1500), ({"confidence": 1.0}, 7), ({"every_events": 1, "late": "drop"}, 1)],
+    # `late="drop"` has seen all times of a packet, also of one that is absorbed in part
+    "settings, size",
+    [
+        ({"every_events": 1}, 1500),
+        ({"confidence": 1.0}, 7),
+        ({"every_events": 1, "late": "drop"}, 1),
+    ],
 )
 def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size):
-    """Its later events are not: pushed again, the stream continues there. After the next event, which cancels it, the
-    stream is as without both."""
+    """Its later events are not: pushed again, the stream continues there. After the next event,
+    which cancels it, the stream is as without both."""
     loud, k = [4, 9, 700, 1303], np.arange(1500)
     events = events_of(100 + k, k % 3, (k + 1) % 3, [1] * 1500)  # quiet ones, at the upper left
     for at in loud:

@@ -1,4 +1,5 @@
-"""Incremental networks: after any events, windows and copies the logits of a whole forward pass, bit for bit."""
+"""Incremental networks: after any events, windows and copies the logits of a whole forward pass,
+bit for bit."""
 
 import copy
 import itertools
@@ -18,11 +19,22 @@ from networks.random_networks import CONFIG, random_models
 from oracles import Oracle, as_values
 from tnt_reference import LayerNetwork
 
-from async_tnt import CompiledClassifier, CompiledRegressor, Processor, TNTConfig, TNTVolume, volume_state
+from async_tnt import (
+    CompiledClassifier,
+    CompiledRegressor,
+    Processor,
+    TNTConfig,
+    TNTVolume,
+    volume_state,
+)
 from async_tnt.kernels import program as P
 from async_tnt.kernels import state as S
 
-DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
+DUPLICATES = {
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda one: pickle.loads(pickle.dumps(one)),
+}
 
 
 def logits_after_packets(network: Network, events: np.ndarray, sizes) -> list[bytes]:
@@ -40,7 +52,7 @@ def logits_after_packets(network: Network, events: np.ndarray, sizes) -> list[by
         first += size
 
 
-# -- in any order, with copies -----------------------------------------------------------------------------------
+# -- in any order, with copies ---------------------------------------------------------------------
 
 which = st.integers(0, 1)
 steps = st.one_of(
@@ -56,10 +68,13 @@ steps = st.one_of(
 @settings(max_examples=2 * settings.default.max_examples)
 @given(st.sampled_from(NETWORKS[:7]), st.lists(steps, min_size=4, max_size=40))
 def test_two_volumes_and_two_classifiers_in_any_order(network, script):
-    """The volumes are of one shape and two kinds. Each has a twin with the same events that only the whole network
-    reads, from its array. A copy takes the other volume's, or the other classifier's, place."""
+    """The volumes are of one shape and two kinds. Each has a twin with the same events that only
+    the whole network reads, from its array. A copy takes the other volume's, or the other
+    classifier's, place."""
     config = network.config
-    other = config.replace(polarity="signed", bins=config.channels, landmark="center", remove_flow=False)
+    other = config.replace(
+        polarity="signed", bins=config.channels, landmark="center", remove_flow=False
+    )
     seeds, classifiers = [0, 1], [network.classifier(0), network.classifier(1)]
     volumes, twins = ([network.volume(), network.volume(other)] for _ in range(2))
     now_us = [0, 0]
@@ -70,7 +85,9 @@ def test_two_volumes_and_two_classifiers_in_any_order(network, script):
             logits = classifiers[number].refresh(volumes[v])
             assert logits.tobytes() == network.dense(seeds[number])(twins[v].array).tobytes()
         elif step == "packet":
-            events = random_events(number, seed=k, duration_us=300, sensor=config.sensor, start_us=now_us[v])
+            events = random_events(
+                number, seed=k, duration_us=300, sensor=config.sensor, start_us=now_us[v]
+            )
             for volume in both:
                 volume.update(events)
             now_us[v] += 300
@@ -103,7 +120,11 @@ def test_two_volumes_and_two_classifiers_in_any_order(network, script):
 @pytest.mark.parametrize("network", [DIGITS, LARGE], ids=str)
 def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, duplicate):
     """With as many other events in each, which only the volume itself tells apart."""
-    volume, classifier, (width, height) = network.volume(), network.classifier(), network.config.sensor
+    volume, classifier, (width, height) = (
+        network.volume(),
+        network.classifier(),
+        network.config.sensor,
+    )
     volume.update(random_events(40, seed=1, duration_us=300, sensor=network.config.sensor))
     classifier.refresh(volume)
     both = volume, DUPLICATES[duplicate](volume)
@@ -117,13 +138,15 @@ def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, dupl
 
 
 def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monkeypatch):
-    """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first process."""
+    """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first
+    process."""
     classifier, volume = SMALL.classifier(), SMALL.volume()
     volume.update(random_events(10, seed=1, duration_us=900, sensor=SMALL.config.sensor))
     classifier.refresh(volume)
     parcel, number = pickle.dumps(classifier), int(classifier.network.program[P.EPOCH])
     assert number > 0
-    monkeypatch.setattr(volume_state, "_epochs", itertools.count(number - 1))  # one for `reset`, one for `open`
+    # one for `reset`, one for `open`
+    monkeypatch.setattr(volume_state, "_epochs", itertools.count(number - 1))
     here = SMALL.volume()
     here.update(random_events(10, seed=2, duration_us=900, sensor=SMALL.config.sensor))
     expected = SMALL.dense()(here.array).tobytes()
@@ -135,7 +158,7 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
     assert classifier.refresh(here).tobytes() != expected
 
 
-# -- the log, a ring of the newest events' places ----------------------------------------------------------------
+# -- the log, a ring of the newest events' places --------------------------------------------------
 
 
 LONG_LOG = Network((34, 34), 24, (3, 5, 7), 3, polarity="split")
@@ -151,19 +174,27 @@ def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, mo
     long = [log + more] * 4 + [1] * 5 + [2 * log + more] * 2 + [20 * log, 1, n, 1, 2]
     for sizes in (long, [max(n + more, 1)] * (3 * log // n)):
         sensor = network.config.sensor
-        events = random_events(sum(sizes), seed=7, duration_us=WINDOW_US - 1, sensor=sensor, start_us=1)
+        events = random_events(
+            sum(sizes), seed=7, duration_us=WINDOW_US - 1, sensor=sensor, start_us=1
+        )
         logits_after_packets(network, events, sizes)
 
 
 def test_a_volume_of_another_shape_is_refused():
     volume = TNTVolume(TNTConfig(polarity="split"))
     for call, argument in ((DIGITS.dense().refresh, volume), (DIGITS.dense(), volume.array)):
-        with pytest.raises(ValueError, match=r"^`volume` must have shape \(9, 34, 34\), got \(18, 34, 34\)"):
+        with pytest.raises(
+            ValueError, match=r"^`volume` must have shape \(9, 34, 34\), got \(18, 34, 34\)"
+        ):
             call(argument)
 
 
 @settings(max_examples=3 * settings.default.max_examples)
-@given(random_models(), st.integers(0, 10_000), st.lists(st.sampled_from([1, 1, 2, 10, 100]), min_size=3, max_size=12))
+@given(
+    random_models(),
+    st.integers(0, 10_000),
+    st.lists(st.sampled_from([1, 1, 2, 10, 100]), min_size=3, max_size=12),
+)
 def test_at_every_packet(model, seed, sizes):
     dense, incremental = CompiledClassifier(model), CompiledClassifier(model)
     reference = LayerNetwork(model.network["classifier"], model.weights).double().eval()
@@ -179,7 +210,7 @@ def test_at_every_packet(model, seed, sizes):
         assert np.abs(logits - expected).max() <= 1e-4 * max(1, np.abs(expected).max())
 
 
-# -- in a Processor, on its compiled and its general path ---------------------------------------------------------
+# -- in a Processor, on its compiled and its general path ------------------------------------------
 
 
 def decide(processor, events, size):
@@ -187,7 +218,9 @@ def decide(processor, events, size):
     if size == 0:
         decisions = [d for event in events.tolist() for d in processor.push_one(*event)]
     else:
-        decisions = [d for k in range(0, len(events), size) for d in processor.push(events[k : k + size])]
+        decisions = [
+            d for k in range(0, len(events), size) for d in processor.push(events[k : k + size])
+        ]
     return decisions + processor.finish()
 
 
@@ -202,7 +235,9 @@ def test_decisions_after_every_event_are_those_of_a_plain_loop(network):
     assert len(expected) == n + 3  # two closed windows and the end
     assert len({logits for *_, logits in expected}) > 0.4 * n  # most events change them
     for size in (0, 7, n):
-        assert [as_values(d) for d in decide(Processor(network.model(), every_events=1), events, size)] == expected
+        assert [
+            as_values(d) for d in decide(Processor(network.model(), every_events=1), events, size)
+        ] == expected
 
 
 @pytest.mark.parametrize("settings", [{"every_events": 1}, {"confidence": 0.9}], ids=str)
@@ -218,5 +253,7 @@ def test_processors_in_threads_decide_as_one_after_the_other(settings):
 
     expected = [work(seed) for seed in range(n_threads)]
     with ThreadPoolExecutor(n_threads) as threads:
-        assert list(threads.map(lambda seed: work(seed, together.wait), range(n_threads))) == expected
+        assert (
+            list(threads.map(lambda seed: work(seed, together.wait), range(n_threads))) == expected
+        )
     assert len({str(decisions) for decisions in expected}) == n_threads  # none has another one's

@@ -13,9 +13,12 @@ RAW = NETWORKS[8]
 
 
 def test_one_event_in_the_thesis_network():
-    """It changes 2 x 2 pixels, seen by 4 x 4 places of the first convolution; pooled, these are 2 or 3 places a side;
-    seen by 4 or 5 places of the second convolution; pooled, by 2 or 3 again."""
-    network, volume = RAW.classifier(), RAW.volume(RAW.config.replace(transform="tnt", landmark="center"))
+    """It changes 2 x 2 pixels, seen by 4 x 4 places of the first convolution; pooled, these are 2
+    or 3 places a side; seen by 4 or 5 places of the second convolution; pooled, by 2 or 3 again."""
+    network, volume = (
+        RAW.classifier(),
+        RAW.volume(RAW.config.replace(transform="tnt", landmark="center")),
+    )
     volume.open(0)
     network.refresh(volume)
     most = dict.fromkeys(step.layer for step, _ in work_of(network))
@@ -57,7 +60,9 @@ def test_a_new_window_computes_what_its_own_events_reach(network):
 def test_a_change_that_no_filter_sees_ends_there():
     """An event on a whole pixel, seen by 3 x 3 places of a convolution whose weights are zero."""
     model = RAW.model()
-    model = replace(model, weights={**model.weights, "conv1.weight": 0 * model.weights["conv1.weight"]})
+    model = replace(
+        model, weights={**model.weights, "conv1.weight": 0 * model.weights["conv1.weight"]}
+    )
     network, volume = CompiledClassifier(model), RAW.volume()
     volume.open(0)
     network.refresh(volume)

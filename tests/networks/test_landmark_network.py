@@ -1,4 +1,5 @@
-"""The compiled landmark network by hand. Against the torch reference: test_volume_equals_reference.py."""
+"""The compiled landmark network by hand. Against the torch reference:
+test_volume_equals_reference.py."""
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ def test_the_zero_heatmap_gives_the_image_centre_exactly():
 
 
 def middle_taps(config: TNTConfig, heatmap: float) -> CompiledRegressor:
-    """Every convolution is its middle tap: the heatmap's exponent is `heatmap` times ReLU(V), of one bin."""
+    """Every convolution is its middle tap: the heatmap's exponent is `heatmap` times ReLU(V), of
+    one bin."""
     weights = dict(random_regressor_model(config, regressor_widths=(1, 1, 1)).weights)
     kernel = np.zeros((1, 1, 3, 3))
     kernel[0, 0, 1, 1] = 1
@@ -25,7 +27,9 @@ def middle_taps(config: TNTConfig, heatmap: float) -> CompiledRegressor:
         weights |= {f"regressor.{layer}.weight": kernel, f"regressor.{layer}.bias": np.zeros(1)}
     return CompiledRegressor(
         thesis_model(
-            config, weights | {"regressor.heatmap.weight": np.full((1, 1, 1, 1), heatmap)}, tuple("abcdefghij")
+            config,
+            weights | {"regressor.heatmap.weight": np.full((1, 1, 1, 1), heatmap)},
+            tuple("abcdefghij"),
         )
     )
 
@@ -44,11 +48,15 @@ def test_centroid_of_one_cell_by_hand():
     assert expected[0] < 1.6 and expected[1] > 2.2
 
 
-@pytest.mark.parametrize("heatmap", [[3e38, 3e38, -3e38, 0], [-3e38, 0, -3e38, -3e38], *np.eye(4)[:2] * 3e38], ids=str)
+@pytest.mark.parametrize(
+    "heatmap", [[3e38, 3e38, -3e38, 0], [-3e38, 0, -3e38, -3e38], *np.eye(4)[:2] * 3e38], ids=str
+)
 @pytest.mark.parametrize("value", [None, np.inf, -np.inf, np.nan])
 def test_large_exponents_and_those_that_overflowed_give_what_torch_gives(heatmap, value):
     exponent = np.array(heatmap, np.float32)
     exponent[3] = exponent[3] if value is None else value
     h = torch.softmax(torch.tensor(exponent).double(), 0).numpy()
     in_rows = np.array([*exponent[:2], 7, 7, *exponent[2:]], np.float32)
-    assert centroid(in_rows, 4, 2, 2) == pytest.approx((h[1] + h[3], h[2] + h[3]), abs=1e-15, nan_ok=True)
+    assert centroid(in_rows, 4, 2, 2) == pytest.approx(
+        (h[1] + h[3], h[2] + h[3]), abs=1e-15, nan_ok=True
+    )

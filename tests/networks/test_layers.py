@@ -1,4 +1,5 @@
-"""The layers in a model file: what does not fit, or cannot be run, is refused with the layer's name."""
+"""The layers in a model file: what does not fit, or cannot be run, is refused with the layer's
+name."""
 
 import copy
 import json
@@ -22,7 +23,11 @@ def test_the_thesis_layers_are_those_of_the_references_modules():
     channels, height, width = model.config.shape
     classifier = Classifier(channels, (width, height), 3, (2, 3, 4))
     classifier.load_state_dict(
-        {name: torch.tensor(w) for name, w in model.weights.items() if not name.startswith("regressor.")}
+        {
+            name: torch.tensor(w)
+            for name, w in model.weights.items()
+            if not name.startswith("regressor.")
+        }
     )
     volume = torch.randn(2, channels, height, width, generator=torch.Generator().manual_seed(0))
     layers = {name: LayerNetwork(part, model.weights) for name, part in model.network.items()}
@@ -46,28 +51,68 @@ def update(place, **parameters):
 
 
 CANNOT_RUN = [
-    (update(1, op="mish"), "layer 'relu1' is a 'mish'; this release knows conv, dense, batch_norm, relu, "),
+    (
+        update(1, op="mish"),
+        "layer 'relu1' is a 'mish'; this release knows conv, dense, batch_norm, relu, ",
+    ),
     (update(1, inplace=True), "layer 'relu1' (relu) has inplace"),
 ]
 DAMAGED = [
     (lambda layers: layers.clear(), "a network must have at least one layer"),
-    (update(1, name=3), "layer 1 must be an object with `name` and `op`, got {'inputs': ['conv1'], 'name': 3, 'op': "),
+    (
+        update(1, name=3),
+        "layer 1 must be an object with `name` and `op`, got {'inputs': ['conv1'], 'name': 3, "
+        "'op': ",
+    ),
     (update(1, name="conv1"), "layer 'conv1' (relu): another layer has this name"),
     (update(1, inputs=["conv7"]), "layer 'relu1' (relu): no earlier layer is named 'conv7'"),
-    (insert(4, op="add", name="sum", inputs=["conv2", "pool1"]), "layer 'sum' (add): its inputs must have one shape, "),
-    (lambda layers: layers[0].pop("stride"), "layer 'conv1' (conv): must have stride"),
-    (update(0, stride=[0, 1]), "layer 'conv1' (conv): `stride` must be a list of 2 whole numbers from 1 on, got [0, 1"),
-    (update(0, kernel=[9, 9]), "layer 'conv1' (conv): its kernel reaches over 9 places, its input has 8 with the padd"),
-    (update(0, kernel=[1, 1]), "layer 'conv1' (conv): its weight must have shape (2, 2, 1, 1) here, got (2, 2, 3, 3)"),
-    (update(0, padding=[0, 16383, 0, 16382]), "layer 'conv1' (conv): its map (2, 4, 32768) must have sides below"),
-    (update(0, groups=3), "layer 'conv1' (conv): 3 groups must divide its 2 channels and 2 filters"),
-    (update(0, weights={"bias": "conv1.bias"}), "layer 'conv1' (conv): `weights` must be weight, bias, got bias"),
     (
-        update(0, weights={role: f"conv1.{role.replace('slope', 'bias')}" for role in ("weight", "bias", "slope")}),
+        insert(4, op="add", name="sum", inputs=["conv2", "pool1"]),
+        "layer 'sum' (add): its inputs must have one shape, ",
+    ),
+    (lambda layers: layers[0].pop("stride"), "layer 'conv1' (conv): must have stride"),
+    (
+        update(0, stride=[0, 1]),
+        "layer 'conv1' (conv): `stride` must be a list of 2 whole numbers from 1 on, got [0, 1",
+    ),
+    (
+        update(0, kernel=[9, 9]),
+        "layer 'conv1' (conv): its kernel reaches over 9 places, its input has 8 with the padd",
+    ),
+    (
+        update(0, kernel=[1, 1]),
+        "layer 'conv1' (conv): its weight must have shape (2, 2, 1, 1) here, got (2, 2, 3, 3)",
+    ),
+    (
+        update(0, padding=[0, 16383, 0, 16382]),
+        "layer 'conv1' (conv): its map (2, 4, 32768) must have sides below",
+    ),
+    (
+        update(0, groups=3),
+        "layer 'conv1' (conv): 3 groups must divide its 2 channels and 2 filters",
+    ),
+    (
+        update(0, weights={"bias": "conv1.bias"}),
+        "layer 'conv1' (conv): `weights` must be weight, bias, got bias",
+    ),
+    (
+        update(
+            0,
+            weights={
+                role: f"conv1.{role.replace('slope', 'bias')}"
+                for role in ("weight", "bias", "slope")
+            },
+        ),
         "layer 'conv1' (conv): `weights` must be weight, bias, got ",
     ),
-    (update(2, padding=[2, 0, 0, 0]), "layer 'pool1' (average_pool): padding [2, 0, 0, 0] must be less than kernel [2"),
-    (insert(1, op="clip", name="c", inputs=["conv1"], low=2, high=1), "layer 'c' (clip): `low` must be at most `high`"),
+    (
+        update(2, padding=[2, 0, 0, 0]),
+        "layer 'pool1' (average_pool): padding [2, 0, 0, 0] must be less than kernel [2",
+    ),
+    (
+        insert(1, op="clip", name="c", inputs=["conv1"], low=2, high=1),
+        "layer 'c' (clip): `low` must be at most `high`",
+    ),
     (
         lambda layers: layers.append({"op": "heatmap_centroid", "name": "h", "inputs": ["volume"]}),
         "layer 'h' (heatmap_c",
@@ -78,7 +123,9 @@ DAMAGED = [
 def test_a_clip_between_equal_limits_gives_them(tmp_path):
     network = copy.deepcopy(thesis_network(SMALL))
     last = network["classifier"][-1]["name"]
-    network["classifier"].append({"name": "all", "op": "clip", "inputs": [last], "low": 0.25, "high": 0.25})
+    network["classifier"].append(
+        {"name": "all", "op": "clip", "inputs": [last], "low": 0.25, "high": 0.25}
+    )
     model = Model(SMALL, changed(), ("a", "b", "c"), network=network)
     for one in (model, load_model(model.save(tmp_path / "m.safetensors"))):
         assert CompiledClassifier(one)(np.ones(SMALL.shape, np.float32)).tolist() == [0.25] * 3
@@ -90,7 +137,9 @@ def test_what_does_not_fit_is_one_error_that_names_the_layer(tmp_path, edit, mes
     network, path = copy.deepcopy(thesis_network(SMALL)), tmp_path / "m"
     edit(network["classifier"])
     cannot_run = (edit, message) in CANNOT_RUN
-    with pytest.raises(NotImplementedError if cannot_run else ValueError, match=f"^{re.escape(message)}"):
+    with pytest.raises(
+        NotImplementedError if cannot_run else ValueError, match=f"^{re.escape(message)}"
+    ):
         Model(SMALL, changed(), ("a", "b", "c"), network=network)
     write_file(path, changed(), network=json.dumps(network))
     kind = "a network that this release cannot run" if cannot_run else "a damaged model"
@@ -101,17 +150,40 @@ def test_what_does_not_fit_is_one_error_that_names_the_layer(tmp_path, edit, mes
 def test_networks_that_do_not_fit_the_model():
     flat = chain(("max_pool", window(2, 0, 2)), ("flatten", {}))
     twice = {"op": "add", "name": "s", "inputs": ["flatten 1", "flatten 1"]}
-    other_heatmap = copy.deepcopy(thesis_network(WITH_REGRESSOR))  # the kernel reads as many places as the volume has
-    other_heatmap["regressor"].insert(-1, {"op": "max_pool", "name": "p", "inputs": ["heatmap"], **window(2, 0, 2)})
+    # the kernel reads as many places as the volume has
+    other_heatmap = copy.deepcopy(thesis_network(WITH_REGRESSOR))
+    other_heatmap["regressor"].insert(
+        -1, {"op": "max_pool", "name": "p", "inputs": ["heatmap"], **window(2, 0, 2)}
+    )
     other_heatmap["regressor"][-1]["inputs"] = ["p"]
     for config, network, error, message in (
         (SMALL, {}, ValueError, "`network` must hold classifier here, got "),
         (SMALL, {"classifier": 3}, TypeError, "`network` must "),
         (SMALL, [], TypeError, "`network` must "),
-        (WITH_REGRESSOR, thesis_network(SMALL), ValueError, "`network` must hold classifier, regressor here, got clas"),
-        (WITH_REGRESSOR, other_heatmap, ValueError, "the heatmap must be of shape (1, 6, 5), as the volume, got (1, 3"),
-        (SMALL, {"classifier": flat}, ValueError, "layer 'flatten 1' is the output, and a flattened map: a dense lay"),
-        (SMALL, {"classifier": [*flat, twice]}, ValueError, "layer 's' (add): 'flatten 1' is a flattened map: a dense"),
+        (
+            WITH_REGRESSOR,
+            thesis_network(SMALL),
+            ValueError,
+            "`network` must hold classifier, regressor here, got clas",
+        ),
+        (
+            WITH_REGRESSOR,
+            other_heatmap,
+            ValueError,
+            "the heatmap must be of shape (1, 6, 5), as the volume, got (1, 3",
+        ),
+        (
+            SMALL,
+            {"classifier": flat},
+            ValueError,
+            "layer 'flatten 1' is the output, and a flattened map: a dense lay",
+        ),
+        (
+            SMALL,
+            {"classifier": [*flat, twice]},
+            ValueError,
+            "layer 's' (add): 'flatten 1' is a flattened map: a dense",
+        ),
     ):
         with pytest.raises(error, match=f"^{re.escape(message)}"):
             Model(config, changed(config), ("a", "b", "c"), network=network)
@@ -126,7 +198,14 @@ def chain(*layers, source="volume"):
     """Each of the one before."""
     made = []
     for k, (op, parameters) in enumerate(layers):
-        made.append({"op": op, "name": f"{op} {k}", "inputs": [made[-1]["name"] if made else source], **parameters})
+        made.append(
+            {
+                "op": op,
+                "name": f"{op} {k}",
+                "inputs": [made[-1]["name"] if made else source],
+                **parameters,
+            }
+        )
     return made
 
 
@@ -134,14 +213,22 @@ def chain(*layers, source="volume"):
     "layers, limit, at",
     [
         ([conv(padding=8013)], "MAX_NUMBERS", "conv 0"),  # a large map
-        ([conv(weight="shared")] * 17, "MAX_NUMBERS", "conv 15"),  # a megabyte of weights, many times
+        # a megabyte of weights, many times
+        ([conv(weight="shared")] * 17, "MAX_NUMBERS", "conv 15"),
         ([("max_pool", window(1700, 1699, 1700))], "MAX_NUMBERS", "max_pool 0"),  # tables of places
-        ([("inside_average_pool", window(200, 199))], "MAX_NUMBERS", "inside_average_pool 0"),  # weights of each place
-        ([("adaptive_average_pool", {"size": [300, 300]})], "MAX_NUMBERS", "adaptive_average_pool 0"),
+        # weights of each place
+        ([("inside_average_pool", window(200, 199))], "MAX_NUMBERS", "inside_average_pool 0"),
+        (
+            [("adaptive_average_pool", {"size": [300, 300]})],
+            "MAX_NUMBERS",
+            "adaptive_average_pool 0",
+        ),
         ([("average_pool", window(99, 98))] * 9, "MAX_PRODUCTS", "average_pool 5"),
     ],
 )
-def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(layers, limit, at, monkeypatch):
+def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(
+    layers, limit, at, monkeypatch
+):
     shared = layers[0][1].get("weights") == {"weight": "shared"}
     shapes = {"w": (1, 1, 1, 1), "shared": (4096, 4096, 1, 1)}
     arguments = chain(*layers), (4096, 1, 1) if shared else (1, 8, 8), shapes
@@ -155,15 +242,27 @@ def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(laye
 
 def test_small_networks_by_hand():
     """An activation that nothing reads; a pooling of the size of its map, with padding."""
-    mean, whole = ("global_average_pool", {}), {"kernel": [6, 5], "padding": [1, 0, 1, 0], "stride": [2, 1]}
-    unread = [*chain(mean, conv(), ("relu", {})), {"op": "flatten", "name": "output", "inputs": ["conv 1"]}]
+    mean, whole = (
+        ("global_average_pool", {}),
+        {"kernel": [6, 5], "padding": [1, 0, 1, 0], "stride": [2, 1]},
+    )
+    unread = [
+        *chain(mean, conv(), ("relu", {})),
+        {"op": "flatten", "name": "output", "inputs": ["conv 1"]},
+    ]
     for layers, logit in ((unread, -1.0), (chain(("average_pool", whole), mean, conv()), -5 / 6)):
-        model = Model(SMALL.replace(bins=1), {"w": -np.ones((1, 1, 1, 1))}, ["a"], network={"classifier": layers})
+        model = Model(
+            SMALL.replace(bins=1),
+            {"w": -np.ones((1, 1, 1, 1))},
+            ["a"],
+            network={"classifier": layers},
+        )
         assert CompiledClassifier(model)(np.ones((1, 6, 5))) == pytest.approx(logit)
 
 
 def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
-    """So many of them take more memory than the layers say; known once a program is made, before it takes any."""
+    """So many of them take more memory than the layers say; known once a program is made, before it
+    takes any."""
     many = [{**chain(conv())[0], "name": f"map {k}"} for k in range(12)]
     layers = [
         *many,
@@ -172,8 +271,12 @@ def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
         {**chain(("global_average_pool", {}), source="sum")[0], "name": "mean"},
         {"op": "add", "name": "last", "inputs": ["global_average_pool 1", "mean"]},
     ]
-    model = Model(SMALL.replace(bins=1), {"w": np.ones((1, 1, 1, 1))}, ["a"], network={"classifier": layers})
+    model = Model(
+        SMALL.replace(bins=1), {"w": np.ones((1, 1, 1, 1))}, ["a"], network={"classifier": layers}
+    )
     assert CompiledClassifier(model)(np.ones((1, 6, 5))).shape == (1,)
     monkeypatch.setattr(graph, "MAX_NUMBERS", 1 << 16)
-    with pytest.raises(ValueError, match=r"^the network's maps need [\d_]+ numbers, more than 2 \* 65_536"):
+    with pytest.raises(
+        ValueError, match=r"^the network's maps need [\d_]+ numbers, more than 2 \* 65_536"
+    ):
         CompiledClassifier(model)

@@ -1,4 +1,5 @@
-"""Map models: what stands where, after any events and packets, equal to the reference on the whole map."""
+"""Map models: what stands where, after any events and packets, equal to the reference on the whole
+map."""
 
 import copy
 import pickle
@@ -20,17 +21,26 @@ from async_tnt.networks import OnnxClassifier, TorchClassifier, to_onnx
 from async_tnt.networks.torch_modules import torch_classifier
 
 CONFIG = TNTConfig(
-    sensor=(70, 40), grid=(70, 40), bins=2, polarity="split", transform="none", landmark="center", window_us=4000
+    sensor=(70, 40),
+    grid=(70, 40),
+    bins=2,
+    polarity="split",
+    transform="none",
+    landmark="center",
+    window_us=4000,
 )
 
 
 def map_model(config=CONFIG, n_classes=3, seed=0) -> Model:
-    """A few convolutions and two heads that are joined; here and there a class is likelier than nothing."""
+    """A few convolutions and two heads that are joined; here and there a class is likelier than
+    nothing."""
 
     class Net(nn.Module):
         def __init__(self):
             super().__init__()
-            self.stem = nn.Sequential(nn.Conv2d(config.channels, 8, 5, 2, 2), nn.ReLU(), nn.Conv2d(8, 8, 3, padding=1))
+            self.stem = nn.Sequential(
+                nn.Conv2d(config.channels, 8, 5, 2, 2), nn.ReLU(), nn.Conv2d(8, 8, 3, padding=1)
+            )
             self.classes, self.nothing = nn.Conv2d(8, n_classes, 1), nn.Conv2d(8, 1, 1)
 
         def forward(self, volume):
@@ -54,7 +64,10 @@ def as_rows(objects):
 def expected_rows(logits, places):
     """By the reference."""
     found = objects_on_map(torch.from_numpy(logits))
-    return [(o.label, o.probability, places.x0 + places.dx * o.column, places.y0 + places.dy * o.row) for o in found]
+    return [
+        (o.label, o.probability, places.x0 + places.dx * o.column, places.y0 + places.dy * o.row)
+        for o in found
+    ]
 
 
 def assert_rows(rows, expected):
@@ -67,9 +80,11 @@ def assert_rows(rows, expected):
         left = np.delete(left, same.argmax(), 0)
 
 
-# -- on a whole map ----------------------------------------------------------------------------------------------
+# -- on a whole map --------------------------------------------------------------------------------
 
-numbers = st.one_of(st.sampled_from([-1.0, 0.0, 0.5, 1.0, 2.0]), st.floats(-(2.0**99), 2.0**99, width=32))
+numbers = st.one_of(
+    st.sampled_from([-1.0, 0.0, 0.5, 1.0, 2.0]), st.floats(-(2.0**99), 2.0**99, width=32)
+)
 
 
 @settings(max_examples=3 * settings.default.max_examples)
@@ -83,7 +98,8 @@ def test_objects_of_any_map_are_those_of_the_reference(logits):
     classes = [str(k) for k in range(len(logits) - 1)]
     processor = Processor(CONFIG, classifier=lambda volume: logits, classes=classes)
     decision = processor.fire()
-    dy, dx = 40 / logits.shape[1], 70 / logits.shape[2]  # places that nobody states divide the sensor evenly
+    # places that nobody states divide the sensor evenly
+    dy, dx = 40 / logits.shape[1], 70 / logits.shape[2]
     expected = [
         (o.label, o.probability, dx * (o.column + 0.5) - 0.5, dy * (o.row + 0.5) - 0.5)
         for o in objects_on_map(torch.from_numpy(logits))
@@ -101,8 +117,10 @@ def test_objects_by_hand():
     """Two classes on a map of 3 x 8 places of a sensor of 32 x 12: places are 4 pixels wide."""
     logits = np.zeros((3, 3, 8), np.float32)
     logits[2] = 1.0  # nothing
-    logits[0, 1, 1], logits[0, 1, 2] = 4.0, 2.0  # 3 and 1 above nothing: 1/4 of a place to the right
-    logits[1, 0, 6] = logits[1, 1, 6] = 2.0  # as likely as each other, side by side: one object, half a row below
+    # 3 and 1 above nothing: 1/4 of a place to the right
+    logits[0, 1, 1], logits[0, 1, 2] = 4.0, 2.0
+    # as likely as each other, side by side: one object, half a row below
+    logits[1, 0, 6] = logits[1, 1, 6] = 2.0
     config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
     decision = Processor(config, classifier=lambda volume: logits, classes=["a", "b"]).fire()
     a, b = decision.objects
@@ -110,11 +128,18 @@ def test_objects_by_hand():
     assert (a.label, a.x, a.y, a.id) == ("a", 1.5 + 4 * 1.25, 1.5 + 4, 0)
     assert a.probability == pytest.approx(e(4) / (e(4) + e(0) + e(1)))
     assert (b.label, b.x, b.y, b.id) == ("b", 1.5 + 4 * 6, 1.5 + 2, 1)
-    assert decision.to_dict()["objects"][0] == {"id": 0, "label": "a", "probability": 0.93624, "x": 6.5, "y": 5.5}
+    assert decision.to_dict()["objects"][0] == {
+        "id": 0,
+        "label": "a",
+        "probability": 0.93624,
+        "x": 6.5,
+        "y": 5.5,
+    }
 
 
 def test_a_call_with_an_array_changes_no_later_objects():
-    """Of an array before the first volume and between two: also where a window shows objects without any event."""
+    """Of an array before the first volume and between two: also where a window shows objects
+    without any event."""
     for model in (
         map_model(),
         replace(map_model(), weights=map_model().weights | {"nothing.bias": np.float32([-1.0])}),
@@ -122,7 +147,9 @@ def test_a_call_with_an_array_changes_no_later_objects():
         network = CompiledClassifier(model)
         called, untouched = Processor(model, classifier=network), Processor(model)
         rng = np.random.default_rng(0)
-        for k, array in enumerate((np.zeros(network.shape), rng.normal(size=network.shape), np.ones(network.shape))):
+        for k, array in enumerate(
+            (np.zeros(network.shape), rng.normal(size=network.shape), np.ones(network.shape))
+        ):
             network(array.astype(np.float32))
             assert as_rows(called.fire().objects) == as_rows(untouched.fire().objects)
             events = random_events(200, seed=k, sensor=CONFIG.sensor, duration_us=1500)
@@ -145,7 +172,7 @@ def test_a_map_that_is_not_finite_is_refused_until_it_is(wrong):
     assert len(processor.fire().objects) == 1
 
 
-# -- in a stream -------------------------------------------------------------------------------------------------
+# -- in a stream -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [1, 7, 300, 5000])
@@ -172,7 +199,11 @@ def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
     decisions += processor.finish()
     assert len(decisions) == len(expected) > 50
     for ours, theirs in zip(decisions, expected, strict=True):
-        assert key(ours)[:5] == key(theirs)[:5] and ours.label == theirs.label and ours.objects == theirs.objects
+        assert (
+            key(ours)[:5] == key(theirs)[:5]
+            and ours.label == theirs.label
+            and ours.objects == theirs.objects
+        )
         assert ours.probabilities.tobytes() == theirs.probabilities.tobytes()
         assert_rows(as_rows(ours.objects), expected_rows(theirs.logits, model.places))
         n_found += len(ours.objects)
@@ -180,7 +211,10 @@ def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
 
 
 @settings(max_examples=settings.default.max_examples)
-@given(st.integers(0, 3), st.lists(st.sampled_from([1, 2, 40, "array", "copy", "other"]), min_size=3, max_size=25))
+@given(
+    st.integers(0, 3),
+    st.lists(st.sampled_from([1, 2, 40, "array", "copy", "other"]), min_size=3, max_size=25),
+)
 def test_scores_and_peaks_follow_the_map(seed, script):
     """After single events, packets, whole passes, copies and another volume."""
     model = map_model(seed=seed)
@@ -193,11 +227,15 @@ def test_scores_and_peaks_follow_the_map(seed, script):
             array = np.random.default_rng(k).poisson(0.05, CONFIG.shape).astype(np.float32)
             assert classifier(array).tobytes() == dense(array).tobytes()
         elif step == "copy":
-            classifier = pickle.loads(pickle.dumps(classifier)) if k % 2 else copy.deepcopy(classifier)
+            classifier = (
+                pickle.loads(pickle.dumps(classifier)) if k % 2 else copy.deepcopy(classifier)
+            )
         elif step == "other":
             volumes.reverse()
         else:
-            volume.update(random_events(step, seed=k, sensor=CONFIG.sensor, duration_us=1, start_us=k))
+            volume.update(
+                random_events(step, seed=k, sensor=CONFIG.sensor, duration_us=1, start_us=k)
+            )
         n = classifier.locate(volumes[0], tracks, 0, False)
         logits = dense(volumes[0].array)
         assert classifier.map.tobytes() == logits.tobytes()
@@ -220,10 +258,13 @@ def test_fire_and_copies_leave_the_stream_as_it_is():
 
 
 def test_an_object_keeps_its_number_while_it_moves():
-    """Two objects that approach each other, one of which changes its class, and vanishes for less than a window."""
+    """Two objects that approach each other, one of which changes its class, and vanishes for less
+    than a window."""
     config = CONFIG.replace(sensor=(80, 80), grid=(80, 80))
     shown = np.zeros((3, 20, 20), np.float32)  # places of 4 pixels
-    processor = Processor(config, classifier=lambda volume: shown, classes=["a", "b"], every_events=1)
+    processor = Processor(
+        config, classifier=lambda volume: shown, classes=["a", "b"], every_events=1
+    )
 
     def show(t, *objects):
         shown[:] = 0
@@ -235,7 +276,8 @@ def test_an_object_keeps_its_number_while_it_moves():
 
     assert show(0, (0, 2), (1, 15)) == {2: ("a", 0), 15: ("b", 1)}
     assert show(100, (0, 5), (1, 12)) == {5: ("a", 0), 12: ("b", 1)}
-    assert show(200, (1, 6)) == {6: ("b", 0)}  # of another class, and where only the first one can be
+    # of another class, and where only the first one can be
+    assert show(200, (1, 6)) == {6: ("b", 0)}
     assert show(300, (0, 7), (1, 11)) == {7: ("a", 0), 11: ("b", 1)}
     assert show(400, (0, 12)) == {12: ("a", 1)}
     assert show(500, (0, 19)) == {19: ("a", 2)}  # further than four places
@@ -255,11 +297,17 @@ def test_an_object_is_known_for_as_long_as_a_window_and_no_longer(late_us):
 
     shown = np.zeros((2, 10, 10), np.float32)
     config = CONFIG.replace(sensor=(40, 40), grid=(40, 40), window_us=1000)
-    processor = Processor(config, classifier=lambda volume: shown, classes=["a"], every_events=1, start_us=0)
+    processor = Processor(
+        config, classifier=lambda volume: shown, classes=["a"], every_events=1, start_us=0
+    )
 
     def ids(t, score):
         shown[0, 5, 5] = score
-        return [found.id for decision in processor.push(([t], [5], [5], [1])) for found in decision.objects]
+        return [
+            found.id
+            for decision in processor.push(([t], [5], [5], [1]))
+            for found in decision.objects
+        ]
 
     assert ids(10, 3) == [0]
     assert ids(1005, -3) == []  # at the end of the first window, and here
@@ -270,7 +318,8 @@ WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsi
 
 
 class Scene:
-    """A classifier whose map, a place for each pixel, shows single places of one class, each with a score."""
+    """A classifier whose map, a place for each pixel, shows single places of one class, each with a
+    score."""
 
     def __init__(self):
         self.map = np.zeros((2, 300, 300), np.float32)
@@ -286,17 +335,24 @@ class Scene:
 
 @pytest.mark.parametrize("likelier", [True, False], ids=["likelier", "less likely"])
 def test_a_still_object_keeps_its_number_in_noise(likelier):
-    """Ten false objects a decision, always elsewhere: soon far more have been seen than can be remembered."""
+    """Ten false objects a decision, always elsewhere: soon far more have been seen than can be
+    remembered."""
     rng = np.random.default_rng(5)
     scene = Scene()
-    processor = Processor(WIDE.replace(window_us=10**6), classifier=scene, classes=["a"], every_events=1)
+    processor = Processor(
+        WIDE.replace(window_us=10**6), classifier=scene, classes=["a"], every_events=1
+    )
     numbers = set()
     for k in range(300):
         rows, columns = rng.integers(0, 290, (2, 10))
         columns[abs(columns - 150) < 8] = 4  # not near the object
         scene.show([150, *rows], [150, *columns], [2.0 if likelier else 0.5] + [1.0] * 10)
         (decision,) = processor.push(([1000 * k], [5], [5], [1]))
-        numbers |= {found.id for found in decision.objects if abs(found.x - 150) < 2 and abs(found.y - 150) < 2}
+        numbers |= {
+            found.id
+            for found in decision.objects
+            if abs(found.x - 150) < 2 and abs(found.y - 150) < 2
+        }
     assert max(found.id for found in decision.objects) > 1000  # of noise
     assert len(numbers) == 1
 
@@ -316,7 +372,8 @@ def test_numbers_are_those_of_the_reference(seed):
         some = still[:, rng.random(still.shape[1]) < 0.8] + rng.integers(-1, 2, (2, 1))
         rows, columns = np.concatenate([some, rng.integers(0, 300, (2, n))], 1).clip(0, 299)
         scene.show(rows, columns, rng.uniform(0.5, 2.0, len(rows)))
-        for decision in processor.push(([t_us], [5], [5], [1])):  # of a window that closes, and of this event
+        # of a window that closes, and of this event
+        for decision in processor.push(([t_us], [5], [5], [1])):
             objects, first = decision.objects, numbers.next_number
             expected = numbers.follow(decision.time_us, [(found.x, found.y) for found in objects])
             assert [found.id for found in objects] == expected
@@ -328,22 +385,35 @@ def test_numbers_are_those_of_the_reference(seed):
     assert n_most > 256 and n_known == 512 and n_kept > 1000
 
 
-# -- the model ---------------------------------------------------------------------------------------------------
+# -- the model -------------------------------------------------------------------------------------
 
 
 def test_places_lie_in_the_middle_of_what_they_depend_on():
-    """A pixel that a place depends on symmetrically: only there an impulse gives a symmetric map."""
-    net = nn.Sequential(nn.Conv2d(1, 1, 5, 2, 2), nn.MaxPool2d(2), nn.Conv2d(1, 1, 3, dilation=2), nn.Conv2d(1, 2, 1))
+    """A pixel that a place depends on symmetrically: only there an impulse gives a symmetric
+    map."""
+    net = nn.Sequential(
+        nn.Conv2d(1, 1, 5, 2, 2),
+        nn.MaxPool2d(2),
+        nn.Conv2d(1, 1, 3, dilation=2),
+        nn.Conv2d(1, 2, 1),
+    )
     config = TNTConfig(
-        sensor=(120, 60), grid=(60, 60), bins=1, polarity="unsigned", transform="none", landmark="center"
+        sensor=(120, 60),
+        grid=(60, 60),
+        bins=1,
+        polarity="unsigned",
+        transform="none",
+        landmark="center",
     )
     model = Model.from_torch(net, config, ["a"])
-    # rows in grid pixels: stride 2 from 0; pairs of them, 1 + 4 k; without the two at the border, 9 + 4 k
+    # rows in grid pixels: stride 2 from 0; pairs of them, 1 + 4 k; without the two at the border, 9
+    # + 4 k
     places = model.places
     assert (places.y0, places.dy) == pytest.approx((9, 4))
     assert (places.x0, places.dx) == pytest.approx((9 * 119 / 59, 4 * 119 / 59))
     assert model.logits_shape == (2, 11, 11)
-    blocks = nn.Sequential(nn.Conv2d(1, 8, 3, 4, 1), nn.PixelShuffle(2))  # four places about each pixel 4 k
+    # four places about each pixel 4 k
+    blocks = nn.Sequential(nn.Conv2d(1, 8, 3, 4, 1), nn.PixelShuffle(2))
     model = Model.from_torch(blocks, config, ["a"])
     assert (model.places.y0, model.places.dy) == (-1, 2) and model.logits_shape == (2, 30, 30)
     assert load_model("digits").places is None
@@ -358,7 +428,11 @@ def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
     assert CompiledClassifier(saved).refresh(volume).tobytes() == expected.tobytes()
     events = random_events(900, seed=5, sensor=CONFIG.sensor, duration_us=3000)
     exported = OnnxClassifier(to_onnx(model))
-    engines = TorchClassifier(torch_classifier(model), places=model.places), exported, copy.copy(exported)
+    engines = (
+        TorchClassifier(torch_classifier(model), places=model.places),
+        exported,
+        copy.copy(exported),
+    )
     compiled = Processor(model)
     compiled.push(events)
     for engine in engines:
@@ -397,7 +471,9 @@ def test_the_same_network_for_another_sensor():
     assert maps[0][:, 2:17, 10:25].tobytes() == maps[1][:, 22:37, 40:55].tobytes()
     with pytest.raises(ValueError, match=r"layer 'fc1' \(dense\): its weight must have shape"):
         random_model(CONFIG).for_sensor((64, 64))
-    as_large = Model.from_torch(nn.Sequential(nn.ReLU(), nn.AdaptiveAvgPool2d((None, None))), CONFIG, ["a", "b", "c"])
+    as_large = Model.from_torch(
+        nn.Sequential(nn.ReLU(), nn.AdaptiveAvgPool2d((None, None))), CONFIG, ["a", "b", "c"]
+    )
     assert as_large.for_sensor((140, 90)).logits_shape == (4, 90, 140)
 
 
@@ -405,7 +481,9 @@ def test_what_a_map_model_refuses():
     model = map_model()
     with pytest.raises(ValueError, match="needs transform='none'"):
         Model(CONFIG.replace(transform="tnt"), model.weights, model.classes, network=model.network)
-    with pytest.raises(ValueError, match=r"4 logits, one for each class, or a map of 5 channels.*got \(4, 20, 35\)"):
+    with pytest.raises(
+        ValueError, match=r"4 logits, one for each class, or a map of 5 channels.*got \(4, 20, 35\)"
+    ):
         Model(CONFIG, model.weights, (*model.classes, "one more"), network=model.network)
     with pytest.raises(ValueError, match="`confidence` needs one answer for the window"):
         Processor(model, confidence=0.9)
@@ -417,11 +495,14 @@ def test_what_a_map_model_refuses():
     with pytest.raises(ValueError, match="`confidence` needs one answer"):
         other.classifier = CompiledClassifier(model)
     assert other.fire().label == "0"
-    other.classifier = TorchClassifier(torch_classifier(model))  # known to be one from its first answer on
+    # known to be one from its first answer on
+    other.classifier = TorchClassifier(torch_classifier(model))
     with pytest.raises(ValueError, match="`confidence` needs one answer"):
         other.push_one(0, 3, 3, 1)
     larger = CONFIG.replace(sensor=(140, 80))
-    with pytest.raises(ValueError, match=r"must be for the sensor \(140, 80\), in whose pixels objects stand"):
+    with pytest.raises(
+        ValueError, match=r"must be for the sensor \(140, 80\), in whose pixels objects stand"
+    ):
         Processor(larger, classifier=CompiledClassifier(model), classes=model.classes)
     with pytest.raises(ValueError, match="must return 4 channels, one more than classes, got 3"):
         Processor(CONFIG, classifier=lambda volume: np.zeros((3, 2, 2)), classes=list("abc")).fire()

@@ -1,6 +1,7 @@
 """A model survives its file bit for bit, and says what it is.
 
-Weights, classes and configuration that do not fit each other are refused, from Python and from a file.
+Weights, classes and configuration that do not fit each other are refused, from Python and from a
+file.
 """
 
 import itertools
@@ -14,7 +15,15 @@ import pytest
 from hypothesis import given
 from made import thesis_model
 from networks.random_networks import random_models
-from networks.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_file
+from networks.small import (
+    CLASSES,
+    SMALL,
+    WITH_REGRESSOR,
+    assert_same,
+    changed,
+    small_model,
+    write_file,
+)
 from safetensors import safe_open
 
 from async_tnt import CompiledClassifier, bundled_models, load_model
@@ -27,9 +36,13 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
     volume = np.random.default_rng(0).normal(size=model.config.shape).astype(np.float32)
     for loaded in (load_model(path), load_model(str(path))):
         assert_same(loaded, model)
-        assert list(loaded.weights) == sorted(model.weights)  # as what is made of them depends on their order
+        # as what is made of them depends on their order
+        assert list(loaded.weights) == sorted(model.weights)
         assert loaded.network == model.network
-        assert CompiledClassifier(loaded)(volume).tobytes() == CompiledClassifier(model)(volume).tobytes()
+        assert (
+            CompiledClassifier(loaded)(volume).tobytes()
+            == CompiledClassifier(model)(volume).tobytes()
+        )
 
 
 def test_a_model_keeps_its_weights_whatever_becomes_of_the_arrays_it_was_made_of():
@@ -70,7 +83,9 @@ def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
     weights["fc1.bias"].flags.writeable = False
     for name, values in thesis_model(SMALL, weights, CLASSES).weights.items():
         assert (
-            values.dtype == np.float32 and values.flags.c_contiguous and not np.may_share_memory(values, weights[name])
+            values.dtype == np.float32
+            and values.flags.c_contiguous
+            and not np.may_share_memory(values, weights[name])
         )
         np.testing.assert_array_equal(values, weights[name])
 
@@ -83,12 +98,17 @@ def test_what_cannot_be_saved_leaves_nothing(tmp_path):
 
 def test_what_is_no_model_file_lists_the_bundled_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert list(bundled_models()) == sorted(set(bundled_models())) and load_model("digits").classes[3] == "3"
+    assert (
+        list(bundled_models()) == sorted(set(bundled_models()))
+        and load_model("digits").classes[3] == "3"
+    )
     os.mkfifo("fifo")
     Path("link").symlink_to("fifo")
     known = f"and no bundled model of that name (bundled: {', '.join(bundled_models())})"
     for name in ("nonsense", "", "no\0name", tmp_path, "fifo", "link", "/dev/zero", "/dev/null"):
-        with pytest.raises(FileNotFoundError, match=f"^{re.escape(f'no model file {Path(name)}, {known}')}$"):
+        with pytest.raises(
+            FileNotFoundError, match=f"^{re.escape(f'no model file {Path(name)}, {known}')}$"
+        ):
             load_model(name)
 
 
@@ -101,13 +121,17 @@ def assert_refused(message, path, weights, config=WITH_REGRESSOR):
         thesis_model(config, weights, CLASSES)
     with np.errstate(over="ignore"):
         write_file(path, {name: np.asarray(w, np.float32) for name, w in weights.items()}, config)
-    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} holds a damaged model: ')}{message}$"):
+    with pytest.raises(
+        ValueError, match=f"^{re.escape(f'{path} holds a damaged model: ')}{message}$"
+    ):
         load_model(path)
 
 
-@pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])  # beyond float32
+# beyond float32
+@pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])
 def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
-    """One side more, one axis more, one axis less, empty: of the layer itself, or of the next one, which reads it."""
+    """One side more, one axis more, one axis less, empty: of the layer itself, or of the next one,
+    which reads it."""
     shape, path = SHAPES[name], tmp_path / "m"
     wrong = [(*shape[:k], shape[k] + 1, *shape[k + 1 :]) for k in range(len(shape))]
     for other in [*wrong, (*shape, 1), shape[:-1], (0, *shape[1:])]:
@@ -117,7 +141,9 @@ def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
         assert_refused(message, path, changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
     values = np.zeros(shape)
     values.flat[-1] = value
-    assert_refused(f"`{name}` must be finite numbers", path, changed(WITH_REGRESSOR, **{name: values}))
+    assert_refused(
+        f"`{name}` must be finite numbers", path, changed(WITH_REGRESSOR, **{name: values})
+    )
 
 
 def test_exactly_the_arrays_of_the_network(tmp_path):
@@ -126,23 +152,39 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
     one_less = r"layer 'fc2' \(dense\): no tensor is named 'fc2.bias'"
     assert_refused(one_less, path, changed(WITH_REGRESSOR, fc2__bias=None))
     assert_refused("no layer has the weights fc3.bias", path, whole | {"fc3.bias": np.zeros(1)})
-    assert_refused(r"layer 'conv1' \(conv\): no tensor is named 'regressor.conv1.weight'", path, plain)
+    assert_refused(
+        r"layer 'conv1' \(conv\): no tensor is named 'regressor.conv1.weight'", path, plain
+    )
     for changes in ({"landmark": "window"}, {"transform": "none"}):
         config = WITH_REGRESSOR.replace(**changes)
         names = ", ".join(sorted(name for name in SHAPES if name.startswith("regressor.")))
         assert_refused(f"no layer has the weights {names}", path, whole, config)
-    assert small_model(config=WITH_REGRESSOR.replace(transform="none")).weights.keys() == plain.keys()
+    assert (
+        small_model(config=WITH_REGRESSOR.replace(transform="none")).weights.keys() == plain.keys()
+    )
 
 
 @pytest.mark.parametrize(
     "changes, error, message",
     [
-        ({"classes": ("a", "b")}, ValueError, "the network must compute 2 logits, one for each class, or a map"),
+        (
+            {"classes": ("a", "b")},
+            ValueError,
+            "the network must compute 2 logits, one for each class, or a map",
+        ),
         ({"classes": ()}, ValueError, "`classes` must hold at least one name"),
-        ({"classes": ("a", "b", "a")}, ValueError, "`classes` must have different names, got ('a', 'b', 'a')"),
+        (
+            {"classes": ("a", "b", "a")},
+            ValueError,
+            "`classes` must have different names, got ('a', 'b', 'a')",
+        ),
         ({"classes": "abc"}, TypeError, "`classes` must be a tuple or list of names, got 'abc'"),
         ({"record": None}, TypeError, "`record` must be a mapping, got None"),
-        ({"weights": changed(fc1__bias=np.zeros(4, complex))}, TypeError, "`fc1.bias` must be an array of numbers, "),
+        (
+            {"weights": changed(fc1__bias=np.zeros(4, complex))},
+            TypeError,
+            "`fc1.bias` must be an array of numbers, ",
+        ),
     ],
 )
 def test_wrong_classes_records_and_weights(changes, error, message):

@@ -1,4 +1,5 @@
-"""OnnxClassifier and TorchClassifier: the networks of other programs, wrong ones, threads, copies."""
+"""OnnxClassifier and TorchClassifier: the networks of other programs, wrong ones, threads,
+copies."""
 
 import copy
 import pickle
@@ -34,7 +35,14 @@ def test_any_form_of_a_network_takes_any_float_volume_and_its_answers_share_no_m
     of_any_batch = network(inputs=[("x:0", ("batch", 2, 6, 5))], outputs=[("y", ("batch", 3))])
     example = torch.zeros(1, 2, 6, 5)
     program, scripted = torch.export.export(MODULE, (example,)), torch.jit.trace(MODULE, example)
-    modules = (MODULE, scripted, program, program.module(), copy.deepcopy(MODULE).double(), lambda v: MODULE(v)[0])
+    modules = (
+        MODULE,
+        scripted,
+        program,
+        program.module(),
+        copy.deepcopy(MODULE).double(),
+        lambda v: MODULE(v)[0],
+    )
     read_only = VOLUME.copy()
     read_only.flags.writeable = False
     strided = np.repeat(VOLUME, 2, 2)[:, :, ::2]
@@ -53,13 +61,18 @@ def test_any_form_of_a_network_takes_any_float_volume_and_its_answers_share_no_m
 
 def test_sides_left_open_need_a_shape():
     pool = [node("GlobalAveragePool", ["image"], ["scores"])]
-    content = network(pool, inputs=[("image", (1, 2, "height", "width"))], outputs=[("scores", (1, 2, 1, 1))])
+    content = network(
+        pool, inputs=[("image", (1, 2, "height", "width"))], outputs=[("scores", (1, 2, 1, 1))]
+    )
     net = OnnxClassifier(content, shape=(2, 6, 5))
     assert np.allclose(net(VOLUME), VOLUME.mean((1, 2)), atol=1e-6)
     assert np.array_equal(copy.deepcopy(net)(VOLUME), net(VOLUME))
     for shape, message in [
         (None, r"input \(1, 2, height, width\) leaves sides open: `shape` must be \(C, H, W\)"),
-        ((3, 6, 5), r"`shape` must fit the network's input \(1, 2, height, width\), got \(3, 6, 5\)"),
+        (
+            (3, 6, 5),
+            r"`shape` must fit the network's input \(1, 2, height, width\), got \(3, 6, 5\)",
+        ),
         ((2, 1 << 20, 1 << 20), r"must have at most 268_435_456 cells"),
     ]:
         with pytest.raises(ValueError, match=message):
@@ -67,32 +80,46 @@ def test_sides_left_open_need_a_shape():
 
 
 MAPS = (1, 2, 6, 5)
-TWO_INPUTS = [node("Flatten", ["a"], ["fa"]), node("Flatten", ["b"], ["fb"]), node("Add", ["fa", "fb"], ["scores"])]
+TWO_INPUTS = [
+    node("Flatten", ["a"], ["fa"]),
+    node("Flatten", ["b"], ["fb"]),
+    node("Add", ["fa", "fb"], ["scores"]),
+]
 TWO_OUTPUTS = [node("Relu", ["image"], ["one"]), node("Abs", ["image"], ["two"])]
 WRONG = [
     (
         network(TWO_INPUTS, inputs=[("a", MAPS), ("b", MAPS)], outputs=[("scores", (1, 60))]),
-        "must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of them; "
+        "must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of "
+        "them; "
         "got 'a' tensor(float) (1, 2, 6, 5), 'b' tensor(float) (1, 2, 6, 5)",
     ),
     (
         network(TWO_OUTPUTS, outputs=[("one", MAPS), ("two", MAPS)]),
-        "must have one output, logits (1, n_classes), or a map (1, n_classes + 1, R, C), tensor(float); got 'one' "
+        "must have one output, logits (1, n_classes), or a map (1, n_classes + 1, R, C), "
+        "tensor(float); got 'one' "
         "tensor(float) (1, 2, 6, 5), 'two' ",
     ),
     (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
     (
-        network([node("Transpose", ["image"], ["scores"], perm=[1, 0, 2, 3])], outputs=[("scores", (2, 1, 6, 5))]),
-        "must give logits (1, n_classes), or a map (1, n_classes + 1, R, C), of a volume, got shape (2, 1, 6, 5)",
+        network(
+            [node("Transpose", ["image"], ["scores"], perm=[1, 0, 2, 3])],
+            outputs=[("scores", (2, 1, 6, 5))],
+        ),
+        "must give logits (1, n_classes), or a map (1, n_classes + 1, R, C), of a volume, got "
+        "shape (2, 1, 6, 5)",
     ),
 ]
 
 
-@pytest.mark.parametrize("content, message", WRONG, ids=["two inputs", "two outputs", "float64", "two maps"])
+@pytest.mark.parametrize(
+    "content, message", WRONG, ids=["two inputs", "two outputs", "float64", "two maps"]
+)
 def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_path, capfd):
     path = tmp_path / "{what} 100%.onnx"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=rf"^{re.escape(str(path))}: the network('s)? .*{re.escape(message)}"):
+    with pytest.raises(
+        ValueError, match=rf"^{re.escape(str(path))}: the network('s)? .*{re.escape(message)}"
+    ):
         OnnxClassifier(path)
     with pytest.raises(ValueError, match=r"^the ONNX network of [\d_]+ bytes: "):
         OnnxClassifier(content)
@@ -102,19 +129,40 @@ def test_a_network_that_is_not_a_classifier_of_volumes(content, message, tmp_pat
 @pytest.mark.parametrize(
     "call, error, message",
     [
-        (lambda: OnnxClassifier(5), TypeError, "`path_or_bytes` must be a path, bytes or an onnx.ModelProto, got int"),
+        (
+            lambda: OnnxClassifier(5),
+            TypeError,
+            "`path_or_bytes` must be a path, bytes or an onnx.ModelProto, got int",
+        ),
         (lambda: OnnxClassifier("no.onnx"), FileNotFoundError, "no file no.onnx"),
         (lambda: OnnxClassifier("."), ValueError, ". is not a readable ONNX network: "),
-        (lambda: OnnxClassifier(network())(VOLUME[None]), ValueError, "`volume` must have shape (2, 6, 5), got (1, 2"),
-        (lambda: OnnxClassifier(network(), threads=0), ValueError, "`threads` must be at least 1, got 0"),
-        (lambda: TorchClassifier(len, threads=0), ValueError, "`threads` must be at least 1, got 0"),
+        (
+            lambda: OnnxClassifier(network())(VOLUME[None]),
+            ValueError,
+            "`volume` must have shape (2, 6, 5), got (1, 2",
+        ),
+        (
+            lambda: OnnxClassifier(network(), threads=0),
+            ValueError,
+            "`threads` must be at least 1, got 0",
+        ),
+        (
+            lambda: TorchClassifier(len, threads=0),
+            ValueError,
+            "`threads` must be at least 1, got 0",
+        ),
         (lambda: TorchClassifier(5), TypeError, "`module` must be callable, got int"),
         (
             lambda: TorchClassifier(lambda v: v[None])(VOLUME),
             ValueError,
-            "the module must return logits (1, n_classes), or a map (1, n_classes + 1, R, C), got shape (1, 1, 2,",
+            "the module must return logits (1, n_classes), or a map (1, n_classes + 1, R, C), got "
+            "shape (1, 1, 2,",
         ),
-        (lambda: TorchClassifier(lambda v: (v, 1))(VOLUME), TypeError, "the module must return a tensor of logits, "),
+        (
+            lambda: TorchClassifier(lambda v: (v, 1))(VOLUME),
+            TypeError,
+            "the module must return a tensor of logits, ",
+        ),
     ],
 )
 def test_what_is_no_network_no_volume_and_no_logits(call, error, message):
@@ -129,7 +177,11 @@ def test_copies_and_pickles_open_the_network_again(tmp_path):
         net = OnnxClassifier(source, threads=2)
         for duplicate in (copy.copy(net), copy.deepcopy(net), pickle.loads(pickle.dumps(net))):
             assert duplicate is not net and np.array_equal(duplicate(VOLUME), net(VOLUME))
-            assert (duplicate.threads, duplicate.config, duplicate.classes) == (2, net.config, net.classes)
+            assert (duplicate.threads, duplicate.config, duplicate.classes) == (
+                2,
+                net.config,
+                net.classes,
+            )
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -147,7 +199,14 @@ def test_a_module_runs_in_eval_and_inference_mode_on_a_volume_of_its_own():
 
     class Greedy(torch.nn.Module):
         def forward(self, volume):
-            seen.append((self.training, torch.is_inference_mode_enabled(), tuple(volume.shape), volume.dtype))
+            seen.append(
+                (
+                    self.training,
+                    torch.is_inference_mode_enabled(),
+                    tuple(volume.shape),
+                    volume.dtype,
+                )
+            )
             kept.append(volume)
             return volume.mul_(-1).flatten(1)[:, :3]
 
@@ -155,7 +214,9 @@ def test_a_module_runs_in_eval_and_inference_mode_on_a_volume_of_its_own():
     processor = Processor(CONFIG, classifier=TorchClassifier(module))
     assert copy.copy(processor).classifier is not processor.classifier
     for start_us in (0, 90):
-        processor.push(random_events(300, seed=start_us, sensor=(5, 6), duration_us=900, start_us=start_us))
+        processor.push(
+            random_events(300, seed=start_us, sensor=(5, 6), duration_us=900, start_us=start_us)
+        )
         before = processor.volume().copy()
         assert np.array_equal(processor.fire().logits, -before.ravel()[:3])
         assert before.any() and np.array_equal(processor.volume(), before)

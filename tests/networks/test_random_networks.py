@@ -1,4 +1,5 @@
-"""Random torch modules and ONNX files: what is accepted computes what torch or onnxruntime does, for any volume.
+"""Random torch modules and ONNX files: what is accepted computes what torch or onnxruntime does,
+for any volume.
 
 ASYNC_TNT_FUZZ_CASES makes it a long run: it was 20,000 modules and 5,000 files once.
 """
@@ -18,7 +19,9 @@ from async_tnt.sources import sample_recordings
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "300"))
 OF_MODULES = TNTConfig(sensor=(11, 12), grid=(11, 12), bins=3)
-KNOWN_GAPS = "a factor alpha has no|is a flattened map: a dense layer|ceil_mode with padding that counts"
+KNOWN_GAPS = (
+    "a factor alpha has no|is a flattened map: a dense layer|ceil_mode with padding that counts"
+)
 OF_FILES = TNTConfig(sensor=(8, 9), grid=(8, 9), bins=2)
 
 
@@ -40,10 +43,14 @@ def compiled_logits(model: Model, volumes: list[np.ndarray]) -> np.ndarray:
     return np.stack([network(volume) for volume in volumes]).astype(np.float64)
 
 
-def torch_logits(module: torch.nn.Module, volumes: list[np.ndarray], dtype: torch.dtype) -> np.ndarray:
+def torch_logits(
+    module: torch.nn.Module, volumes: list[np.ndarray], dtype: torch.dtype
+) -> np.ndarray:
     module = copy.deepcopy(module).to(dtype).eval()
     with torch.no_grad():
-        return np.stack([module(torch.tensor(v, dtype=dtype)[None]).numpy().reshape(-1) for v in volumes])
+        return np.stack(
+            [module(torch.tensor(v, dtype=dtype)[None]).numpy().reshape(-1) for v in volumes]
+        )
 
 
 @pytest.mark.filterwarnings("ignore:Using padding='same' with even kernel")
@@ -60,11 +67,15 @@ def test_a_module_that_is_accepted_is_right():
         try:
             model = Model.from_torch(module, OF_MODULES, classes)
         except (NotImplementedError, ValueError) as error:
-            assert isinstance(error, NotImplementedError) or "the network must compute 4 logits" in str(error)
+            assert isinstance(
+                error, NotImplementedError
+            ) or "the network must compute 4 logits" in str(error)
             assert random_modules.is_wild(seed) or re.search(KNOWN_GAPS, str(error)), (seed, error)
             continue
         accepted, volumes = accepted + 1, volumes_of(OF_MODULES, seed)
-        expected, rounded = (torch_logits(before, volumes, dtype) for dtype in (torch.float64, torch.float32))
+        expected, rounded = (
+            torch_logits(before, volumes, dtype) for dtype in (torch.float64, torch.float32)
+        )
         bound = max(1e-4 * np.abs(expected).max(), 4 * np.abs(rounded - expected).max())
         assert np.abs(compiled_logits(model, volumes) - expected).max() <= bound, seed
     assert accepted > CASES // 3
@@ -87,7 +98,9 @@ def test_a_file_that_is_accepted_is_right(tmp_path):
     A file is refused only for one of `known_gaps`, or because onnxruntime cannot run it, or, one in
     thousands, because its numbers cancel until float32's rounding is left.
     """
-    onnxruntime = pytest.importorskip("onnxruntime", reason="needs onnxruntime: pip install 'async_tnt[onnx]'")
+    onnxruntime = pytest.importorskip(
+        "onnxruntime", reason="needs onnxruntime: pip install 'async_tnt[onnx]'"
+    )
     from networks import random_onnx
 
     assert OF_FILES.shape == random_onnx.SHAPE
@@ -101,13 +114,20 @@ def test_a_file_that_is_accepted_is_right(tmp_path):
             model = load_model(path, config=OF_FILES)
         except (NotImplementedError, ValueError) as error:
             largest = largest_answer(onnxruntime, path, options)
-            has_cancelled = "its layers compute other numbers" in str(error) and (largest or 1) < 0.1
+            has_cancelled = (
+                "its layers compute other numbers" in str(error) and (largest or 1) < 0.1
+            )
             assert random_onnx.known_gaps(proto) or largest is None or has_cancelled, (seed, error)
             continue
         accepted, volumes = accepted + 1, volumes_of(OF_FILES, seed)
         session = onnxruntime.InferenceSession(path, options)
-        expected = np.stack([session.run(None, {"x": volume[None]})[0].reshape(-1) for volume in volumes])
-        found, found_in = compiled_logits(model, volumes), {node.op_type for node in proto.graph.node}
+        expected = np.stack(
+            [session.run(None, {"x": volume[None]})[0].reshape(-1) for volume in volumes]
+        )
+        found, found_in = (
+            compiled_logits(model, volumes),
+            {node.op_type for node in proto.graph.node},
+        )
         if "Softmax" in found_in:
             odds = np.exp(found - found.max(axis=1, keepdims=True))
             found = odds / odds.sum(axis=1, keepdims=True)

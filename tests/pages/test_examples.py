@@ -48,19 +48,29 @@ def test_packet_loop(lines_of):
 
 def test_asyncio_source(lines_of):
     *lines, last = lines_of("asyncio_source.py")
-    at_once = async_tnt.stream([open_recording(sample_recordings()[8]).read()], "digits", every_us=30_000)
+    at_once = async_tnt.stream(
+        [open_recording(sample_recordings()[8]).read()], "digits", every_us=30_000
+    )
     for line, decision in zip(lines, at_once, strict=True):
         assert line.endswith(as_shown(decision))
     assert int(re.fullmatch(r"meanwhile the loop ran other work (\d+) times", last)[1]) >= 1
 
 
-RUN = re.compile(r"asyncio\.run\((.*?)\)(?:  # in a notebook, where a loop is running already: (.*))?$", re.MULTILINE)
+RUN = re.compile(
+    r"asyncio\.run\((.*?)\)(?:  # in a notebook, where a loop is running already: (.*))?$",
+    re.MULTILINE,
+)
 
 
 def test_every_asyncio_run_has_its_form_for_notebooks():
     """Which have a running loop, in which `asyncio.run` fails."""
     root = EXAMPLES.parent
-    pages = [root / "README.md", *root.glob("docs/**/*.md"), *EXAMPLES.glob("*.py"), *root.glob("docs/**/*.ipynb")]
+    pages = [
+        root / "README.md",
+        *root.glob("docs/**/*.md"),
+        *EXAMPLES.glob("*.py"),
+        *root.glob("docs/**/*.ipynb"),
+    ]
     found = [form for page in pages for form in RUN.findall(page.read_text(encoding="utf-8"))]
     assert len(found) >= 2 and all(notebook == f"await {call}" for call, notebook in found)
 
@@ -79,13 +89,17 @@ def test_asyncio_source_runs_in_a_notebook_in_that_form(capsys):
 
 def test_background_reader(lines_of):
     n = open_recording(sample_recordings()[8]).n_events
-    every, newest = ([int(k) for k in re.findall(r"\d+", line)] for line in lines_of("background_reader.py"))
+    every, newest = (
+        [int(k) for k in re.findall(r"\d+", line)] for line in lines_of("background_reader.py")
+    )
     assert every[:3] == [n, n, 0] and every[-1] == 8
     assert newest[0] == newest[1] + newest[2] == n > newest[2] > 0
 
 
 def test_own_torch_module(lines_of):
-    flow_removed, raw = (int(re.search(r": (\d+) of 20", line)[1]) for line in lines_of("own_torch_module.py"))
+    flow_removed, raw = (
+        int(re.search(r": (\d+) of 20", line)[1]) for line in lines_of("own_torch_module.py")
+    )
     assert flow_removed >= 15 and raw <= 7  # chance is 2
 
 
@@ -94,10 +108,14 @@ def test_several_digits(lines_of):
     first, *lines = lines_of("several_digits.py")
     there = re.findall(r"(\d) at \((\d+), (\d+)\)", first)
     assert len(there) == 6 and len(lines) <= 8
-    named = [re.search(r"object (\d+) is a (\d), at \((\d+), (\d+)\)", line).groups() for line in lines]
+    named = [
+        re.search(r"object (\d+) is a (\d), at \((\d+), (\d+)\)", line).groups() for line in lines
+    ]
     found = {number: (digit, int(x), int(y)) for number, digit, x, y in named}
     for digit, x, y in there:
-        assert any(d == digit and abs(u - int(x)) < 8 and abs(v - int(y)) < 8 for d, u, v in found.values()), digit
+        assert any(
+            d == digit and abs(u - int(x)) < 8 and abs(v - int(y)) < 8 for d, u, v in found.values()
+        ), digit
 
 
 def test_stream_equals_batch(lines_of):
@@ -111,7 +129,10 @@ def test_stream_equals_batch(lines_of):
 
 def test_send_recordings(lines_of, tmp_path):
     """Whole, in order, each from the start of a window on."""
-    first, second = random_events(400, duration_us=3000), random_events(300, duration_us=2000, start_us=50)
+    first, second = (
+        random_events(400, duration_us=3000),
+        random_events(300, duration_us=2000, start_us=50),
+    )
     for name, events in (("a.npy", first), ("b.npy", second)):
         np.save(tmp_path / name, events)
     with UdpSource(port=0, timeout_s=0.15) as source:
@@ -129,11 +150,23 @@ def test_hots_characters(lines_of, tmp_path):
     cells = np.empty((1, len(made)), object)
     for k, e in enumerate(made):
         x, y, p = (e[name].astype(np.int16) for name in "xyp")
-        cells[0, k] = {"x": x[None] + 1, "y": y[None] + 1, "p": 2 * p[None] - 1, "ts": e["t"][None].astype(np.int32)}
+        cells[0, k] = {
+            "x": x[None] + 1,
+            "y": y[None] + 1,
+            "p": 2 * p[None] - 1,
+            "ts": e["t"][None].astype(np.int32),
+        }
     io.savemat(tmp_path / "made.mat", {"ROI": cells})
-    assert lines_of("hots_characters.py", "made.mat", "out") == ["40 recordings of 36 characters in out"]
+    assert lines_of("hots_characters.py", "made.mat", "out") == [
+        "40 recordings of 36 characters in out"
+    ]
     train, test = (find_recordings(tmp_path / "out", part) for part in ("Train", "Test"))
-    assert sorted(train) == sorted("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ") and sorted(test) == ["F", "G", "X", "Y"]
+    assert sorted(train) == sorted("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ") and sorted(test) == [
+        "F",
+        "G",
+        "X",
+        "Y",
+    ]
     for one in (one for part in (train, test) for some in part.values() for one in some):
         recording = open_recording(one.path)
         assert recording.sensor == (32, 32)
@@ -143,9 +176,14 @@ def test_hots_characters(lines_of, tmp_path):
 def test_asl_dvs(lines_of, tmp_path):
     io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
     made = random_events(50, duration_us=100_000, sensor=(240, 180))
-    columns = {name: made[field].astype(float)[:, None] for name, field in (("ts", "t"), ("x", "x"), ("y", "y"))}
+    columns = {
+        name: made[field].astype(float)[:, None]
+        for name, field in (("ts", "t"), ("x", "x"), ("y", "y"))
+    }
     (tmp_path / "asl" / "a").mkdir(parents=True)
-    io.savemat(tmp_path / "asl" / "a" / "a_0001.mat", columns | {"pol": made["p"].astype(float)[:, None]})
+    io.savemat(
+        tmp_path / "asl" / "a" / "a_0001.mat", columns | {"pol": made["p"].astype(float)[:, None]}
+    )
     assert lines_of("asl_dvs.py", "asl", "out") == ["1 recordings in out"]
     recording = open_recording(tmp_path / "out" / "a" / "a_0001.npz")
     assert recording.sensor == (240, 180)

@@ -1,4 +1,5 @@
-"""The pages: snippets run, commands exist, links lead somewhere, numbers and names are those of the code."""
+"""The pages: snippets run, commands exist, links lead somewhere, numbers and names are those of the
+code."""
 
 import contextlib
 import doctest
@@ -24,7 +25,9 @@ from async_tnt.training import simulated_pictures
 from experiments.moving_mnist_set import build
 from experiments.page_parts import results
 
-PAGES = [page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))]
+PAGES = [
+    page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))
+]
 README, GUIDE, REFERENCE, THEORY = (
     (ROOT / f"{name}.md").read_text(encoding="utf-8")
     for name in ("README", "docs/guide", "docs/reference", "docs/theory")
@@ -36,7 +39,8 @@ NEEDS = {  # packages of a section's snippets
 
 
 def sections(page):
-    """(title, text) of what stands before the first heading of the second level, and of what follows each."""
+    """(title, text) of what stands before the first heading of the second level, and of what
+    follows each."""
     before, *rest = re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return [("", before), *(part.split("\n", 1) for part in rest)]
 
@@ -44,15 +48,24 @@ def sections(page):
 def commands(text):
     """The lines of `async-tnt` in shell blocks, as lists of words."""
     lines = "".join(blocks(text, "sh")).splitlines()
-    shown = [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("async-tnt ")]
+    shown = [
+        shlex.split(line, comments=True)[1:] for line in lines if line.startswith("async-tnt ")
+    ]
     return [words[: words.index(">")] if ">" in words else words for words in shown]
 
 
 @functools.cache
 def options():
     """All options of all commands."""
-    parsers = [build_parser([name])._subparsers._group_actions[0].choices[name] for name in COMMANDS]
-    return {option for parser in parsers for action in parser._actions for option in action.option_strings}
+    parsers = [
+        build_parser([name])._subparsers._group_actions[0].choices[name] for name in COMMANDS
+    ]
+    return {
+        option
+        for parser in parsers
+        for action in parser._actions
+        for option in action.option_strings
+    }
 
 
 @functools.cache
@@ -98,11 +111,15 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
     assert not report, "".join(report)
     printed = capsys.readouterr().out
     if title == "Use":
-        assert [line.split()[2] for line in printed.splitlines() if line.endswith(("window", "end"))] == ["3", "3", "3"]
+        assert [
+            line.split()[2] for line in printed.splitlines() if line.endswith(("window", "end"))
+        ] == ["3", "3", "3"]
     if title == "Archives":
         assert len(session["results"]) == 10 and session["wrong"] == {}
     if title == "N-MOVING-MNIST":
-        assert printed.startswith("036deg-5px 9 ") and session["total"] > len(session["events"]) > 10
+        assert (
+            printed.startswith("036deg-5px 9 ") and session["total"] > len(session["events"]) > 10
+        )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -111,7 +128,9 @@ def test_commands_and_options_exist(page):
     for words in commands(text):
         build_parser(words).parse_args(words)  # exits where it does not understand
     for name, words in re.findall(r"python -m experiments\.(\w+)((?: [^\s`|]+)*)", text):
-        assert [option for option in re.findall(r"--[a-z][a-z-]*", words) if option not in help_of(name)] == []
+        assert [
+            option for option in re.findall(r"--[a-z][a-z-]*", words) if option not in help_of(name)
+        ] == []
     if page.parent.name == "docs":
         named = re.findall(r"`(--[a-z][a-z-]*)", text)
         assert [option for option in named if option not in options()] == []
@@ -127,11 +146,17 @@ def test_links_lead_to_files_and_headings(page):
         assert target.exists(), link
         if heading:
             titles = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE)
-            assert heading in {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}, link
+            assert heading in {
+                re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles
+            }, link
 
 
 def test_pages_and_files_that_are_named_exist():
-    for path in [*ROOT.glob("async_tnt/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("experiments/*.py")]:
+    for path in [
+        *ROOT.glob("async_tnt/**/*.py"),
+        *ROOT.glob("tests/**/*.py"),
+        *ROOT.glob("experiments/*.py"),
+    ]:
         for name in re.findall(r"docs/\w+\.md", path.read_text(encoding="utf-8")):
             assert (ROOT / name).is_file(), f"{path}: {name}"
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
@@ -170,7 +195,9 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
         words = [word.replace("346x260", "96x72") for word in words]
         assert main([*words, *(quick if words[0] == "train" else [])]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation
-            assert [name for name in json.loads(capsys.readouterr().out) if f"`{name}`" not in REFERENCE] == []
+            assert [
+                name for name in json.loads(capsys.readouterr().out) if f"`{name}`" not in REFERENCE
+            ] == []
     for name in ("gestures.json", "gestures.curves.png"):
         assert name in text and Path(name).is_file(), name
     (program,) = blocks(text, "py")
@@ -194,7 +221,8 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, ca
 
 
 def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path):
-    """The figure of the theory: about the centre no error where the translation is a multiple of the layer's stride."""
+    """The figure of the theory: about the centre no error where the translation is a multiple of
+    the layer's stride."""
     pytest.importorskip("matplotlib")
     from experiments import figure_equivariance
 
@@ -210,5 +238,6 @@ def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path):
                 assert (error < 1e-12) if moves_along else (error > 0.01), (name, layer, flow)
     assert max(max(errors) for errors in found["TNT, line, flow removed"].values()) < 0.45
     centre = dict(zip(figure_equivariance.FLOWS, found["TNT, center"]["logits"], strict=True))
-    assert max(centre[flow] for flow in (1, 2, 3, 5, 8)) < 0.2 and centre[13] > 1  # 4 pixels and 6.5
+    # 4 pixels and 6.5
+    assert max(centre[flow] for flow in (1, 2, 3, 5, 8)) < 0.2 and centre[13] > 1
     assert picture.stat().st_size > 10_000

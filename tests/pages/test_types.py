@@ -1,4 +1,5 @@
-"""Type checkers find no fault in README's snippets, and a mistyped setting before it runs. Extra `dev`."""
+"""Type checkers find no fault in README's snippets, and a mistyped setting before it runs. Extra
+`dev`."""
 
 import doctest
 import json
@@ -12,8 +13,13 @@ from pages.snippets import ROOT, blocks
 import async_tnt
 from async_tnt import sources, training
 
-OPTIONS = {"mypy": ["--follow-imports=silent"], "basedpyright": ["--level=error", f"--pythonpath={sys.executable}"]}
-ALL_NAMES = [f"from {p.__name__} import {name}" for p in (async_tnt, sources, training) for name in p.__all__]
+OPTIONS = {
+    "mypy": ["--follow-imports=silent"],
+    "basedpyright": ["--level=error", f"--pythonpath={sys.executable}"],
+}
+ALL_NAMES = [
+    f"from {p.__name__} import {name}" for p in (async_tnt, sources, training) for name in p.__all__
+]
 TYPOS = """
 import async_tnt
 async_tnt.TNTConfig(landmark="runing")
@@ -38,5 +44,10 @@ def test_snippets_and_public_names_are_typed_and_a_mistyped_setting_is_found(che
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     lines = sorted({int(line) for line in re.findall(r"program\.py:(\d+).* error: ", done.stdout)})
     found = [text.splitlines()[line - 1] for line in lines]
-    assert re.findall("runing|sined|every_ms|dorp", "".join(found)) == ["runing", "sined", "every_ms", "dorp"]
+    assert re.findall("runing|sined|every_ms|dorp", "".join(found)) == [
+        "runing",
+        "sined",
+        "every_ms",
+        "dorp",
+    ]
     assert len(found) == 4, done.stdout + done.stderr

@@ -1,4 +1,5 @@
-"""A classifier that fails in the middle of a packet: what of it is absorbed, and that the stream continues."""
+"""A classifier that fails in the middle of a packet: what of it is absorbed, and that the stream
+continues."""
 
 import pytest
 from deciding import CONFIG, at, key, summary, total_and_size
@@ -52,7 +53,9 @@ def test_no_event_is_lost_or_absorbed_twice(settings, size):
     assert [key(d) for d in troubled.finish()] == [key(d) for d in untroubled.finish()]
 
 
-@pytest.mark.parametrize("retry", [lambda p: p.push([]), lambda p: p.finish(), lambda p: p.push(at([9]))])
+@pytest.mark.parametrize(
+    "retry", [lambda p: p.push([]), lambda p: p.finish(), lambda p: p.push(at([9]))]
+)
 def test_a_window_of_events_whose_decision_failed_is_made_up_for(retry):
     answers = iter([ValueError("not now"), [1.0, 0.0], [1.0, 0.0]])
 

@@ -1,7 +1,8 @@
-"""Which decisions fall when, by hand, for every trigger. For any stream: test_triggers_equal_oracle.py.
+"""Which decisions fall when, by hand, for every trigger. For any stream:
+test_triggers_equal_oracle.py.
 
-The classifier's two logits are the events' number and 0, so that after n events the first class has probability
-1 / (1 + exp(-n)): .731, .881, .953, .982, .993 ...
+The classifier's two logits are the events' number and 0, so that after n events the first class has
+probability 1 / (1 + exp(-n)): .731, .881, .953, .982, .993 ...
 """
 
 from functools import cache
@@ -14,7 +15,9 @@ from made import random_model, thesis_model
 from async_tnt import CompiledClassifier, Processor, TNTConfig
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* it never makes a decision due")
-CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none", polarity="unsigned")
+CONFIG = TNTConfig(
+    sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none", polarity="unsigned"
+)
 
 
 def number_of_events(volume):
@@ -23,8 +26,12 @@ def number_of_events(volume):
 
 @cache
 def compiled_number_of_events() -> CompiledClassifier:
-    """The same, compiled: the network's two poolings take a mean, 16 times it is the sum over a quarter."""
-    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(1, 1, 1)).weights.items()}
+    """The same, compiled: the network's two poolings take a mean, 16 times it is the sum over a
+    quarter."""
+    weights = {
+        name: np.zeros_like(w)
+        for name, w in random_model(CONFIG, classes=2, widths=(1, 1, 1)).weights.items()
+    }
     weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
     weights["fc1.weight"][:] = 16
     weights["fc2.weight"][0] = 1
@@ -42,7 +49,9 @@ def at(*times):
 
 
 SURE, BY_3 = {"confidence": 0.95}, {"config": {"window_events": 3}}
-BY_HAND = {  # settings, times of events, all decisions, events counted as dropped_decided and dropped_late if any
+# settings, times of events, all decisions, events counted as dropped_decided and dropped_late if
+# any
+BY_HAND = {
     # -- windows
     "windows start where asked, and earlier events are late": (
         {"start_us": 7000},
@@ -73,7 +82,8 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         [
             ("every_us", 100, 150, 2),  # at 300, without the event that shows the time
             ("every_us", 100, 360, 4),  # at 500; at 700 nothing new
-            ("window", 100, 900, 5),  # at 900 the fifth event is new, but shows up at 1100 with the window's end
+            # at 900 the fifth event is new, but shows up at 1100 with the window's end
+            ("window", 100, 900, 5),
             ("end", 1100, 1250, 1),
         ],
     ),
@@ -100,7 +110,12 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         (0, 7),
     ),
     # -- confidence
-    "the event that reaches the level ends the window": (SURE, (0, 10, 20, 30, 40), [("confidence", 0, 20, 3)], (2, 0)),
+    "the event that reaches the level ends the window": (
+        SURE,
+        (0, 10, 20, 30, 40),
+        [("confidence", 0, 20, 3)],
+        (2, 0),
+    ),
     "the next windows lie on the same grid": (
         SURE | {"start_us": 100},
         (150, 160, 170, 180, 1099, 1100, 1101, 1102, 1103, 5500, 5501),
@@ -139,7 +154,12 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
     "a late event is not one of them, and a long pause ends a window": (
         {"config": {"window_events": 3, "window_us": 100}},
         (50, 40, 60, 149, 30, 130, 260),
-        [("window", 50, 149, 3), ("window", 30, 30, 1), ("window", 130, 130, 1), ("end", 260, 260, 1)],
+        [
+            ("window", 50, 149, 3),
+            ("window", 30, 30, 1),
+            ("window", 130, 130, 1),
+            ("end", 260, 260, 1),
+        ],
         (0, 1),
     ),
     "a confident one begins the next": (
@@ -155,8 +175,12 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
 def test_by_hand(classifier, name, single):
     settings, times, expected, *dropped = BY_HAND[name]
     settings = dict(settings)
-    processor = Processor(CONFIG.replace(**settings.pop("config", {})), classifier=classifier, **settings)
-    decisions = [d for t in times for d in processor.push(at(t))] if single else processor.push(at(*times))
+    processor = Processor(
+        CONFIG.replace(**settings.pop("config", {})), classifier=classifier, **settings
+    )
+    decisions = (
+        [d for t in times for d in processor.push(at(t))] if single else processor.push(at(*times))
+    )
     decisions += processor.finish()
     assert summary(decisions) == expected
     counts = processor.counts
@@ -174,7 +198,10 @@ def test_a_level_that_is_just_reached(way, n_classes, probability):
     alike = {name: np.zeros_like(w) for name, w in model.weights.items()}
     compiled = CompiledClassifier(thesis_model(CONFIG, alike, model.classes))
     classifier = compiled if way == "compiled" else lambda volume: [0.0] * n_classes
-    for confidence, closes in ((probability, True), (min(1.0, np.nextafter(probability, 2)), n_classes == 1)):
+    for confidence, closes in (
+        (probability, True),
+        (min(1.0, np.nextafter(probability, 2)), n_classes == 1),
+    ):
         for push in (lambda p: p.push_one(0, 1, 1, 1), lambda p: p.push(at(0))):
             processor = Processor(CONFIG, classifier=classifier, confidence=confidence)
             assert summary(push(processor)) == ([("confidence", 0, 0, 1)] if closes else [])
@@ -202,7 +229,11 @@ def test_a_stream_may_continue_after_finish(classifier):
     processor.push(at(0, 10))
     assert summary(processor.finish()) == [("end", 0, 10, 2)]
     assert processor.finish() == []
-    assert processor.fire().events == 0 and not processor.volume().any() and processor.counts.received == 2
+    assert (
+        processor.fire().events == 0
+        and not processor.volume().any()
+        and processor.counts.received == 2
+    )
     assert processor.push_one(500, 3, 3, 1) == [] and processor.counts.dropped_late == 1
     assert processor.push_one(1500, 3, 3, 1) == []
     assert summary(processor.finish()) == [("end", 1000, 1500, 1)]
@@ -210,7 +241,10 @@ def test_a_stream_may_continue_after_finish(classifier):
 
 @pytest.mark.parametrize("settings", [{}, {"every_events": 1}, {"every_us": 100}], ids=str)
 def test_of_equal_logits_the_first_class_decides(settings):
-    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=3, widths=(1, 1, 1)).weights.items()}
+    weights = {
+        name: np.zeros_like(w)
+        for name, w in random_model(CONFIG, classes=3, widths=(1, 1, 1)).weights.items()
+    }
     weights["fc2.bias"] = np.float32([0, 1, 1])
     compiled = CompiledClassifier(thesis_model(CONFIG, weights, ("a", "b", "c")))
     for classifier in (compiled, lambda volume: [0.0, 1.0, 1.0]):

@@ -1,7 +1,8 @@
 """Ctrl-C at any moment leaves a Processor that goes on as after some part of the packet.
 
-CPython handles signals where a function of Python starts, after a call of any other function, and where a loop jumps
-back. An exception is raised at each of these moments within a call, one after the other.
+CPython handles signals where a function of Python starts, after a call of any other function, and
+where a loop jumps back. An exception is raised at each of these moments within a call, one after
+the other.
 """
 
 import copy
@@ -33,7 +34,8 @@ class Interrupted(BaseException):
 def handles_signals(code):
     """For each instruction of a function, whether CPython may handle a signal right after it."""
     return {
-        one.offset: one.opname.startswith(("CALL", "JUMP_BACKWARD")) and one.opname != "CALL_INTRINSIC_1"
+        one.offset: one.opname.startswith(("CALL", "JUMP_BACKWARD"))
+        and one.opname != "CALL_INTRINSIC_1"
         for one in dis.get_instructions(code)
     }
 
@@ -54,7 +56,11 @@ def interrupted(call, at):
         callers.add(frame.f_back)
         code = frame.f_code
         # what repairs the state is not interrupted itself
-        if not code.co_filename.startswith(FOLDER) or code.co_name in ("_recover", "recover", "overlap"):
+        if not code.co_filename.startswith(FOLDER) or code.co_name in (
+            "_recover",
+            "recover",
+            "overlap",
+        ):
             return None
         frame.f_trace_opcodes = True
         frame.f_trace_lines = False
@@ -89,10 +95,18 @@ MAKERS = {
     "every_events": lambda: Processor(MODEL, every_events=3),
     "confidence": lambda: Processor(MODEL, confidence=0.3),
     "overlap": lambda: Processor(MODEL, hop_us=300),
-    "overlap, every_us": lambda: Processor(CONFIG, classifier=total_and_size, hop_us=300, every_us=200),
-    "window_events": lambda: Processor(CONFIG.replace(window_events=7), classifier=total_and_size, every_events=2),
-    "landmark window": lambda: Processor(CONFIG.replace(landmark="window"), classifier=total_and_size, every_events=4),
-    "regressor": lambda: Processor(random_regressor_model(CONFIG.replace(landmark="regressor")), every_us=300),
+    "overlap, every_us": lambda: Processor(
+        CONFIG, classifier=total_and_size, hop_us=300, every_us=200
+    ),
+    "window_events": lambda: Processor(
+        CONFIG.replace(window_events=7), classifier=total_and_size, every_events=2
+    ),
+    "landmark window": lambda: Processor(
+        CONFIG.replace(landmark="window"), classifier=total_and_size, every_events=4
+    ),
+    "regressor": lambda: Processor(
+        random_regressor_model(CONFIG.replace(landmark="regressor")), every_us=300
+    ),
     "late drop": lambda: Processor(MODEL, late="drop", every_us=300),
 }
 
@@ -113,7 +127,8 @@ def ends_alike(one, other):
     return one[len(one) - n :] == other[len(other) - n :]
 
 
-@pytest.mark.parametrize("name", sorted(MAKERS.keys() - {"late drop"}))  # which counts late events of the whole packet
+# which counts late events of the whole packet
+@pytest.mark.parametrize("name", sorted(MAKERS.keys() - {"late drop"}))
 def test_an_interrupted_push_is_a_push_of_some_first_events(name):
     start = MAKERS[name]()
     start.push(BEFORE)
@@ -133,7 +148,9 @@ def test_an_interrupted_push_is_a_push_of_some_first_events(name):
         decisions, counts = rest(processor)
         # decisions that had been made when the exception came are lost, or made again
         assert any(
-            counts == counts_then and abs(len(later) - len(decisions)) <= 8 and ends_alike(later, decisions)
+            counts == counts_then
+            and abs(len(later) - len(decisions)) <= 8
+            and ends_alike(later, decisions)
             for later, counts_then in expected[n_received]
         ), f"moment {at}"
     assert n_interrupted > 15
@@ -196,7 +213,9 @@ def test_an_interrupted_volume_reads_as_after_some_first_events(settings):
                 break
             seen = volume.array.tobytes(), volume.counts
             is_empty = volume.n_events == 0 and not volume.array.any()
-            assert seen in expected or (is_empty and seen[1] in [counts for _, counts in expected]), f"moment {at}"
+            assert seen in expected or (
+                is_empty and seen[1] in [counts for _, counts in expected]
+            ), f"moment {at}"
             volume.update(AFTER)
             assert np.isfinite(volume.array).all()
     assert at > 10

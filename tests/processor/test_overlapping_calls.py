@@ -1,4 +1,5 @@
-"""Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a crash."""
+"""Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a
+crash."""
 
 import copy
 import pickle
@@ -35,7 +36,8 @@ class Held:
 
 
 def assert_refused_during(function, values, others, name):
-    """While `function` reads these values, which it is given, the other calls are refused; its answer."""
+    """While `function` reads these values, which it is given, the other calls are refused; its
+    answer."""
     held, answer = Held(values), []
     with meanwhile(lambda: answer.append(function(held))):
         assert held.begun.wait(PATIENCE_S)
@@ -64,12 +66,19 @@ CALLS = [
 ]
 
 
-@pytest.mark.parametrize("landmark, settings", [("running", {}), ("running", {"every_events": 2}), ("window", {})])
+@pytest.mark.parametrize(
+    "landmark, settings", [("running", {}), ("running", {"every_events": 2}), ("window", {})]
+)
 def test_calls_during_a_push_are_refused_and_change_nothing(landmark, settings):
     config = CONFIG.replace(landmark=landmark)
-    processor, untroubled = (Processor(config, classifier=total_and_size, **settings) for _ in range(2))
+    processor, untroubled = (
+        Processor(config, classifier=total_and_size, **settings) for _ in range(2)
+    )
     others = [lambda call=call: call(processor) for call in CALLS]
-    decided, expected = assert_refused_during(processor.push, EVENTS, others, "Processor"), untroubled.push(EVENTS)
+    decided, expected = (
+        assert_refused_during(processor.push, EVENTS, others, "Processor"),
+        untroubled.push(EVENTS),
+    )
     assert [key(d) for d in decided] == [key(d) for d in expected] != []
     assert processor.counts == untroubled.counts
     assert [key(d) for d in processor.finish()] == [key(d) for d in untroubled.finish()]
@@ -94,7 +103,11 @@ def test_a_classifier_that_calls_its_own_processor_is_refused(call):
 
 @pytest.mark.parametrize(
     "network",
-    [CompiledClassifier(MODEL), CompiledRegressor(random_regressor_model()), OnnxClassifier(to_onnx(MODEL))],
+    [
+        CompiledClassifier(MODEL),
+        CompiledRegressor(random_regressor_model()),
+        OnnxClassifier(to_onnx(MODEL)),
+    ],
     ids=lambda network: type(network).__name__,
 )
 def test_a_network_shared_by_two_threads_refuses_the_second_call(network):
@@ -106,16 +119,23 @@ def test_a_network_shared_by_two_threads_refuses_the_second_call(network):
             lambda: Processor(CONFIG, classifier=network, every_events=1).push(at([5, 6])),
         ]
     expected = network(volume)
-    assert np.array_equal(assert_refused_during(network, volume, others, type(network).__name__), expected)
+    assert np.array_equal(
+        assert_refused_during(network, volume, others, type(network).__name__), expected
+    )
     assert np.array_equal(network(volume), expected)
 
 
 def test_a_volume_and_a_filter_refuse_events_while_they_read_others():
     volume, chosen = TNTVolume(CONFIG), PixelFilter(CONFIG.sensor)
-    others = [lambda: volume.update(EVENTS), lambda: volume.update_one(5000, 1, 1, 1), lambda: volume.open(0)]
+    others = [
+        lambda: volume.update(EVENTS),
+        lambda: volume.update_one(5000, 1, 1, 1),
+        lambda: volume.open(0),
+    ]
     others += [lambda: volume.array, lambda: copy.copy(volume)]
     assert_refused_during(volume.update, EVENTS, others, "TNTVolume")
     assert_refused_during(chosen, EVENTS, [lambda: chosen(EVENTS)], "PixelFilter")
     assert volume.counts.received == chosen.counts.received == 40
-    others = [lambda: volume.update_one(volume.start_us + 1, 1, 1, 1), volume.reset, volume.close]  # a window is open
+    # a window is open
+    others = [lambda: volume.update_one(volume.start_us + 1, 1, 1, 1), volume.reset, volume.close]
     assert_refused_during(volume.update, EVENTS, others, "TNTVolume")

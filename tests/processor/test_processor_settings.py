@@ -17,7 +17,9 @@ BY_3 = CONFIG.replace(window_events=3)
 
 
 def test_decision_carries_logits_probabilities_and_label():
-    processor = Processor(CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"])
+    processor = Processor(
+        CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"]
+    )
     processor.push(at([5]))
     decision = processor.fire()
     assert (decision.label, decision.index, decision.complete) == ("dog", 1, False)
@@ -58,7 +60,10 @@ def test_a_time_that_is_impossible_changes_nothing():
     "settings, message",
     [
         ({"hop_us": 1001}, "`hop_us` must be at most window_us = 1000, got 1001"),
-        ({"hop_us": 1}, r"`hop_us` must be at least window_us / 256 = 4, got 1: 1000 windows would be open"),
+        (
+            {"hop_us": 1},
+            r"`hop_us` must be at least window_us / 256 = 4, got 1: 1000 windows would be open",
+        ),
         ({"start_us": -1}, r"`start_us` must be in \[0, 2\*\*62\), got -1"),
         ({"classes": "cat"}, "`classes` must be a sequence of names, got the single string 'cat'"),
         ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
@@ -112,27 +117,40 @@ def test_a_model_may_be_given_by_its_name_or_path(tmp_path):
     events = open_recording(sample_recordings()[3]).read()
     expected = [key(decision) for decision in Processor(model).push(events)]
     for given in ("digits", str(path), path):
-        assert [key(decision) for decision in Processor(given).push(events)] == expected and len(expected) == 2
+        assert [key(decision) for decision in Processor(given).push(events)] == expected and len(
+            expected
+        ) == 2
         assert warmup(given) >= 0
     for use in (Processor, warmup):
-        with pytest.raises(FileNotFoundError, match="no model file nothing, and no bundled model of that name"):
+        with pytest.raises(
+            FileNotFoundError, match="no model file nothing, and no bundled model of that name"
+        ):
             use("nothing")
-        with pytest.raises(TypeError, match="`model` must be a Model, the name or path of one, or a TNTConfig, got"):
+        with pytest.raises(
+            TypeError, match="`model` must be a Model, the name or path of one, or a TNTConfig, got"
+        ):
             use(3)
     with pytest.raises(
-        TypeError, match=r"`config` must be a TNTConfig, got 'digits'; load_model\(name\).config is that"
+        TypeError,
+        match=r"`config` must be a TNTConfig, got 'digits'; load_model\(name\).config is that",
     ):
         TNTVolume("digits")
-    with pytest.raises(TypeError, match=r"`config` must be a TNTConfig, got Model.*; pass its `config`$"):
+    with pytest.raises(
+        TypeError, match=r"`config` must be a TNTConfig, got Model.*; pass its `config`$"
+    ):
         TNTVolume(model)
 
 
 @pytest.mark.parametrize(
-    ("config", "name", "longest"), [(CONFIG, "every_us", CONFIG.window_us), (BY_3, "every_events", 3)]
+    ("config", "name", "longest"),
+    [(CONFIG, "every_us", CONFIG.window_us), (BY_3, "every_events", 3)],
 )
 def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, longest):
-    """When it is made or set; not where it is as often as windows end, nor when the same is set again."""
-    message = f"`{name}` = {longest + 1} is .* a window.*, {longest}.*: it never makes a decision due"
+    """When it is made or set; not where it is as often as windows end, nor when the same is set
+    again."""
+    message = (
+        f"`{name}` = {longest + 1} is .* a window.*, {longest}.*: it never makes a decision due"
+    )
     with pytest.warns(UserWarning, match=message) as caught:
         processor = Processor(config, classifier=total_and_size, **{name: longest + 1})
     assert len(caught) == 1 and caught[0].filename == __file__
@@ -143,7 +161,8 @@ def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, 
         setattr(processor, name, longest + 1)
     assert len(caught) == 1 and caught[0].filename == __file__
     other = {"every_us": "every_events", "every_events": "every_us"}[name]
-    Processor(config, classifier=total_and_size, **{other: 10**9})  # which concerns the other kind of windows
+    # which concerns the other kind of windows
+    Processor(config, classifier=total_and_size, **{other: 10**9})
     copy.copy(processor).push(at([5]))
 
 
@@ -163,6 +182,8 @@ def test_the_repr_of_a_decision_is_short():
         found = np.zeros((2, 34, 34), np.float32)
         found[1] = 1
         found[0, 15 : 15 + 3 * n : 3, 15] = 2
-        decision = Processor(CONFIG, classifier=lambda volume, found=found: found, classes=["a"]).fire()
+        decision = Processor(
+            CONFIG, classifier=lambda volume, found=found: found, classes=["a"]
+        ).fire()
         assert len(decision.objects) == n and f"{shown})" in repr(decision)
         assert len(repr(decision)) < 250

@@ -12,7 +12,9 @@ from made import events_of, random_events
 from async_tnt import Processor, astream, load_model, stream
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
-WARNING = r"times went back by 0\.\d+ s, from \d+ to \d+ us: .*on_restart=\"reset\" .*`reset\(\)`.*Clock"
+WARNING = (
+    r"times went back by 0\.\d+ s, from \d+ to \d+ us: .*on_restart=\"reset\" .*`reset\(\)`.*Clock"
+)
 
 
 def recorded(digit):
@@ -61,7 +63,9 @@ def test_reset_gives_what_two_streams_give(way, settings):
 def test_reset_finds_the_restart_inside_a_packet():
     model = load_model("digits")
     expected = [d for events in (SEVEN, ONE) for d in stream([events], model)]
-    assert decided(stream([np.concatenate([SEVEN, ONE])], model, on_restart="reset")) == decided(expected)
+    assert decided(stream([np.concatenate([SEVEN, ONE])], model, on_restart="reset")) == decided(
+        expected
+    )
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -83,7 +87,12 @@ def test_raise_raises_and_the_processor_goes_on(way):
             processor.push(events)
     processor.reset()
     expected = decided(stream([ONE], load_model("digits")))
-    assert decided([d for events in WAYS[way](ONE) for d in processor.push(events)] + processor.finish()) == expected
+    assert (
+        decided(
+            [d for events in WAYS[way](ONE) for d in processor.push(events)] + processor.finish()
+        )
+        == expected
+    )
 
 
 def test_astream_and_push_warn_too():
@@ -97,7 +106,9 @@ def test_astream_and_push_warn_too():
     with pytest.warns(UserWarning, match=WARNING):
         asyncio.run(all_of(astream(both(), "digits")))
     found = asyncio.run(all_of(astream(both(), "digits", on_restart="reset")))
-    assert decided(found) == [row for events in (SEVEN, ONE) for row in decided(stream([events], "digits"))]
+    assert decided(found) == [
+        row for events in (SEVEN, ONE) for row in decided(stream([events], "digits"))
+    ]
     processor = Processor(load_model("digits"))
     processor.push(SEVEN)
     with pytest.warns(UserWarning, match=WARNING):
@@ -139,16 +150,21 @@ def test_a_restart_by_hand(times, is_restart, way, late):
 
 
 def test_windows_shorter_than_the_limit_are_the_limit():
-    processor = Processor(CONFIG.replace(window_us=1_000), classifier=total_and_size, on_restart="raise")
+    processor = Processor(
+        CONFIG.replace(window_us=1_000), classifier=total_and_size, on_restart="raise"
+    )
     processor.push(events_of([0, 5_000], [1, 1], [1, 1], [1, 1]))
     processor.push(events_of([4_000] * 40, [1] * 40, [1] * 40, [1] * 40))
     with pytest.raises(ValueError, match=r"back by 0\.001 s, from 5000 to 3999 us"):
         processor.push(events_of([3_999] * 40, [1] * 40, [1] * 40, [1] * 40))
 
 
-@pytest.mark.parametrize("settings", [{"start_us": 10**9}, {"confidence": 0.1}, {"hop_us": 30}], ids=str)
+@pytest.mark.parametrize(
+    "settings", [{"start_us": 10**9}, {"confidence": 0.1}, {"hop_us": 30}], ids=str
+)
 def test_a_late_start_and_windows_decided_early_are_no_restart(settings):
-    """Events before `start_us`, or of a window that has been decided, are dropped without a warning."""
+    """Events before `start_us`, or of a window that has been decided, are dropped without a
+    warning."""
     processor = Processor(CONFIG, classifier=total_and_size, on_restart="raise", **settings)
     events = random_events(3_000, start_us=1_000, duration_us=500_000)
     events["t"] += np.random.default_rng(0).integers(-40, 41, len(events))
@@ -175,7 +191,9 @@ def test_a_recording_that_is_streamed_twice_through_one_processor_is_a_restart()
 
 
 def test_an_unknown_policy_is_refused():
-    with pytest.raises(ValueError, match="`on_restart` must be one of warn, reset, raise, got 'ignore'"):
+    with pytest.raises(
+        ValueError, match="`on_restart` must be one of warn, reset, raise, got 'ignore'"
+    ):
         Processor(CONFIG, classifier=total_and_size, on_restart="ignore")
 
 
@@ -199,4 +217,6 @@ def test_an_asynchronous_stream_left_open_goes_on_with_the_next_source():
         found = [d async for d in astream(source(SEVEN[:2_000]), processor, finish=False)]
         return found + [d async for d in astream(source(SEVEN[2_000:]), processor)]
 
-    assert [key(d) for d in asyncio.run(decided_in_parts())] == [key(d) for d in stream([SEVEN], "digits")]
+    assert [key(d) for d in asyncio.run(decided_in_parts())] == [
+        key(d) for d in stream([SEVEN], "digits")
+    ]

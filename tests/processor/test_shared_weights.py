@@ -1,4 +1,5 @@
-"""A model's weights are in memory once, however many processors there are; a state may be kept without them."""
+"""A model's weights are in memory once, however many processors there are; a state may be kept
+without them."""
 
 import copy
 import pickle
@@ -22,12 +23,19 @@ def test_processors_and_their_copies_share_one_read_only_array():
     first = Processor(MODEL)
     second = Processor(MODEL, every_us=300)
     loaded = pickle.loads(pickle.dumps([first, second]))
-    assert weights_of(second) is weights_of(first) is weights_of(copy.deepcopy(first)) is weights_of(copy.copy(second))
+    assert (
+        weights_of(second)
+        is weights_of(first)
+        is weights_of(copy.deepcopy(first))
+        is weights_of(copy.copy(second))
+    )
     assert weights_of(loaded[0]) is weights_of(loaded[1])
     for processor in (first, *loaded):
         assert not weights_of(processor).flags.writeable
     classifier = CompiledClassifier(MODEL)
-    assert copy.deepcopy(classifier).network.weights is classifier.network.weights is weights_of(first)
+    assert (
+        copy.deepcopy(classifier).network.weights is classifier.network.weights is weights_of(first)
+    )
 
 
 def test_models_do_not_share():
@@ -41,7 +49,11 @@ def test_models_do_not_share():
 CASES = {
     "classes": (MODEL, {"every_us": 300}, {}),
     "overlap": (MODEL, {"hop_us": 250, "late": "drop"}, {}),
-    "regressor": (random_regressor_model(CONFIG.replace(landmark="regressor")), {"every_events": 9}, {}),
+    "regressor": (
+        random_regressor_model(CONFIG.replace(landmark="regressor")),
+        {"every_events": 9},
+        {},
+    ),
     "objects": (load_model("digits-everywhere").for_sensor((60, 60)), {"every_us": 2_000}, {}),
     "a function": (CONFIG, {"confidence": 0.99}, {"classifier": total_and_size}),
 }
@@ -69,7 +81,9 @@ def test_a_state_of_another_model_or_none_is_refused():
     state = Processor(MODEL).save_state()
     with pytest.raises(ValueError, match="`state` must be of the configuration TNTConfig"):
         Processor.from_state(state, random_model(CONFIG.replace(bins=5)))
-    with pytest.raises(ValueError, match=r"`state` must be of the classes .*'class 2'\), got .*'class 3'"):
+    with pytest.raises(
+        ValueError, match=r"`state` must be of the classes .*'class 2'\), got .*'class 3'"
+    ):
         Processor.from_state(state, random_model(CONFIG, classes=3))
     for damaged in (b"", b"what", state[:-50], pickle.dumps([1, 2])):
         with pytest.raises(ValueError, match="`state` must be what `save_state`"):

@@ -45,11 +45,15 @@ def test_any_source_gives_the_same_decisions(source, expected):
 
 
 def test_a_source_of_the_other_kind_is_refused_at_the_call():
-    with pytest.raises(TypeError, match="`source` must be an iterable of packets or of events, got int"):
+    with pytest.raises(
+        TypeError, match="`source` must be an iterable of packets or of events, got int"
+    ):
         stream(5, MODEL)
     with pytest.raises(TypeError, match=r"`source` must be asynchronous, got list; `stream` takes"):
         astream([], MODEL)
-    with pytest.raises(TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"):
+    with pytest.raises(
+        TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"
+    ):
         stream("five.bin", MODEL)
     with pytest.raises(FileNotFoundError, match="no model file digitz"):
         stream([EVENTS], "digitz")
@@ -80,7 +84,9 @@ def test_the_model_may_be_a_path_or_a_processor(tmp_path, expected):
 
 def test_settings_are_the_keywords_of_a_processor():
     keywords = get_type_hints(Processor.__init__)
-    assert get_type_hints(Settings) == {name: keywords[name] for name in keywords if name not in ("model", "return")}
+    assert get_type_hints(Settings) == {
+        name: keywords[name] for name in keywords if name not in ("model", "return")
+    }
 
 
 SPARSE = random_events(100, duration_us=300_000_000)  # 0.3 s in nanoseconds
@@ -95,7 +101,8 @@ def test_nanoseconds_read_as_microseconds_are_warned_of_once(settings):
 
 
 def test_other_small_windows_are_no_reason_to_warn():  # warnings are errors in these tests
-    assert list(stream([SPARSE], random_model(MODEL.config.replace(window_events=2))))  # so many are wanted
+    # so many are wanted
+    assert list(stream([SPARSE], random_model(MODEL.config.replace(window_events=2))))
     assert list(stream([SPARSE], MODEL, confidence=0.01))  # windows that the first event decides
 
 
@@ -106,13 +113,21 @@ def test_volumes_are_those_that_a_decision_would_have_seen(settings):
     config = TNTConfig(window_us=1000, bins=3)
     decisions = list(stream([EVENTS], config, classifier=lambda volume: [0.0], **settings))
     found = list(volumes([*EVENTS[:90].tolist(), EVENTS[90:]], config, **settings))
-    assert [(one.start_us, one.events) for one in found] == [(d.window_start_us, d.events) for d in decisions]
+    assert [(one.start_us, one.events) for one in found] == [
+        (d.window_start_us, d.events) for d in decisions
+    ]
     for one, decision in zip(found, decisions, strict=True):
         inside = EVENTS[EVENTS["t"] >= decision.window_start_us][: decision.events]
-        np.testing.assert_array_equal(one.volume, opened(config, inside, decision.window_start_us).array)
-    with pytest.raises(TypeError, match=r"`classifier`, `classes` and `confidence` are for decisions"):
+        np.testing.assert_array_equal(
+            one.volume, opened(config, inside, decision.window_start_us).array
+        )
+    with pytest.raises(
+        TypeError, match=r"`classifier`, `classes` and `confidence` are for decisions"
+    ):
         volumes([EVENTS], config, confidence=0.9)
-    with pytest.raises(TypeError, match="`config` must be a TNTConfig, got 'digits'; a model has one as `config`"):
+    with pytest.raises(
+        TypeError, match="`config` must be a TNTConfig, got 'digits'; a model has one as `config`"
+    ):
         volumes([EVENTS], "digits")
 
 
@@ -130,12 +145,18 @@ def test_volumes_do_with_late_events_what_a_stream_does(form):
     }[form]
 
     def found(source, **settings):
-        return [(one.start_us, one.events, one.volume.tobytes()) for one in volumes(source, config, **settings)]
+        return [
+            (one.start_us, one.events, one.volume.tobytes())
+            for one in volumes(source, config, **settings)
+        ]
 
     dropped, accepted = found(make(), late="drop"), found(make(), late="accept")
     assert dropped == found([in_order]) != accepted == found(make()) == found([events])
     with pytest.raises(ValueError, match=r"`t` must not run backwards \(late=\"raise\"\)"):
         found(make(), late="raise")
     assert found([in_order], late="raise") == dropped
-    counts = [(d.window_start_us, d.events) for d in stream(make(), config, classifier=lambda v: [0.0], late="drop")]
+    counts = [
+        (d.window_start_us, d.events)
+        for d in stream(make(), config, classifier=lambda v: [0.0], late="drop")
+    ]
     assert counts == [one[:2] for one in dropped]

@@ -16,7 +16,9 @@ from oracles import Oracle, as_values
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
 
-pytestmark = pytest.mark.filterwarnings("ignore:.* it never makes a decision due", "ignore:times went back")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:.* it never makes a decision due", "ignore:times went back"
+)
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=2, window_us=1000, t_max=2.0, transform="none")
 TNT = CONFIG.replace(transform="tnt")
 REPLAYED = CONFIG.replace(transform="tnt", landmark="window")
@@ -31,7 +33,11 @@ BY_EVENTS = [
 def compiled(config: TNTConfig) -> CompiledClassifier:
     """A network with large logits, so that confidence rises and falls."""
     model = random_model(config, classes=3, widths=(3, 5, 7), seed=4)
-    loud = {name: w * 12 for name, w in model.weights.items() if name.startswith("fc2") or name == "fc1.weight"}
+    loud = {
+        name: w * 12
+        for name, w in model.weights.items()
+        if name.startswith("fc2") or name == "fc1.weight"
+    }
     return CompiledClassifier(replace(model, weights=model.weights | loud))
 
 
@@ -51,10 +57,18 @@ windows = st.fixed_dictionaries(
 )
 nasty = nasty_streams((8, 8), 3500, 50, max_events=70)
 long = st.builds(  # hundreds of events in a window, more decisions than one compiled call makes
-    random_events, st.just(1300), seed=st.integers(0, 99), duration_us=st.just(5200), sensor=st.just((8, 8))
+    random_events,
+    st.just(1300),
+    seed=st.integers(0, 99),
+    duration_us=st.just(5200),
+    sensor=st.just((8, 8)),
 )
 ways = st.sampled_from(
-    [(CONFIG, "callable"), *((config, "compiled") for config in (CONFIG, TNT, REPLAYED)), (BY_EVENTS[0], "callable")]
+    [
+        (CONFIG, "callable"),
+        *((config, "compiled") for config in (CONFIG, TNT, REPLAYED)),
+        (BY_EVENTS[0], "callable"),
+    ]
     + [(config, "compiled") for config in BY_EVENTS]
 )
 
@@ -87,8 +101,11 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
     steps=st.lists(st.tuples(st.integers(0, 30), st.none() | change), max_size=8),
     large=st.sampled_from([3, 500]),
 )
-def test_any_triggers_any_windows_any_packets_any_changes(events, way, windows, triggers, steps, large):
-    """steps : size of a packet, 0: one event by `push_one`; a trigger that is changed after it, if any.
+def test_any_triggers_any_windows_any_packets_any_changes(
+    events, way, windows, triggers, steps, large
+):
+    """steps : size of a packet, 0: one event by `push_one`; a trigger that is changed after it, if
+        any.
     large : events of a packet that is decided in one compiled call."""
     with mock.patch("async_tnt.processor.STRETCH", large):
         check(events, way, windows, triggers, steps)
@@ -104,7 +121,9 @@ def check(events, way, windows, triggers, steps) -> None:
         if size:
             decisions += processor.push(packet)
         else:
-            decisions += [decision for event in packet.tolist() for decision in processor.push_one(*event)]
+            decisions += [
+                decision for event in packet.tolist() for decision in processor.push_one(*event)
+            ]
         if changed:
             name, value = changed
             oracle.change(**{name: value})
@@ -138,7 +157,9 @@ OF_EVENTS = {
     "callable, by events": (BY_EVENTS[1], "callable"),
     "compiled, by events": (BY_EVENTS[0], "compiled"),
 }
-ALL = {f"{name}, hop {hop_us}": (way, hop_us) for name, way in OF_A_DURATION.items() for hop_us in HOPS}
+ALL = {
+    f"{name}, hop {hop_us}": (way, hop_us) for name, way in OF_A_DURATION.items() for hop_us in HOPS
+}
 ALL |= {name: (way, None) for name, way in OF_EVENTS.items()}
 
 
@@ -146,7 +167,9 @@ ALL |= {name: (way, None) for name, way in OF_EVENTS.items()}
 def test_every_combination_of_triggers_on_a_stream_with_stragglers(way, hop_us):
     """In one packet, decided in one compiled call where that is possible, and in small ones."""
     dropped = np.zeros(2, int)
-    for seed, (every_us, every_events, confidence) in enumerate(itertools.product(MOMENTS, EACH_SO_MANY, LEVELS)):
+    for seed, (every_us, every_events, confidence) in enumerate(
+        itertools.product(MOMENTS, EACH_SO_MANY, LEVELS)
+    ):
         triggers = {"every_us": every_us, "every_events": every_events, "confidence": confidence}
         events = with_stragglers(seed)
         oracle, whole = pair(*way, hop_us=hop_us, **triggers)

@@ -1,4 +1,5 @@
-"""`async-tnt check`: it proves that the stream equals the batch reference, and notices when it does not."""
+"""`async-tnt check`: it proves that the stream equals the batch reference, and notices when it does
+not."""
 
 import json
 from dataclasses import replace
@@ -40,7 +41,9 @@ def test_a_start_behind_all_events_leaves_nothing_to_check(program):
 
 def test_it_says_no_when_a_landmark_is_wrong_by_a_millionth_of_a_pixel(monkeypatch, program):
     landmark = TNTVolume.landmark.fget
-    monkeypatch.setattr(TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-6))))
+    monkeypatch.setattr(
+        TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-6)))
+    )
     code, printed, message = program("check", sample_recordings()[1], "--prefixes", "1")
     assert code == 1 and "FAILS" in printed and "NOT equal" in printed and "landmark" in message
 
@@ -79,18 +82,24 @@ def opens_windows_a_microsecond_late(monkeypatch):
 
 def reads_volumes_that_are_too_large(monkeypatch):
     array = TNTVolume.array.fget
-    monkeypatch.setattr(TNTVolume, "array", property(lambda self: array(self) * np.float32(1 + 1e-5)))
+    monkeypatch.setattr(
+        TNTVolume, "array", property(lambda self: array(self) * np.float32(1 + 1e-5))
+    )
 
 
 def finds_other_landmarks(monkeypatch):
     landmark = TNTVolume.landmark.fget
-    monkeypatch.setattr(TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-8))))
+    monkeypatch.setattr(
+        TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-8)))
+    )
 
 
 def decides_otherwise_than_the_whole_network(monkeypatch):
     """By the last bit."""
     whole = CompiledClassifier.__call__
-    monkeypatch.setattr(CompiledClassifier, "__call__", lambda self, v: np.nextafter(whole(self, v), np.float32(9)))
+    monkeypatch.setattr(
+        CompiledClassifier, "__call__", lambda self, v: np.nextafter(whole(self, v), np.float32(9))
+    )
 
 
 def decides_otherwise_than_the_reference(monkeypatch):
@@ -121,29 +130,41 @@ def test_it_says_no_to_each_promise_that_is_broken_and_to_no_other(broken, monke
     events = random_events(150, duration_us=200_000, start_us=7)
 
     def what_fails():
-        return {one.what for one in check_recording(events, model, prefixes=3, start_us=0) if not one.holds}
+        return {
+            one.what
+            for one in check_recording(events, model, prefixes=3, start_us=0)
+            if not one.holds
+        }
 
     assert what_fails() == set()
     broken(monkeypatch)
     assert what_fails() == {BROKEN[broken]}
 
 
-@pytest.mark.parametrize("read", [lambda module, _: module, lambda *given: LayerNetwork(*layers_from_torch(*given))])
+@pytest.mark.parametrize(
+    "read", [lambda module, _: module, lambda *given: LayerNetwork(*layers_from_torch(*given))]
+)
 def test_a_landmark_network_of_any_layers_holds(read):
     """Batch norm among them, which takes the second of four axes for channels."""
     torch.manual_seed(0)
     config, batch_norm = TNTConfig(bins=3, landmark="regressor", t_max=2.0), nn.BatchNorm2d(6)
     batch_norm.running_mean.normal_()
-    finds = nn.Sequential(nn.Conv2d(3, 6, 3, padding=1), batch_norm, nn.ReLU(), nn.Conv2d(6, 1, 1), HeatmapCentroid())
+    finds = nn.Sequential(
+        nn.Conv2d(3, 6, 3, padding=1), batch_norm, nn.ReLU(), nn.Conv2d(6, 1, 1), HeatmapCentroid()
+    )
     decides = nn.Sequential(nn.Conv2d(3, 2, 3), nn.AdaptiveAvgPool2d(1))  # logits (2, 1, 1)
     decides, finds = (read(module.eval(), config.shape) for module in (decides, finds))
     model = Model.from_torch(decides, config, ["a", "b"], regressor=finds)
-    assert all(one.holds for one in check_recording(random_events(150, duration_us=90_000), model, prefixes=2))
+    assert all(
+        one.holds
+        for one in check_recording(random_events(150, duration_us=90_000), model, prefixes=2)
+    )
 
 
 @pytest.mark.parametrize("start_us", [None, 5_000])
 def test_windows_without_events_and_events_of_closed_ones_hold_too(start_us):
-    """Windows 0, 2 and 5 of 20 ms hold events, and among those of the last are some of the one before."""
+    """Windows 0, 2 and 5 of 20 ms hold events, and among those of the last are some of the one
+    before."""
     times = [np.linspace(20_000 * k, 20_000 * k + 19_000, 30).astype(int) for k in (0, 2, 5)]
     times[2][3:20:5] -= 60_000
     events = random_events(90, sensor=(20, 16))
@@ -155,11 +176,15 @@ def test_windows_without_events_and_events_of_closed_ones_hold_too(start_us):
 
 @pytest.mark.parametrize("window_us", [None, 20_000])
 def test_windows_of_events_hold_too(window_us):
-    config = TNTConfig(sensor=(20, 16), grid=(12, 8), bins=3, t_max=2.0, window_events=40, window_us=window_us)
+    config = TNTConfig(
+        sensor=(20, 16), grid=(12, 8), bins=3, t_max=2.0, window_events=40, window_us=window_us
+    )
     events = random_events(150, duration_us=100_000, sensor=(20, 16))
     events["t"][30:140:7] = events["t"][29:139:7] - 5_000
     for landmark in ("running", "regressor"):
-        comparisons = check_recording(events, random_model(config.replace(landmark=landmark)), prefixes=5)
+        comparisons = check_recording(
+            events, random_model(config.replace(landmark=landmark)), prefixes=5
+        )
         assert [c for c in comparisons if not c.holds] == []
 
 

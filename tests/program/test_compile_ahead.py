@@ -1,4 +1,5 @@
-"""When a stream opens, all that it calls has been compiled; a second process helps where it is asked for."""
+"""When a stream opens, all that it calls has been compiled; a second process helps where it is
+asked for."""
 
 import socket
 import subprocess
@@ -94,7 +95,8 @@ def test_nothing_is_compiled_after(case, pytestconfig):
 
 @pytest.fixture
 def cold(monkeypatch):
-    """As on a machine with two cores where nothing has been compiled yet; collects what is then compiled here."""
+    """As on a machine with two cores where nothing has been compiled yet; collects what is then
+    compiled here."""
     here: list[str] = []
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel, types: False)
     monkeypatch.setattr(compile_ahead, "can_be_cached", lambda kernel: True)
@@ -113,7 +115,9 @@ def test_a_second_process_compiles_the_network(cold, capsys, monkeypatch):
     children = []
     start = compile_ahead._start_child
     monkeypatch.setattr(
-        compile_ahead, "_start_child", lambda names: children.append((names, start(names))) or children[0][1]
+        compile_ahead,
+        "_start_child",
+        lambda names: children.append((names, start(names))) or children[0][1],
     )
     compile_ahead.fill_cache()
     [(names, child)] = children
@@ -134,12 +138,18 @@ def test_warmup_compiles_what_a_second_process_failed_to(cold, monkeypatch):
         ("run camera", ["camera: "]),
         ("run nowhere.bin gone.npy", ["nowhere.bin", "gone.npy"]),
         ("run udp://127.0.0.1:TAKEN", ["udp://127.0.0.1:TAKEN: Address already in use"]),
-        ("run udp://127.0.0.1:TAKEN camera nowhere.bin", ["udp://127.0.0.1:TAKEN: ", "camera: ", "nowhere.bin"]),
+        (
+            "run udp://127.0.0.1:TAKEN camera nowhere.bin",
+            ["udp://127.0.0.1:TAKEN: ", "camera: ", "nowhere.bin"],
+        ),
         ("view camera --out a.rrd", ["camera: "]),
         ("view nowhere.bin --out a.rrd", ["nowhere.bin"]),
         ("check nowhere.bin", ["nowhere.bin"]),
         ("record camera --class a --out new", ["camera: "]),
-        ("record udp://127.0.0.1:TAKEN --class a --out new --sensor 9x9", ["udp://127.0.0.1:TAKEN: Address already"]),
+        (
+            "record udp://127.0.0.1:TAKEN --class a --out new --sensor 9x9",
+            ["udp://127.0.0.1:TAKEN: Address already"],
+        ),
     ],
 )
 def test_a_source_that_is_not_there_is_told_before_anything_is_compiled(
@@ -154,10 +164,15 @@ def test_a_source_that_is_not_there_is_told_before_anything_is_compiled(
         code, out, err = program(*words.replace("TAKEN", port).split())
     lines = err.splitlines()
     assert (code, out, len(lines), cold) == (2, "", len(messages), [])
-    assert all(message.replace("TAKEN", port) in line for message, line in zip(messages, lines, strict=True))
+    assert all(
+        message.replace("TAKEN", port) in line
+        for message, line in zip(messages, lines, strict=True)
+    )
 
 
-def test_a_source_that_does_not_suit_is_told_before_the_network_is_compiled(program, cold, monkeypatch):
+def test_a_source_that_does_not_suit_is_told_before_the_network_is_compiled(
+    program, cold, monkeypatch
+):
     monkeypatch.setattr(compile_ahead, "_start_child", cold.append)
     code, _, err = program("run", "udp://127.0.0.1:0", "--roi", "0,0,34,34", "--crop")
     assert (code, err.count("\n"), cold) == (2, 1, []) and "does not say the camera's pixels" in err
@@ -167,4 +182,9 @@ def test_one_source_that_is_there_is_enough(program, cold, monkeypatch):
     monkeypatch.setattr(compile_ahead, "_start_child", lambda names: None)
     code, out, err = program("run", "nowhere.bin", sample_recordings()[3])
     first, second = err.splitlines()
-    assert code == 2 and "3.bin: 3 " in out and "compiling kernels" in first and "nowhere.bin" in second
+    assert (
+        code == 2
+        and "3.bin: 3 " in out
+        and "compiling kernels" in first
+        and "nowhere.bin" in second
+    )

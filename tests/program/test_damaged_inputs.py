@@ -1,4 +1,5 @@
-"""Whatever is damaged in a file from outside, the error has one line and names the file; what is read can be used."""
+"""Whatever is damaged in a file from outside, the error has one line and names the file; what is
+read can be used."""
 
 import functools
 import json
@@ -39,7 +40,8 @@ WORDS_OF_PYTHON = (
 
 @contextmanager
 def refused_in_one_line(path, count):
-    """Nothing but a ValueError or OSError of one line that names the file may come out; `count` gets each."""
+    """Nothing but a ValueError or OSError of one line that names the file may come out; `count`
+    gets each."""
     try:
         yield
     except (ValueError, OSError) as error:
@@ -60,7 +62,7 @@ def try_all(path, contents, read, use=lambda value: None):
     return errors
 
 
-# -- JSON itself --------------------------------------------------------------------------------------------------
+# -- JSON itself -----------------------------------------------------------------------------------
 
 
 def test_json_is_read_or_refused_in_our_words():
@@ -71,7 +73,10 @@ def test_json_is_read_or_refused_in_our_words():
         ("[" * (MAX_JSON_DEPTH + 1) + "]" * (MAX_JSON_DEPTH + 1), "nested more than 100 deep"),
         ('{"a":[' * 60 + "]}" * 60, "nested more than 100 deep"),
         (RAW["nested too deep"], "nested more than 100 deep"),
-        ('[{"a": ' + RAW["whole number of 5,000 digits"] + "}]", "a whole number of thousands of digits"),
+        (
+            '[{"a": ' + RAW["whole number of 5,000 digits"] + "}]",
+            "a whole number of thousands of digits",
+        ),
         ('{"a": {"b": 1, "c": 2, "b": 3}}', "it names 'b' twice in one object"),
         ("[1,]", "it is not JSON: "),
         (b'"\xff"', "it is not JSON: "),
@@ -82,20 +87,26 @@ def test_json_is_read_or_refused_in_our_words():
                 parse_json(form)
             assert "\n" not in str(caught.value) and "sys." not in str(caught.value)
     values = [None, True, -3, 0.5, "a\n", [[1], [2]] * 200, {"a": {"a": []}}]
-    assert parse_json(json.dumps(values)) == parse_json(json.dumps(values).encode("utf-16")) == values
+    assert (
+        parse_json(json.dumps(values)) == parse_json(json.dumps(values).encode("utf-16")) == values
+    )
 
 
-# -- results of an evaluation -------------------------------------------------------------------------------------
+# -- results of an evaluation ----------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory):
-    """Tasks, their records, and what fits the file: a few windows of samples, and one that could not be read."""
+    """Tasks, their records, and what fits the file: a few windows of samples, and one that could
+    not be read."""
     folder = tmp_path_factory.mktemp("results")
     model = load_model("digits")
     job = job_of("digits", model, PixelSelection())
     (folder / "empty.bin").write_bytes(b"12")
-    tasks = [task_of(f"{digit}.bin", path, job, str(digit)) for digit, path in list(sample_recordings().items())[:3]]
+    tasks = [
+        task_of(f"{digit}.bin", path, job, str(digit))
+        for digit, path in list(sample_recordings().items())[:3]
+    ]
     tasks.append(task_of("empty.bin", folder / "empty.bin", job, "3"))
     records = {task.recording: evaluate_recording(task) for task in tasks}
     assert [name for name, record in records.items() if record["error"]] == ["empty.bin"]
@@ -141,29 +152,51 @@ def test_a_record_that_a_model_cannot_have_made_is_named(evaluation):
     for name, value, message in (
         ("label", "cat", "`label` must be one of the model's classes, got 'cat'"),
         ("probabilities", [0.5] * 9, "`probabilities` must hold 10 numbers"),
-        ("probabilities", [2.0] * 10, r"`probabilities` must be numbers of type float in \[0, 1\], got 2.0"),
+        (
+            "probabilities",
+            [2.0] * 10,
+            r"`probabilities` must be numbers of type float in \[0, 1\], got 2.0",
+        ),
         ("window_start_us", [], r"`window_start_us` must be a list of one time or more, got \[\]"),
-        ("window_start_us", [0.5] * n, r"`window_start_us` must be numbers of type int in .*, got 0.5"),
-        ("window_probabilities", [[0.1] * 10] * (n + 1), f"`window_probabilities` must hold {n} x 10 numbers"),
-        ("decided_at", [[10] * 10] * n, r"`decided_at` must be numbers of type int in \[-1, 9\], got 10"),
+        (
+            "window_start_us",
+            [0.5] * n,
+            r"`window_start_us` must be numbers of type int in .*, got 0.5",
+        ),
+        (
+            "window_probabilities",
+            [[0.1] * 10] * (n + 1),
+            f"`window_probabilities` must hold {n} x 10 numbers",
+        ),
+        (
+            "decided_at",
+            [[10] * 10] * n,
+            r"`decided_at` must be numbers of type int in \[-1, 9\], got 10",
+        ),
         ("confident", [[0] * 6] * n, f"`confident` must hold {n} x 7 numbers"),
         ("events", True, "`events` must be numbers of type int in .*, got True"),
         ("late", -1, "`late` must be numbers of type int in .*, got -1"),
     ):
         out.unlink(missing_ok=True)
-        collect(lambda task: records[task.recording], tasks, functools.partial(run_all, workers=1), out)
+        collect(
+            lambda task: records[task.recording], tasks, functools.partial(run_all, workers=1), out
+        )
         lines = [json.loads(line) for line in out.read_bytes().splitlines()]
         lines[0][name] = value
         content = "".join(json.dumps(line) + "\n" for line in lines)
         out.write_text(content)
         with pytest.raises(ValueError, match=f"{out} is damaged: the record of '0.bin': {message}"):
             collect(
-                lambda task: records[task.recording], tasks, functools.partial(run_all, workers=1), out, check=check
+                lambda task: records[task.recording],
+                tasks,
+                functools.partial(run_all, workers=1),
+                out,
+                check=check,
             )
         assert out.read_text() == content  # it may be worth more to its owner than to us
 
 
-# -- models -------------------------------------------------------------------------------------------------------
+# -- models ----------------------------------------------------------------------------------------
 
 
 def use_model(model):
@@ -179,7 +212,12 @@ def test_damaged_models(tmp_path):
     content = small_model().save(path).read_bytes()
     assert len(try_all(path, damaged_bytes(content, 100, seed=2), load_model, use_model)) > 95
     record = {"data": "a", "accuracy": {"0": 0.5, "1": [1, None]}}
-    parts = {"config": SMALL.to_dict(), "classes": list("abc"), "record": record, "network": small_model().network}
+    parts = {
+        "config": SMALL.to_dict(),
+        "classes": list("abc"),
+        "record": record,
+        "network": small_model().network,
+    }
     for k, (name, value) in enumerate(parts.items()):
 
         def written(text, name=name):
@@ -190,7 +228,8 @@ def test_damaged_models(tmp_path):
         assert try_all(path, texts, load_model, use_model)
         path.write_bytes(written(RAW["nested too deep"]))
         with pytest.raises(
-            ValueError, match=f"{path} holds a damaged model: `{name}` in its metadata cannot be read: its"
+            ValueError,
+            match=f"{path} holds a damaged model: `{name}` in its metadata cannot be read: its",
         ):
             load_model(path)
 
@@ -238,7 +277,8 @@ def test_damaged_configurations_of_other_programs_networks(tmp_path):
         try:
             return choose_engine(tmp_path / "n.onnx", config=path)
         except ValueError as error:
-            if str(tmp_path / "n.onnx") in str(error):  # a configuration that the network does not fit
+            # a configuration that the network does not fit
+            if str(tmp_path / "n.onnx") in str(error):
                 raise ValueError(f"{path}: {error}") from None
             raise
 
@@ -248,14 +288,18 @@ def test_damaged_configurations_of_other_programs_networks(tmp_path):
     assert try_all(path, damaged_json(value, 150, seed=5), read)
 
 
-# -- tables, masks ------------------------------------------------------------------------------------------------
+# -- tables, masks ---------------------------------------------------------------------------------
 
 
 BOX = [("t", "<i8"), ("x", "<f4"), ("y", "<f4"), ("w", "<f4"), ("h", "<f4"), ("class_id", "<u4")]
 
 
 def test_damaged_tables_of_objects(tmp_path):
-    names, boxes, points = tmp_path / "label_map_dictionary.json", tmp_path / "a_bbox.npy", tmp_path / "a_objects.csv"
+    names, boxes, points = (
+        tmp_path / "label_map_dictionary.json",
+        tmp_path / "a_bbox.npy",
+        tmp_path / "a_objects.csv",
+    )
     read = functools.partial(read_table, classes=("on", "off"))
 
     def use(table):
@@ -292,7 +336,9 @@ def test_damaged_tables_of_objects(tmp_path):
     for text in damaged_json(value, 150, seed=7):
         names.write_text(text)
         found = []
-        with refused_in_one_line(boxes if "no object of the model" in _error_of(read, boxes) else names, found):
+        with refused_in_one_line(
+            boxes if "no object of the model" in _error_of(read, boxes) else names, found
+        ):
             use(read(boxes))
     names.unlink()
     text = "t,class,x,y,w,h\n5,on,1,2,3,4\n9,off,2,2,3,4.5\n"
@@ -331,7 +377,9 @@ def test_damaged_tables_of_labels(tmp_path):
     text = "class,start,end\nwave,5,9\nclap,10,20\n"
 
     def use(found):
-        assert all(0 <= one.between_us[0] < one.between_us[1] for some in found.values() for one in some)
+        assert all(
+            0 <= one.between_us[0] < one.between_us[1] for some in found.values() for one in some
+        )
 
     def read(_):
         try:
@@ -346,7 +394,14 @@ def test_damaged_tables_of_labels(tmp_path):
     assert try_all(path, damaged_bytes(text.encode(), 200, seed=9), read, use)
     for number in ("9" * 5_000, "9" * 25, "1e9", "0x9", "-5"):
         assert (
-            len(try_all(path, [f"class,start,end\nwave,{number},9\n", f"class,start,end\nwave,{number}"], read, use))
+            len(
+                try_all(
+                    path,
+                    [f"class,start,end\nwave,{number},9\n", f"class,start,end\nwave,{number}"],
+                    read,
+                    use,
+                )
+            )
             == 2
         )
 
@@ -354,5 +409,7 @@ def test_damaged_tables_of_labels(tmp_path):
 def test_damaged_masks(tmp_path):
     path = tmp_path / "m.npy"
     save_mask(path, np.eye(6, 9, dtype=bool))
-    errors = try_all(path, damaged_bytes(path.read_bytes(), 300, seed=10), load_mask, lambda mask: mask.sum())
+    errors = try_all(
+        path, damaged_bytes(path.read_bytes(), 300, seed=10), load_mask, lambda mask: mask.sum()
+    )
     assert len(errors) > 50

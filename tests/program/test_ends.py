@@ -1,4 +1,5 @@
-"""How the program ends: at a signal, in one line with 128 and its number, and where its output cannot be written."""
+"""How the program ends: at a signal, in one line with 128 and its number, and where its output
+cannot be written."""
 
 import contextlib
 import os
@@ -16,7 +17,9 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 SAMPLE = str(sample_recordings()[3])
 PROGRAM = ("-m", "async_tnt")
-has_full = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+has_full = pytest.mark.skipif(
+    not os.path.exists("/dev/full"), reason="no device that is always full"
+)
 
 # Python runs it first of all where it is on PYTHONPATH.
 SITECUSTOMIZE = """
@@ -34,7 +37,8 @@ sys.meta_path.insert(0, Finder())
 
 
 def interrupted(folder, *words, point, number, ignored=None):
-    """Exit code and output of the program, which gets a signal when it begins to import a module."""
+    """Exit code and output of the program, which gets a signal when it begins to import a
+    module."""
     (folder / "sitecustomize.py").write_text(SITECUSTOMIZE)
     env = os.environ | {"POINT": point, "NUMBER": str(int(number))}
     env["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
@@ -46,7 +50,10 @@ def interrupted(folder, *words, point, number, ignored=None):
 
 @pytest.mark.parametrize(
     ("point", "number", "line"),
-    [("async_tnt.cli.program", signal.SIGINT, "interrupted"), ("numpy.linalg", signal.SIGHUP, "terminated")],
+    [
+        ("async_tnt.cli.program", signal.SIGINT, "interrupted"),
+        ("numpy.linalg", signal.SIGHUP, "terminated"),
+    ],
 )
 def test_a_signal_while_the_program_starts(point, number, line, tmp_path):
     done = interrupted(tmp_path, "run", SAMPLE, point=point, number=number)
@@ -77,7 +84,12 @@ NONE_DONE = "interrupted: 0 of 2 recordings are done; nothing is kept without --
     ("patch", "number", "words", "line"),
     [
         (WHILE_KERNELS_COME_FROM_THE_CACHE, signal.SIGINT, ["run", SAMPLE], "interrupted"),
-        (WHILE_WORKERS_START, signal.SIGTERM, ["evaluate", "digits", "set", "--workers", "2"], NONE_DONE),
+        (
+            WHILE_WORKERS_START,
+            signal.SIGTERM,
+            ["evaluate", "digits", "set", "--workers", "2"],
+            NONE_DONE,
+        ),
     ],
 )
 def test_a_signal_at_a_delicate_moment(patch, number, words, line, tmp_path):
@@ -100,7 +112,8 @@ def test_an_ignored_signal_stays_ignored(tmp_path):
 def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts():
     port, events = free_port(), open_recording(sample_recordings()[7]).read()
     with started(*PROGRAM, "run", f"udp://127.0.0.1:{port}") as process:
-        while "listening" not in (line := process.stderr.readline()):  # a cold cache says that it compiles
+        # a cold cache says that it compiles
+        while "listening" not in (line := process.stderr.readline()):
             assert line
         send_in_parts(port, events)
         assert process.stdout.readline()  # a decision
@@ -120,13 +133,18 @@ def test_a_command_that_a_signal_ends_says_which(received, program, monkeypatch)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run, "main", interrupt)
-    expected = (143, "", "async-tnt: terminated\n") if received else (130, "", "async-tnt: interrupted\n")
+    expected = (
+        (143, "", "async-tnt: terminated\n") if received else (130, "", "async-tnt: interrupted\n")
+    )
     assert program("run") == expected
 
 
 @pytest.mark.parametrize(("returned", "line"), [(0, "terminated"), (2, "")])
-def test_a_signal_that_a_command_did_not_notice_is_its_exit_code(returned, line, program, monkeypatch):
-    """As in a `__del__` while it writes its last file: the KeyboardInterrupt is dropped, and the command goes on."""
+def test_a_signal_that_a_command_did_not_notice_is_its_exit_code(
+    returned, line, program, monkeypatch
+):
+    """As in a `__del__` while it writes its last file: the KeyboardInterrupt is dropped, and the
+    command goes on."""
     from async_tnt.cli import run
 
     def go_on(args):
@@ -149,16 +167,24 @@ def test_output_in_another_encoding_has_bars_of_it_and_escapes_names(encoding, t
     name = "\N{GREEK SMALL LETTER OMEGA}.bin"
     (tmp_path / name).symlink_to(SAMPLE)
     env = os.environ | {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "1"}
-    done = subprocess.run([sys.executable, *PROGRAM, "info", name], env=env, cwd=tmp_path, capture_output=True)
+    done = subprocess.run(
+        [sys.executable, *PROGRAM, "info", name], env=env, cwd=tmp_path, capture_output=True
+    )
     first, *lines = done.stdout.decode(encoding).splitlines()
-    (bars,) = (line.removeprefix("  rate       ").partition(" up to ")[0] for line in lines if "  rate  " in line)
+    (bars,) = (
+        line.removeprefix("  rate       ").partition(" up to ")[0]
+        for line in lines
+        if "  rate  " in line
+    )
     assert done.returncode == 0 and len(bars) > 40 and "\\" not in bars
     assert first.startswith(name if encoding == "utf-8" else r"\u03c9.bin")
     assert max(bars) == ("\N{FULL BLOCK}" if encoding == "utf-8" else "@")
 
 
 @pytest.mark.parametrize(("later_s", "cleaned_up"), [(0.0, True), (0.9, True), (5.0, False)])
-def test_a_second_signal_at_once_does_not_end_the_cleaning_up(later_s, cleaned_up, program, monkeypatch):
+def test_a_second_signal_at_once_does_not_end_the_cleaning_up(
+    later_s, cleaned_up, program, monkeypatch
+):
     """Closing a terminal sends two; somebody who presses Ctrl-C again later means it."""
     from async_tnt.cli import program as module
     from async_tnt.cli import run
@@ -191,4 +217,8 @@ def test_without_a_stderr_the_exit_code_is_the_same(stderr):
     """Where the program would report on stderr what was dropped."""
     command = f'"{sys.executable}" -m async_tnt run --start-us 200000 --json {SAMPLE} {stderr}'
     done = subprocess.run(command, shell=True, stdout=subprocess.PIPE, text=True)
-    assert done.returncode == 0 and done.stdout and all(line.startswith("{") for line in done.stdout.splitlines())
+    assert (
+        done.returncode == 0
+        and done.stdout
+        and all(line.startswith("{") for line in done.stdout.splitlines())
+    )

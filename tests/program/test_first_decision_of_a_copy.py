@@ -1,4 +1,5 @@
-"""A Processor that comes from a pickle, in a new process, has compiled what it calls before its first event."""
+"""A Processor that comes from a pickle, in a new process, has compiled what it calls before its
+first event."""
 
 import pickle
 
@@ -34,7 +35,9 @@ MADE = {
     "every_us": lambda: Processor(random_model(CONFIG), every_us=300, late="drop"),
     "every_events": lambda: Processor(random_model(CONFIG), every_events=5),
     "regressor": lambda: Processor(random_regressor_model(CONFIG.replace(landmark="regressor"))),
-    "landmark window": lambda: Processor(CONFIG.replace(landmark="window"), classifier=total_and_size, late="drop"),
+    "landmark window": lambda: Processor(
+        CONFIG.replace(landmark="window"), classifier=total_and_size, late="drop"
+    ),
 }
 
 

@@ -42,16 +42,24 @@ def test_import_brings_only_what_is_used():
     heavy |= {"argparse", "typing", "signal", "asyncio", "concurrent.futures"}
 
     def brought(code):
-        printed = python(f"import sys; before = set(sys.modules); {code}; print(*set(sys.modules) - before)")
+        printed = python(
+            f"import sys; before = set(sys.modules); {code}; print(*set(sys.modules) - before)"
+        )
         return heavy & set(printed.split())
 
     assert not brought("import async_tnt, async_tnt.cli; async_tnt.__version__")
     assert "numba" not in brought("import async_tnt; async_tnt.TNTConfig()")
     engine = {"typing", "signal"} | brought("import numpy, numba")
-    used = brought("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files")
+    used = brought(
+        "import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files"
+    )
     assert "numba" in used <= engine
     assert brought("import async_tnt.cli.run") <= engine | {"argparse"}
-    assert not brought("import async_tnt.networks, async_tnt.cli.export") & {"torch", "onnx", "onnxruntime"}
+    assert not brought("import async_tnt.networks, async_tnt.cli.export") & {
+        "torch",
+        "onnx",
+        "onnxruntime",
+    }
 
 
 def test_public_names_are_there_in_every_way():
@@ -64,7 +72,11 @@ def test_public_names_are_there_in_every_way():
     for name in async_tnt.__all__:
         value = getattr(async_tnt, name)
         assert starred[name] is value and name in dir(async_tnt)
-        assert value is async_tnt.sources.files or value is async_tnt.EVENT_DTYPE or value.__name__ == name
+        assert (
+            value is async_tnt.sources.files
+            or value is async_tnt.EVENT_DTYPE
+            or value.__name__ == name
+        )
         if isinstance(value, type) or inspect.isfunction(value):
             assert pickle.loads(pickle.dumps(value)) is value
     helped = pydoc.plain(pydoc.render_doc(async_tnt))
@@ -78,13 +90,18 @@ def test_public_names_are_there_in_every_way():
 
 @pytest.mark.parametrize("package", [async_tnt, async_tnt.sources, async_tnt.training])
 def test_type_checkers_see_the_same_names(package):
-    """In `__all__`, a literal, and in the imports for type checkers, as in the table of lazy names."""
+    """In `__all__`, a literal, and in the imports for type checkers, as in the table of lazy
+    names."""
     nodes = list(ast.walk(ast.parse(Path(package.__file__).read_text())))
     imports = [n for n in nodes if isinstance(n, ast.ImportFrom)]
     own = {"lazy_names", "__version__"}
     seen = {alias.name: n.module for n in imports for alias in n.names if alias.name not in own}
     (table,) = (ast.literal_eval(n) for n in nodes if isinstance(n, ast.Dict))
-    lazy = {name: f"{package.__name__}.{module}" for module, names in table.items() for name in names.split()}
+    lazy = {
+        name: f"{package.__name__}.{module}"
+        for module, names in table.items()
+        for name in names.split()
+    }
     assigned = {ast.unparse(n.targets[0]): n.value for n in nodes if isinstance(n, ast.Assign)}
     assert seen == lazy and sorted(seen) == sorted(ast.literal_eval(assigned["__all__"]))
     for name, module in seen.items():
@@ -92,14 +109,18 @@ def test_type_checkers_see_the_same_names(package):
 
 
 def test_works_where_nothing_can_be_cached(tmp_path):
-    """Numba refuses cache=True where neither the package nor the user's cache folder can be written."""
+    """Numba refuses cache=True where neither the package nor the user's cache folder can be
+    written."""
     (tmp_path / "file").write_text("so that no folder can be made here")
     code = f"from async_tnt.kernels import entry_points\n{STORE_ONE}"
-    assert python(code, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}) == "1"
+    assert (
+        python(code, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}) == "1"
+    )
 
 
 def test_without_numbas_compiler_commands_and_imports_say_so_in_one_line():
-    """Kernels do what plain Python cannot: they read records at any address, and release its lock."""
+    """Kernels do what plain Python cannot: they read records at any address, and release its
+    lock."""
     code = (
         "import async_tnt\n"
         "from async_tnt.cli import main\n"
@@ -119,7 +140,8 @@ def test_processors_may_be_made_in_several_threads_at_once():
     code = (
         "import threading, async_tnt; failed = []\n"
         "def make():\n"
-        "    try: async_tnt.Processor(async_tnt.TNTConfig(), classifier=len).push(([1], [1], [1], [1]))\n"
+        "    try: async_tnt.Processor(async_tnt.TNTConfig(), classifier=len).push(([1], [1], [1], "
+        "[1]))\n"
         "    except Exception as error: failed.append(error)\n"
         "threads = [threading.Thread(target=make) for _ in range(8)]\n"
         "[t.start() for t in threads]; [t.join() for t in threads]; print(failed)"
@@ -130,7 +152,11 @@ def test_processors_may_be_made_in_several_threads_at_once():
 def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):
     """By itself Numba would serve the old machine code: it looks only at the kernel's own file."""
     package = tmp_path / "async_tnt"
-    shutil.copytree(Path(async_tnt.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__", "assets"))
+    shutil.copytree(
+        Path(async_tnt.__file__).parent,
+        package,
+        ignore=shutil.ignore_patterns("__pycache__", "assets"),
+    )
     env = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
     assert python(STORE_ONE, env=env, cwd=tmp_path) == "1"

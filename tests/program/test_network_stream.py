@@ -17,7 +17,9 @@ from async_tnt.sources.keep_up import KeepUp
 EVENTS = open_recording(sample_recordings()[7]).read()
 
 
-@pytest.mark.parametrize("options", ["--confidence 0.9", "--keep-up 60000 --roi 60,0,34,34 --crop --sensor 100x40"])
+@pytest.mark.parametrize(
+    "options", ["--confidence 0.9", "--keep-up 60000 --roi 60,0,34,34 --crop --sensor 100x40"]
+)
 def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, program):
     events = EVENTS.copy()
     events["x"] += 60 if "--roi" in options else 0
@@ -31,9 +33,14 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     assert code == 0 and [(d["trigger"], d["time_us"], d["label"], d["events"]) for d in got] == [
         (d.trigger, d.time_us, d.label, d.events) for d in expected
     ]
-    assert f"listening at udp://127.0.0.1:{port}" in err and f"{len(EVENTS):,} events (0 malformed" in err
+    assert (
+        f"listening at udp://127.0.0.1:{port}" in err
+        and f"{len(EVENTS):,} events (0 malformed" in err
+    )
     n_decided = processor.counts.dropped_decided
-    assert f", {n_decided:,} after it was decided" in err and (n_decided > 1000) == ("--confidence" in options)
+    assert f", {n_decided:,} after it was decided" in err and (n_decided > 1000) == (
+        "--confidence" in options
+    )
     assert ("0 skipped to stay fresh" in err) == ("--keep-up" in options)
     assert ("left out: 0 outside of the region" in err) == ("--roi" in options)
     assert all(("--keep-up" not in options) or d["n_skipped"] == 0 for d in got)
@@ -55,8 +62,11 @@ def test_a_port_that_the_system_chooses_is_told(command, address, program, tmp_p
 
 
 @pytest.mark.parametrize(("keep_up_ms", "n_skipped"), [(31, 0), (29, 800)])
-def test_packets_older_than_keep_up_milliseconds_are_skipped(keep_up_ms, n_skipped, program, monkeypatch):
-    """All but the newest: three packets wait for 30 ms, of a simulated time, before the first is read."""
+def test_packets_older_than_keep_up_milliseconds_are_skipped(
+    keep_up_ms, n_skipped, program, monkeypatch
+):
+    """All but the newest: three packets wait for 30 ms, of a simulated time, before the first is
+    read."""
     now_us, have_waited = [1_000_000], threading.Event()
     clock = SimpleNamespace(monotonic_ns=lambda: 1_000 * now_us[0])
     for module in ("queue", "keep_up"):

@@ -1,4 +1,5 @@
-"""What is there already: files are replaced and keep their permissions, everything else stays as it is."""
+"""What is there already: files are replaced and keep their permissions, everything else stays as it
+is."""
 
 import os
 import stat
@@ -63,13 +64,18 @@ COMMANDS = {  # nothing that they would read is there: to name it in an error, w
 
 
 def obstacles(path):
-    """Put what must not be replaced at `path`, one after the other; gives what must be as it was, None at the end."""
+    """Put what must not be replaced at `path`, one after the other; gives what must be as it was,
+    None at the end."""
     path.mkdir()
     yield path
     path.rmdir()
     for place in (path, path.with_name(f"{path.name}.part")):
         target = path.name if place == path else "precious"
-        for make in (os.mkfifo, lambda place, to=target: place.symlink_to(to), lambda place: place.symlink_to("/dev")):
+        for make in (
+            os.mkfifo,
+            lambda place, to=target: place.symlink_to(to),
+            lambda place: place.symlink_to("/dev"),
+        ):
             make(place)
             yield place
             place.unlink()
@@ -108,7 +114,11 @@ def test_a_link_stays_and_its_file_is_replaced_with_its_permissions(name, folder
     if name != "results.jsonl":  # which goes on with what is there
         real.write_text("before")
     WRITERS[name](link)
-    assert link.is_symlink() and real.read_bytes() != b"before" and stat.S_IMODE(real.stat().st_mode) == 0o640
+    assert (
+        link.is_symlink()
+        and real.read_bytes() != b"before"
+        and stat.S_IMODE(real.stat().st_mode) == 0o640
+    )
     assert os.listdir(real.parent) == [real.name]
 
 
@@ -131,7 +141,9 @@ def test_a_command_refuses_its_output_before_any_work(name, folder, capsys):
         before = identity(obstacle)
         assert main([str(path) if word == "OUT" else word for word in COMMANDS[name]]) == 2
         captured = capsys.readouterr()
-        assert captured.err.count("\n") == 1 and name in captured.err and "nowhere" not in captured.err
+        assert (
+            captured.err.count("\n") == 1 and name in captured.err and "nowhere" not in captured.err
+        )
         assert captured.out == "" and identity(obstacle) == before
     assert [path.name for path in folder.rglob("*") if path.is_file()] == ["precious"]
 
@@ -162,7 +174,10 @@ def test_a_locked_folder_is_held_once_and_stays_only_with_files_in_it(folder):
     for name in ("empty", "kept"):
         held = folder / "runs" / name
         with locked_folder(held, "lock"):
-            with pytest.raises(BlockingIOError, match=f"{name}: another program is at"), locked_folder(held, "lock"):
+            with (
+                pytest.raises(BlockingIOError, match=f"{name}: another program is at"),
+                locked_folder(held, "lock"),
+            ):
                 pytest.fail("held twice")
             if name == "kept":
                 (held / "file").touch()

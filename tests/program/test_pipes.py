@@ -1,4 +1,5 @@
-"""What is no regular file is refused wherever a file is read: a pipe without a writer would be waited for forever."""
+"""What is no regular file is refused wherever a file is read: a pipe without a writer would be
+waited for forever."""
 
 import os
 import threading
@@ -86,4 +87,8 @@ def test_training_leaves_a_link_to_a_pipe_out(pipe, tmp_path):
     found = find_pictures(folder.parent)
     good, left_out = check_pictures(found, ["disc"], np.zeros(0, np.int64))
     assert [picture.path.name for picture in good] == ["a.pgm"]
-    assert len(left_out) == 1 and left_out[0].startswith("disc/b.pgm: ") and "a pipe or a device" in left_out[0]
+    assert (
+        len(left_out) == 1
+        and left_out[0].startswith("disc/b.pgm: ")
+        and "a pipe or a device" in left_out[0]
+    )

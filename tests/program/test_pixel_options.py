@@ -1,4 +1,5 @@
-"""--roi, --crop, --mask and --sensor of run, evaluate and view: events are left out before anything else."""
+"""--roi, --crop, --mask and --sensor of run, evaluate and view: events are left out before anything
+else."""
 
 import json
 
@@ -68,26 +69,40 @@ def result_of(command, folder, tmp_path, program, *options):
     if command == "evaluate":
         return {name: value for name, value in json.loads(printed).items() if name != "pixels"}
     own = {"recording", "latency_us"}
-    return [{k: v for k, v in json.loads(line).items() if k not in own} for line in printed.splitlines()]
+    return [
+        {k: v for k, v in json.loads(line).items() if k not in own} for line in printed.splitlines()
+    ]
 
 
 @pytest.mark.parametrize("command", ["run", "evaluate"])
 @pytest.mark.parametrize(("name", "region"), [("hot", ()), ("large", REGION)])
-def test_what_is_left_out_is_as_if_it_had_never_been_recorded(command, name, region, sets, tmp_path, program):
+def test_what_is_left_out_is_as_if_it_had_never_been_recorded(
+    command, name, region, sets, tmp_path, program
+):
     clean = result_of(command, sets / "clean", tmp_path, program)
-    found = result_of(command, sets / name, tmp_path, program, *region, "--mask", sets / f"{name}.npy")
+    found = result_of(
+        command, sets / name, tmp_path, program, *region, "--mask", sets / f"{name}.npy"
+    )
     assert found == clean
     disturbed = result_of(command, sets / name, tmp_path, program, *region)
-    assert disturbed != clean and (command != "evaluate" or disturbed["accuracy"] < clean["accuracy"])
+    assert disturbed != clean and (
+        command != "evaluate" or disturbed["accuracy"] < clean["accuracy"]
+    )
 
 
 def test_counts_and_report_say_what_was_left_out(sets, program):
-    message = program("run", sets / "large" / "3" / "a.npz", *REGION, "--mask", sets / "large.npy")[2]
+    message = program("run", sets / "large" / "3" / "a.npz", *REGION, "--mask", sets / "large.npy")[
+        2
+    ]
     n = 9000 + hot_mask(SIZE)[EVENTS["y"], EVENTS["x"]].sum()
     assert message == f"async-tnt: left out: 0 outside of the region, {n:,} of masked pixels\n"
     words = "evaluate", "digits", sets / "large", "--json", *REGION, "--mask", sets / "large.npy"
     mask = f"100x80 {PackedMask.of(hot_mask(CAMERA, CORNER)).sha256[:16]}"
-    assert json.loads(program(*words)[1])["pixels"] == {"roi": "40,20,34,34", "crop": True, "mask": mask}
+    assert json.loads(program(*words)[1])["pixels"] == {
+        "roi": "40,20,34,34",
+        "crop": True,
+        "mask": mask,
+    }
 
 
 @pytest.mark.parametrize("command", ["run", "evaluate", "view"])
@@ -105,6 +120,10 @@ def test_a_map_model_reads_a_camera_of_any_size_that_is_known(sets, tmp_path, pr
     large, small = (sets / name / "3" / "a.npz" for name in ("large", "hot"))
     words = "run", "--model", "digits-everywhere", "--json"
     code, _, message = program(*words, small, large)
-    assert code == 2 and "a sensor of 100x80 pixels, but the model is for 34x34; give --sensor 100x80\n" in message
+    assert (
+        code == 2
+        and "a sensor of 100x80 pixels, but the model is for 34x34; give --sensor 100x80\n"
+        in message
+    )
     np.save(tmp_path / "a.npy", open_recording(large).read())
     assert program(*words, tmp_path / "a.npy", "--mask", sets / "large.npy")[0] == 0

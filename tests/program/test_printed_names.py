@@ -1,4 +1,5 @@
-"""Names of classes and files are data: whatever they contain, a command prints them on one line, without escapes."""
+"""Names of classes and files are data: whatever they contain, a command prints them on one line,
+without escapes."""
 
 import ast
 import os
@@ -13,7 +14,8 @@ from async_tnt import TNTConfig
 from async_tnt import cli as package
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="names that only POSIX allows")
-RED, SHOWN = "\x1b[31mred\nnext", r"[31mred\nnext"  # after the escape, which JSON writes in another way
+# after the escape, which JSON writes in another way
+RED, SHOWN = "\x1b[31mred\nnext", r"[31mred\nnext"
 
 
 @pytest.fixture
@@ -21,10 +23,14 @@ def folder(tmp_path, monkeypatch):
     """A model and recordings with this name for a class, one of them damaged."""
     monkeypatch.chdir(tmp_path)
     config = TNTConfig(sensor=(40, 40), window_us=50_000)
-    replace(random_model(config, classes=2, widths=(2, 2, 4)), classes=(RED, "b")).save(f"{RED}.safetensors")
+    replace(random_model(config, classes=2, widths=(2, 2, 4)), classes=(RED, "b")).save(
+        f"{RED}.safetensors"
+    )
     for name, kind in ((RED, "flat"), ("b", "upright")):
         for k in range(3):
-            write(Path("set", name, f"{name}{k}.npz"), bar(kind, k, side=40, n=300), sensor=(40, 40))
+            write(
+                Path("set", name, f"{name}{k}.npz"), bar(kind, k, side=40, n=300), sensor=(40, 40)
+            )
     Path("set", RED, f"{RED}.npz").write_bytes(b"damaged")
     write(Path(f"{RED}.npz"), bar("flat", 9, side=40), sensor=(40, 40))
     return tmp_path
@@ -47,12 +53,18 @@ def test_no_command_prints_a_name_as_it_is(command, folder, program):
         pytest.skip(err)
     assert code == 0, err
     assert SHOWN in out + err
-    assert [line for line in (out + err).splitlines() if not line.isprintable() or line.startswith("next")] == []
+    assert [
+        line
+        for line in (out + err).splitlines()
+        if not line.isprintable() or line.startswith("next")
+    ] == []
 
 
 def test_commands_print_by_one_function():
     """The law that the test above samples."""
     for path in Path(package.__file__).parent.glob("*.py"):
         calls = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call)]
-        printing = [n.lineno for n in calls if isinstance(n.func, ast.Name) and n.func.id == "print"]
+        printing = [
+            n.lineno for n in calls if isinstance(n.func, ast.Name) and n.func.id == "print"
+        ]
         assert not printing or path.name == "output.py", f"{path.name}: {printing}"

@@ -34,7 +34,10 @@ def clock(monkeypatch):
 def test_nothing_is_left_on_the_line_after_an_error(clock, monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
-    with pytest.raises(KeyboardInterrupt), progress(3, "a long title that a shorter one replaces") as bar:
+    with (
+        pytest.raises(KeyboardInterrupt),
+        progress(3, "a long title that a shorter one replaces") as bar,
+    ):
         for clock.seconds, title in ((5.0, None), (6.0, "short")):
             bar.update(title=title)
         assert screen(terminal.getvalue()).startswith("short  67 %")

@@ -1,4 +1,5 @@
-"""--columns, --topic, --between-us and --strict: of every command that reads recordings, with the same meaning."""
+"""--columns, --topic, --between-us and --strict: of every command that reads recordings, with the
+same meaning."""
 
 import json
 
@@ -40,11 +41,25 @@ def words_for(command, path, tmp_path):
 def answer(program, command, path, tmp_path, *options):
     """Exit code, stderr, and what the command found, without names and times."""
     code, out, err = program(*words_for(command, path, tmp_path), *options)
-    lines = [json.loads(line) for line in out.splitlines()] if "--json" in words_for(command, path, tmp_path) else []
+    lines = (
+        [json.loads(line) for line in out.splitlines()]
+        if "--json" in words_for(command, path, tmp_path)
+        else []
+    )
     for line in lines:
-        for name in ("recording", "format", "bytes", "sensor_stated", "latency_us", "topics", "out"):
+        for name in (
+            "recording",
+            "format",
+            "bytes",
+            "sensor_stated",
+            "latency_us",
+            "topics",
+            "out",
+        ):
             line.pop(name, None)
-        line["recordings"] = list(line["recordings"].values()) if command == "check" else line.get("recordings")
+        line["recordings"] = (
+            list(line["recordings"].values()) if command == "check" else line.get("recordings")
+        )
     if command == "plot" and code == 0:
         return code, err, pixels_below_the_title(tmp_path / "a.png")
     return code, err, lines or out
@@ -75,7 +90,9 @@ def two_topics(tmp_path):
 
 
 @pytest.mark.parametrize("command", [*SINGLE, "evaluate"])
-def test_the_topic_of_a_bag_is_chosen_and_several_are_listed(program, tmp_path, two_topics, command):
+def test_the_topic_of_a_bag_is_chosen_and_several_are_listed(
+    program, tmp_path, two_topics, command
+):
     code, err, _ = answer(program, command, two_topics, tmp_path)
     assert code == 2 and "several topics have events, choose one by --topic: /left, /right" in err
     expected = answer(program, command, saved(tmp_path / "all" / "3" / "a.npz", EVENTS), tmp_path)
@@ -93,7 +110,9 @@ def test_the_order_of_columns_is_stated(program, tmp_path, command):
     expected = answer(program, command, saved(tmp_path / "all" / "3" / "a.npz", EVENTS), tmp_path)
     assert answer(program, command, path, tmp_path, "--columns", "xypt") == expected
     code, err, _ = answer(program, command, path, tmp_path, "--columns", "xyz")
-    assert code == 2 and "--columns must have the letters t, x, y and p, each once, got 'xyz'" in err
+    assert (
+        code == 2 and "--columns must have the letters t, x, y and p, each once, got 'xyz'" in err
+    )
 
 
 @pytest.mark.parametrize("command", SINGLE)
@@ -126,7 +145,9 @@ def test_a_damaged_recording_is_read_up_to_the_damage_or_refused(program, tmp_pa
 
 @pytest.mark.parametrize("command", ["run", "view"])
 @pytest.mark.parametrize(
-    "option", [("--columns", "xypt"), ("--topic", "/a"), ("--between-us", "0,5"), ("--strict",)], ids="".join
+    "option",
+    [("--columns", "xypt"), ("--topic", "/a"), ("--between-us", "0,5"), ("--strict",)],
+    ids="".join,
 )
 def test_a_camera_and_the_network_have_no_such_options(program, tmp_path, command, option):
     more = ("--out", tmp_path / "a.rrd") if command == "view" else ()
@@ -155,7 +176,14 @@ def test_a_file_of_another_format_gives_exit_code_2(program, tmp_path, command):
 
 def test_results_of_another_topic_are_not_taken_for_these(program, tmp_path, two_topics):
     """`evaluate --out` keeps what it has done; what the files are read as is a part of that."""
-    words = "evaluate", "digits", two_topics.parent.parent, "--out", tmp_path / "results.jsonl", "--json"
+    words = (
+        "evaluate",
+        "digits",
+        two_topics.parent.parent,
+        "--out",
+        tmp_path / "results.jsonl",
+        "--json",
+    )
     for _ in range(2):
         code, out, _ = program(*words, "--topic", "/left")
         assert code == 0 and json.loads(out)["events"] == len(EVENTS)
@@ -172,7 +200,9 @@ def test_a_map_model_is_for_the_sensor_of_the_chosen_topic(program, tmp_path):
     with Bag(path) as bag:
         bag.array(EVENTS[:2_000], (100, 80), topic="/left")
         bag.array(EVENTS, (50, 40), topic="/right")
-    code, out, err = program("run", path, "--model", "digits-everywhere", "--topic", "/left", "--json")
+    code, out, err = program(
+        "run", path, "--model", "digits-everywhere", "--topic", "/left", "--json"
+    )
     assert code == 0 and out and not err
 
 
@@ -186,11 +216,15 @@ def test_a_data_set_is_read_by_its_options(tmp_path):
             bag.array(part[500:900], SENSOR, topic="/right")
         saved(tmp_path / "all" / label / "rows.npz", part)
         saved(tmp_path / "all" / label / "two.npz", part[500:900])
-    found = read_dataset(tmp_path / "set", pixels=PIXELS, reading=ReadOptions(columns="xypt", topic="/right"))
+    found = read_dataset(
+        tmp_path / "set", pixels=PIXELS, reading=ReadOptions(columns="xypt", topic="/right")
+    )
     expected = read_dataset(tmp_path / "all", pixels=PIXELS)
     assert not found.left_out and found.classes == ("a", "b")
     for name in ("t", "x", "y", "p", "labels", "offsets"):
-        np.testing.assert_array_equal(getattr(found.recordings, name), getattr(expected.recordings, name))
+        np.testing.assert_array_equal(
+            getattr(found.recordings, name), getattr(expected.recordings, name)
+        )
     with pytest.raises(ValueError, match="no recording of class a, b is left"):
         read_dataset(tmp_path / "set", pixels=PIXELS)
 
@@ -198,7 +232,9 @@ def test_a_data_set_is_read_by_its_options(tmp_path):
 def test_a_camera_is_measured_on_a_recording_read_by_its_options(tmp_path):
     rng = np.random.default_rng(0)
     t = np.sort(rng.integers(0, 1_000_000, 20_000))
-    events = events_of(t, rng.integers(0, 34, t.size), rng.integers(0, 34, t.size), rng.integers(0, 2, t.size))
+    events = events_of(
+        t, rng.integers(0, 34, t.size), rng.integers(0, 34, t.size), rng.integers(0, 2, t.size)
+    )
     (tmp_path / "rows.csv").write_bytes(metavision_csv(events).split(b"\n", 1)[1])
     found = measure_camera(tmp_path / "rows.csv", 100_000, SENSOR, columns="xypt")
     assert found == measure_camera(saved(tmp_path / "a.npz", events), 100_000, SENSOR)

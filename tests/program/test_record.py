@@ -35,7 +35,9 @@ EVENTS["t"] += 7_000_000_000  # a camera that has been on for two hours
 def test_a_stream_is_recorded_whole_until_it_ends(program, tmp_path):
     with sent(EVENTS) as port:
         url = f"udp://127.0.0.1:{port}?timeout_s=1"
-        code, out, err = program("record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path / "gestures")
+        code, out, err = program(
+            "record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path / "gestures"
+        )
     (path,) = (tmp_path / "gestures" / "wave").glob("*.dat")
     assert code == 0 and out.startswith(f"{path}: 5,000 events, ")
     assert f"recording wave from udp://127.0.0.1:{port} into {path.parent}" in err
@@ -66,7 +68,9 @@ def when_recorded(monkeypatch):
     return arrange
 
 
-def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path, monkeypatch, when_recorded):
+def test_it_ends_after_the_seconds_and_never_replaces_anything(
+    program, tmp_path, monkeypatch, when_recorded
+):
     """The time is over as soon as events have come."""
     waits, is_over = [], threading.Event()
 
@@ -88,7 +92,16 @@ def test_it_ends_after_the_seconds_and_never_replaces_anything(program, tmp_path
     for _ in range(2):
         is_over.clear()
         with sent(EVENTS) as port:
-            words = ["record", f"udp://127.0.0.1:{port}", "--sensor", "64x48", "--class", "wave", "--seconds", 1.5]
+            words = [
+                "record",
+                f"udp://127.0.0.1:{port}",
+                "--sensor",
+                "64x48",
+                "--class",
+                "wave",
+                "--seconds",
+                1.5,
+            ]
             assert program(*words, "--out", tmp_path)[0] == 0
     assert waits == [1.5, 1.5]
     assert [path.name for path in sorted((tmp_path / "wave").glob("*.dat"))] == [
@@ -109,11 +122,14 @@ def test_an_interrupted_recording_is_complete_up_to_then(program, tmp_path, when
 
 @pytest.fixture
 def recorded(program, tmp_path, monkeypatch):
-    """Record packets of a camera that is unplugged at the end; returns the exit code and the files, in their order."""
+    """Record packets of a camera that is unplugged at the end; returns the exit code and the files,
+    in their order."""
 
     def run(*packets, device=None):
         device = device or PlayedDevice(*packets, OSError("no such device"), sensor=(64, 48))
-        monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
+        monkeypatch.setattr(
+            record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played")
+        )
         folder = tempfile.mkdtemp(dir=tmp_path)
         code, out, _ = program("record", "camera", "--class", "wave", "--out", folder)
         return code, [Path(line.partition(":")[0]) for line in out.splitlines()]
@@ -144,7 +160,9 @@ def signals_at(moment):
 def test_whenever_signals_come_each_packet_that_was_read_is_in_the_file(recorded):
     moment, codes = 0, []
     while True:
-        device = PlayedDevice(*(packet.copy() for packet in PACKETS), OSError("gone"), sensor=(64, 48))
+        device = PlayedDevice(
+            *(packet.copy() for packet in PACKETS), OSError("gone"), sensor=(64, 48)
+        )
         with signals_at(moment) as count:
             code, paths = recorded(device=device)
         n_read = min(4, 5 - len(device.packets))
@@ -152,7 +170,10 @@ def test_whenever_signals_come_each_packet_that_was_read_is_in_the_file(recorded
         got = [open_recording(path, strict=True).read() for path in paths]
         assert len(got) == (n_read > 0) and sum(map(len, got)) == len(expected), moment
         assert all(np.array_equal(events["t"], expected["t"]) for events in got)
-        assert all(json.loads(path.with_suffix(".json").read_text())["events"] == len(expected) for path in paths)
+        assert all(
+            json.loads(path.with_suffix(".json").read_text())["events"] == len(expected)
+            for path in paths
+        )
         codes.append(code)
         if next(count) <= moment:
             break
@@ -180,13 +201,19 @@ def test_without_its_description_a_recording_is_whole(program, tmp_path, monkeyp
     monkeypatch.setattr(record, "write_text", fail)
     with sent(EVENTS) as port:
         url = f"udp://127.0.0.1:{port}?timeout_s=1"
-        code, _, err = program("record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path)
+        code, _, err = program(
+            "record", url, "--sensor", "64x48", "--class", "wave", "--out", tmp_path
+        )
     (path,) = (tmp_path / "wave").iterdir()
-    assert code == 2 and err.endswith(f"async-tnt: {path.with_suffix('.json')}: No space left on device\n")
+    assert code == 2 and err.endswith(
+        f"async-tnt: {path.with_suffix('.json')}: No space left on device\n"
+    )
     assert open_recording(path, strict=True).n_events == 5_000
 
 
-def test_where_no_line_can_be_printed_a_recording_and_its_description_are_whole(program, tmp_path, monkeypatch):
+def test_where_no_line_can_be_printed_a_recording_and_its_description_are_whole(
+    program, tmp_path, monkeypatch
+):
     """As in a terminal that has been closed; the second file begins after a pause."""
 
     def fail(*lines):
@@ -237,10 +264,13 @@ MINUTE_US = 60_000_000
         ([*range(0, 70 * MINUTE_US, 30 * MINUTE_US), 1 << 32, (1 << 32) + 1], 2),
         ([5, 6, 6 + (1 << 31)], 2),
         ([5, 6, 5 + 40 * MINUTE_US, 6 + 40 * MINUTE_US], 2),
-        ([0, 30 * MINUTE_US, 60 * MINUTE_US, 20 * MINUTE_US, 21 * MINUTE_US], 2),  # back by 40 minutes
-        ([50 * MINUTE_US, 50 * MINUTE_US - 7, 50 * MINUTE_US + 1], 1),  # out of order within the first packet
+        # back by 40 minutes
+        ([0, 30 * MINUTE_US, 60 * MINUTE_US, 20 * MINUTE_US, 21 * MINUTE_US], 2),
+        # out of order within the first packet
+        ([50 * MINUTE_US, 50 * MINUTE_US - 7, 50 * MINUTE_US + 1], 1),
         ([0, 1 << 40, 3, 4], 3),
-        ([1_005, 5, 5 + (1 << 31)], 2),  # the step counts from the previous event, not from the newest
+        # the step counts from the previous event, not from the newest
+        ([1_005, 5, 5 + (1 << 31)], 2),
     ],
 )
 @pytest.mark.parametrize("size", [1, 2, 1000])
@@ -251,13 +281,19 @@ def test_every_time_is_read_back_whatever_the_clock_does(times, n_files, size, t
     np.testing.assert_array_equal(read_back(files), events)
     if size == 1000:
         assert len(files) == n_files
-    assert [file.on for file in files] == [open_recording(file.path).read()["p"].sum() for file in files]
+    assert [file.on for file in files] == [
+        open_recording(file.path).read()["p"].sum() for file in files
+    ]
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_every_time_of_a_clock_that_jumps_at_random_is_read_back(seed, tmp_path):
     rng = np.random.default_rng(seed)
-    steps = rng.choice([0, 1, 1_000, -900, 1 << 31, -(1 << 31), 1 << 32, 1 << 33], 400, p=[0.3, 0.3, 0.3, *5 * [0.02]])
+    steps = rng.choice(
+        [0, 1, 1_000, -900, 1 << 31, -(1 << 31), 1 << 32, 1 << 33],
+        400,
+        p=[0.3, 0.3, 0.3, *5 * [0.02]],
+    )
     events = random_events(400, seed=seed, sensor=(64, 48))
     events["t"] = (1 << 50) + np.cumsum(steps + rng.integers(-1, 2, 400))
     files = written(np.split(events, np.sort(rng.integers(0, 400, 30))), tmp_path)
@@ -269,7 +305,9 @@ def written(packets, folder, files=None):
     """The files of these packets, which are added to `files` as they are completed."""
     files = [] if files is None else files
     names = itertools.count()
-    with DatWriter((64, 48), lambda: (folder / f"{next(names)}.dat").open("xb", 0), files.append) as writer:
+    with DatWriter(
+        (64, 48), lambda: (folder / f"{next(names)}.dat").open("xb", 0), files.append
+    ) as writer:
         for packet in packets:
             writer.write(packet)
     assert writer.n_events == sum(map(len, packets)) == sum(file.events for file in files)
@@ -283,23 +321,37 @@ def read_back(files):
     return np.concatenate(parts)
 
 
-def test_of_an_unplugged_camera_what_came_before_is_kept_with_its_settings(program, tmp_path, monkeypatch):
+def test_of_an_unplugged_camera_what_came_before_is_kept_with_its_settings(
+    program, tmp_path, monkeypatch
+):
     device = PlayedDevice(made_events(5, 9, 30), OSError("no such device"), sensor=(34, 34))
-    monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
+    monkeypatch.setattr(
+        record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played")
+    )
     code, out, err = program("record", "camera", "--class", "wave", "--out", tmp_path)
     (path,) = (tmp_path / "wave").glob("*.dat")
-    assert code == 2 and "3 events" in out and "the camera is gone after 3 events" in err.splitlines()[-1]
+    assert (
+        code == 2
+        and "3 events" in out
+        and "the camera is gone after 3 events" in err.splitlines()[-1]
+    )
     assert open_recording(path).read()["t"].tolist() == [0, 4, 25]
     about = json.loads(path.with_suffix(".json").read_text())
-    assert (about["source"], about["settings"]) == ("EVK4 0042 by played", device.settings) and device.n_closed
+    assert (about["source"], about["settings"]) == (
+        "EVK4 0042 by played",
+        device.settings,
+    ) and device.n_closed
 
 
 @pytest.mark.parametrize("n, room", [(100, 50_003), (5_000, 50_003), (100, 79_003)])
 def test_on_a_full_disk_all_whole_events_are_kept(n, room, program, tmp_path, monkeypatch):
-    """Of packets that wait in the file's buffer, of one that is written in part, and after Ctrl-C."""
+    """Of packets that wait in the file's buffer, of one that is written in part, and after
+    Ctrl-C."""
     packets = [made_events(*range(k * n, (k + 1) * n)) for k in range(10_000 // n)]
     device = PlayedDevice(*packets, KeyboardInterrupt(), sensor=(6_000, 34))
-    monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
+    monkeypatch.setattr(
+        record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played")
+    )
     with full_after(room):
         code, out, _ = program("record", "camera", "--class", "wave", "--out", tmp_path)
     (path,) = (tmp_path / "wave").glob("*.dat")
@@ -318,10 +370,14 @@ def test_of_a_packet_that_is_written_in_part_what_is_there_is_counted(tmp_path):
 
 
 @pytest.mark.parametrize("n_bytes", [-1, 0, 7])
-def test_where_the_disk_has_no_room_for_an_event_no_file_is_left(n_bytes, program, tmp_path, monkeypatch):
+def test_where_the_disk_has_no_room_for_an_event_no_file_is_left(
+    n_bytes, program, tmp_path, monkeypatch
+):
     """Not for the header, or for a part of the first event only."""
     device = PlayedDevice(made_events(1, 2), sensor=(64, 48))
-    monkeypatch.setattr(record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played"))
+    monkeypatch.setattr(
+        record, "open_source", lambda name, sensor: Camera(device, "EVK4 0042 by played")
+    )
     with full_after(len(dat_header((64, 48))) + n_bytes):
         code, out, err = program("record", "camera", "--class", "wave", "--out", tmp_path)
     assert (code, out) == (2, "") and err.endswith(": File too large\n")
@@ -334,12 +390,31 @@ def test_where_the_disk_has_no_room_for_an_event_no_file_is_left(n_bytes, progra
         (["a.bin", "--class", "x"], "SOURCE must be a camera or udp://HOST:PORT, got a.bin"),
         (["udp://127.0.0.1:PORT", "--class", "x"], "does not state its sensor; give --sensor WxH"),
         (["camera", "--class", "x", "--sensor", "4x4"], "--sensor belongs to a network stream"),
-        (["udp://127.0.0.1:PORT", "--class", "x", "--seconds", "0"], "--seconds must be a positive number, got 0.0"),
-        (["udp://127.0.0.1:PORT", "--class", "x", "--sensor", "20000x9"], "DAT files hold 16384 pixels a side"),
-        (["udp://127.0.0.1:PORT?timeout_s=.1", "--class", "x", "--sensor", "9x9", "--seconds", ".3"], "no event came"),
+        (
+            ["udp://127.0.0.1:PORT", "--class", "x", "--seconds", "0"],
+            "--seconds must be a positive number, got 0.0",
+        ),
+        (
+            ["udp://127.0.0.1:PORT", "--class", "x", "--sensor", "20000x9"],
+            "DAT files hold 16384 pixels a side",
+        ),
+        (
+            [
+                "udp://127.0.0.1:PORT?timeout_s=.1",
+                "--class",
+                "x",
+                "--sensor",
+                "9x9",
+                "--seconds",
+                ".3",
+            ],
+            "no event came",
+        ),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(words, message, program, tmp_path):
+def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(
+    words, message, program, tmp_path
+):
     words = [word.replace("PORT", str(free_port())) for word in words]
     code, out, err = program("record", *words, "--out", tmp_path / "new")
     assert code == 2 and out == "" and message in err.splitlines()[-1]
@@ -349,15 +424,23 @@ def test_what_cannot_be_recorded_is_refused_in_one_line_and_leaves_nothing(words
 @pytest.mark.parametrize(
     ("option", "value", "rule"),
     [
-        *(("--class", name, "must be the name of a folder") for name in ("", ".", "..", "/", "a/", ".a", " a", "  ")),
-        *(("--class", name, "must be the name of a folder") for name in ("a" * 256, "é" * 128, "a\0b", "a\nb")),
+        *(
+            ("--class", name, "must be the name of a folder")
+            for name in ("", ".", "..", "/", "a/", ".a", " a", "  ")
+        ),
+        *(
+            ("--class", name, "must be the name of a folder")
+            for name in ("a" * 256, "é" * 128, "a\0b", "a\nb")
+        ),
         *(("--out", name, "must be a folder") for name in ("", "  ", "a\0b")),
         ("--class", "--", "expected a value"),
         ("--out", "--", "expected a value"),
     ],
     ids=ascii,
 )
-def test_a_name_that_no_folder_can_have_is_refused_in_one_line(option, value, rule, tmp_path, monkeypatch, capsys):
+def test_a_name_that_no_folder_can_have_is_refused_in_one_line(
+    option, value, rule, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     words = {"--class": "a", "--out": "new"} | {option: value}
     with pytest.raises(SystemExit) as stopped:
@@ -371,7 +454,11 @@ def test_a_name_that_no_folder_can_have_is_refused_in_one_line(option, value, ru
         )
     out, err = capsys.readouterr()
     assert stopped.value.code == 2 and not out and not list(tmp_path.iterdir())
-    assert err.startswith(f"async-tnt record: argument {option}: {rule}") and err.count("\n") == 1 and len(err) < 400
+    assert (
+        err.startswith(f"async-tnt record: argument {option}: {rule}")
+        and err.count("\n") == 1
+        and len(err) < 400
+    )
 
 
 def test_a_name_that_the_file_system_refuses_is_one_line(program, tmp_path):
@@ -395,7 +482,9 @@ def test_records_of_every_pixel_and_of_clocks_that_wrap_are_read_back(tmp_path):
 def test_a_time_that_the_format_cannot_say_is_refused(t):
     events = random_events(2)
     events["t"] = [7, t]
-    with pytest.raises(ValueError, match=rf"^`t` must be in \[7, 4294967303\) for a DAT file, got {t} at event 1$"):
+    with pytest.raises(
+        ValueError, match=rf"^`t` must be in \[7, 4294967303\) for a DAT file, got {t} at event 1$"
+    ):
         dat_records(events, 7)
 
 
@@ -417,8 +506,15 @@ def test_a_terminal_shows_the_last_events_and_their_rate(encoding, blocks, monke
     picture.show(events)
     picture.show(events)
     lines = terminal.getvalue().split("\n")
-    lit = [line for line in lines if set(blocks) & set(line.partition(" events a second")[0].partition(":")[0])]
+    lit = [
+        line
+        for line in lines
+        if set(blocks) & set(line.partition(" events a second")[0].partition(":")[0])
+    ]
     assert len(lit) == 2 and all(line.rstrip().endswith(tuple(blocks)) for line in lit)
-    assert sum("events a second" in line for line in lines) == 2 and terminal.getvalue().count("\x1b[") == 1
+    assert (
+        sum("events a second" in line for line in lines) == 2
+        and terminal.getvalue().count("\x1b[") == 1
+    )
     terminal.close()
     picture.show(events)  # the recording goes on without it

@@ -16,8 +16,12 @@ SAMPLES = sample_recordings()
 def test_it_classifies_the_bundled_samples(program, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words in ((), ("samples",)):
-        lines = [line for line in program("run", *words)[1].splitlines() if "mean probability" in line]
-        assert [line.split(" (")[0] for line in lines] == [f"{digit}.bin: {digit}" for digit in range(10)]
+        lines = [
+            line for line in program("run", *words)[1].splitlines() if "mean probability" in line
+        ]
+        assert [line.split(" (")[0] for line in lines] == [
+            f"{digit}.bin: {digit}" for digit in range(10)
+        ]
     (tmp_path / "samples").mkdir()  # a file or folder of that name comes first
     assert "samples is a folder, expected a recording" in program("run", "samples")[2]
 
@@ -60,11 +64,14 @@ def test_nanoseconds_read_as_microseconds_are_warned_of(program, tmp_path):
         (
             "off.csv",
             b"t,x,y,p\n5,40,1,1\n",
-            "it is event 0 at x = 40, y = 1: the recording is of another sensor, or damaged; the file states none, --s",
+            "it is event 0 at x = 40, y = 1: the recording is of another sensor, or damaged; the "
+            "file states none, --s",
         ),
     ],
 )
-def test_an_unreadable_recording_is_one_line_and_the_next_one_follows(name, content, message, tmp_path, program):
+def test_an_unreadable_recording_is_one_line_and_the_next_one_follows(
+    name, content, message, tmp_path, program
+):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     code, printed, err = program("run", tmp_path / name, SAMPLES[1])
@@ -94,7 +101,9 @@ def test_late_events_are_reported(program):
         ("raise", 2, "`t` must not run backwards"),
     ],
 )
-def test_late_decides_what_happens_to_events_older_than_the_newest_one(late, expected, message, program, tmp_path):
+def test_late_decides_what_happens_to_events_older_than_the_newest_one(
+    late, expected, message, program, tmp_path
+):
     events = open_recording(SAMPLES[5]).read()[:1000]
     events["t"][500] = events["t"][499] - 1
     np.savez(tmp_path / "a.npz", sensor=(34, 34), events=events)

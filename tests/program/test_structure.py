@@ -1,4 +1,5 @@
-"""The package is built in layers, which the table in ARCHITECTURE.md lists: imports point down this table."""
+"""The package is built in layers, which the table in ARCHITECTURE.md lists: imports point down this
+table."""
 
 import ast
 import re
@@ -9,11 +10,14 @@ import async_tnt
 
 ROOT = Path(__file__).parents[2]
 TABLE = re.findall(r"^\| (`.*?) \|", (ROOT / "ARCHITECTURE.md").read_text(), re.MULTILINE)
-LAYERS = [Path(name).stem for row in TABLE for name in re.findall("`(.*?)`", row)]  # "async_tnt/cli/", "windows.py"
+# "async_tnt/cli/", "windows.py"
+LAYERS = [Path(name).stem for row in TABLE for name in re.findall("`(.*?)`", row)]
 
 PACKAGE = Path(async_tnt.__file__).parent
 SOURCES = {
-    ".".join(("async_tnt", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"): path
+    ".".join(("async_tnt", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
+        ".__init__"
+    ): path
     for path in PACKAGE.rglob("*.py")
 }
 del SOURCES["async_tnt"]  # the public names of all layers: nothing inside imports it
@@ -25,13 +29,16 @@ def layer_of(module):
 
 
 def imports_of(path, root=PACKAGE.parent):
-    """Names of all modules that a file imports, or imports names from, also inside its functions."""
+    """Names of all modules that a file imports, or imports names from, also inside its
+    functions."""
     package = ".".join(path.relative_to(root).parent.parts)
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            module = f"{package}.{node.module}" if node.level and node.module else node.module or package
+            module = (
+                f"{package}.{node.module}" if node.level and node.module else node.module or package
+            )
             yield module
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
@@ -40,11 +47,19 @@ IMPORTS = {module: set(imports_of(path)) for module, path in SOURCES.items()}
 
 
 def test_imports_point_downwards():
-    pairs = [(module, other) for module, names in IMPORTS.items() for other in names & SOURCES.keys()]
+    pairs = [
+        (module, other) for module, names in IMPORTS.items() for other in names & SOURCES.keys()
+    ]
     helpers = {layer_of(module) for module in SOURCES} - set(LAYERS)  # which the page does not list
-    place = {layer: number for number, layer in enumerate(LAYERS)} | dict.fromkeys(helpers, len(LAYERS))
+    place = {layer: number for number, layer in enumerate(LAYERS)} | dict.fromkeys(
+        helpers, len(LAYERS)
+    )
     assert not any("async_tnt" in names for names in IMPORTS.values())
-    assert [(a, b) for a, b in pairs if layer_of(a) != layer_of(b) and place[layer_of(a)] > place[layer_of(b)]] == []
+    assert [
+        (a, b)
+        for a, b in pairs
+        if layer_of(a) != layer_of(b) and place[layer_of(a)] > place[layer_of(b)]
+    ] == []
     assert set(LAYERS) <= {layer_of(module) for module in SOURCES}
 
 
@@ -71,7 +86,9 @@ def test_what_is_installed_does_not_know_the_laboratory():
     for folder in (ROOT / "reference", ROOT / "examples"):
         imports |= {name for path in folder.rglob("*.py") for name in imports_of(path, folder)}
     assert len(imports) > 500 and not any(name.split(".")[0] == "experiments" for name in imports)
-    built = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
+        "targets"
+    ]["wheel"]
     assert not any("experiments" in package for package in built["packages"])
 
 
@@ -79,12 +96,19 @@ def test_the_command_line_alone_names_options():
     """Elsewhere an error names a `parameter`, which the program prints as its option."""
     option = re.compile(r"(?<![\w-])--[a-z]")
     strings = {
-        module: [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+        module: [
+            node.value
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Constant)
+        ]
         for module, path in SOURCES.items()
         if layer_of(module) != "cli"
     }
     assert {
-        m: text for m, texts in strings.items() for text in texts if isinstance(text, str) and option.search(text)
+        m: text
+        for m, texts in strings.items()
+        for text in texts
+        if isinstance(text, str) and option.search(text)
     } == {}
 
 
@@ -94,13 +118,17 @@ def test_the_command_line_alone_uses_argparse():
 
 def test_messages_tell_how_to_install_extras_that_exist():
     texts = "".join(path.read_text() for path in SOURCES.values())
-    extras = re.findall(r"""needs_extra\("(\w+)"|async_tnt\[(\w+)\]|\(extra(?:: | `)(\w+)[`)]""", texts)
+    extras = re.findall(
+        r"""needs_extra\("(\w+)"|async_tnt\[(\w+)\]|\(extra(?:: | `)(\w+)[`)]""", texts
+    )
     known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert len(extras) > 20 and {name for names in extras for name in names if name} <= set(known)
 
 
 def test_the_pages_name_the_release():
     """The newest entry of the changelog, and what a citation names."""
-    changes, citation = ((ROOT / name).read_text(encoding="utf-8") for name in ("CHANGELOG.md", "CITATION.cff"))
+    changes, citation = (
+        (ROOT / name).read_text(encoding="utf-8") for name in ("CHANGELOG.md", "CITATION.cff")
+    )
     assert re.search("^## (.+)$", changes, re.MULTILINE)[1] == async_tnt.__version__
     assert f"\nversion: {async_tnt.__version__}\n" in citation

@@ -31,8 +31,12 @@ def refused(capsys):
 
 
 def test_the_program_is_also_a_module():
-    done = subprocess.run([sys.executable, "-m", "async_tnt", "fly"], capture_output=True, text=True)
-    assert done.returncode == 2 and done.stderr.startswith("async-tnt: argument COMMAND: invalid choice: 'fly'")
+    done = subprocess.run(
+        [sys.executable, "-m", "async_tnt", "fly"], capture_output=True, text=True
+    )
+    assert done.returncode == 2 and done.stderr.startswith(
+        "async-tnt: argument COMMAND: invalid choice: 'fly'"
+    )
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -47,7 +51,9 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     parser = argparse.ArgumentParser(prog="async-tnt train")
     train_options.add_arguments(parser)
-    options = [action for action in parser._actions if action.option_strings and action.dest != "help"]
+    options = [
+        action for action in parser._actions if action.option_strings and action.dest != "help"
+    ]
     assert len(options) <= 26 and len(parser.format_help().splitlines()) <= 70
 
 
@@ -62,12 +68,27 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
         ("run --confidence 0", "argument --confidence: must be a probability in (0, 1], got '0'"),
         ("train x --seed -1", "argument --seed: must be a whole number of at least 0, got '-1'"),
         ("train x --epochs 0", "argument --epochs: must be a whole number of at least 1, got '0'"),
-        ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
-        ("run --model=--", "async-tnt run: argument --model: expected a value, got '--' (async-tnt run --help)"),
-        ("plot events --sensor=--", "async-tnt plot: argument --sensor: expected a value, got '--'"),
+        (
+            "run --landmark line",
+            "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)",
+        ),
+        (
+            "run --model=--",
+            "async-tnt run: argument --model: expected a value, got '--' (async-tnt run --help)",
+        ),
+        (
+            "plot events --sensor=--",
+            "async-tnt plot: argument --sensor: expected a value, got '--'",
+        ),
         ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
-        ("run --every-us " + "9" * 5000, "argument --every-us: must be a whole number of at least 1, got '999"),
-        ("plot events --sensor " + "9" * 5000 + "x2", "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999"),
+        (
+            "run --every-us " + "9" * 5000,
+            "argument --every-us: must be a whole number of at least 1, got '999",
+        ),
+        (
+            "plot events --sensor " + "9" * 5000 + "x2",
+            "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999",
+        ),
     ],
     ids=lambda text: text[:40],
 )
@@ -79,18 +100,33 @@ def test_bad_usage_refers_to_help(words, message, refused):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("view udp://127.0.0.1:3333 --speed 2", "--speed belongs to recordings; a camera or the network has a"),
+        (
+            "view udp://127.0.0.1:3333 --speed 2",
+            "--speed belongs to recordings; a camera or the network has a",
+        ),
         ("run --every-events 1" + "0" * 400, "must be below 2**62, got 1"),
         ("run SAMPLE --keep-up 5", "--keep-up belongs to a camera or the network"),
         ("run SAMPLE --crop", "--crop belongs to --roi"),
-        ("run SAMPLE --sensor 36x34", "--sensor says 36x34 pixels, but the model is for 34x34; train one for this"),
-        ("run SAMPLE --roi 0,0,20,20 --crop", "for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34"),
+        (
+            "run SAMPLE --sensor 36x34",
+            "--sensor says 36x34 pixels, but the model is for 34x34; train one for this",
+        ),
+        (
+            "run SAMPLE --roi 0,0,20,20 --crop",
+            "for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34",
+        ),
         ("bench --model no_such_model", "no model file no_such_model"),
-        ("run --model digitz", "no model file digitz, and no bundled model of that name (bundled: digits, "),
+        (
+            "run --model digitz",
+            "no model file digitz, and no bundled model of that name (bundled: digits, ",
+        ),
         ("run udp://127.0.0.1", "expected udp://HOST:PORT"),
         ("run udp://127.0.0.1:5?format=jpeg", "format"),
         ("run udp://203.0.113.1:50000", "203.0.113.1"),
-        ("run udp://127.0.0.1:0 --roi 60,0,34,34 --crop", "does not say the camera's pixels, which --crop needs: give"),
+        (
+            "run udp://127.0.0.1:0 --roi 60,0,34,34 --crop",
+            "does not say the camera's pixels, which --crop needs: give",
+        ),
         ("check EMPTY", "empty.bin: no event"),
     ],
 )
@@ -123,7 +159,9 @@ def test_an_error_is_one_line_whatever_the_name(words, refused, tmp_path, monkey
 def test_memory_that_is_not_there_is_one_line(refused, monkeypatch):
     """Of more than any machine addresses."""
     monkeypatch.setattr(run, "main", lambda args: np.empty(1 << 57))
-    assert refused("run", SAMPLE).startswith("async-tnt: not enough memory. Unable to allocate 1.00 EiB for an array")
+    assert refused("run", SAMPLE).startswith(
+        "async-tnt: not enough memory. Unable to allocate 1.00 EiB for an array"
+    )
 
 
 def swapped(word):
@@ -152,15 +190,25 @@ def test_a_mistyped_word_gets_a_hint(command, refused):
 @pytest.mark.parametrize(
     ("words", "end"),
     [
-        ("run --modle digits", "unrecognized arguments: --modle; did you mean --model? (async-tnt run --help)"),
-        ("mask a.npy --otu m.npy", "are required: --out; --otu: did you mean --out? (async-tnt mask --help)"),
+        (
+            "run --modle digits",
+            "unrecognized arguments: --modle; did you mean --model? (async-tnt run --help)",
+        ),
+        (
+            "mask a.npy --otu m.npy",
+            "are required: --out; --otu: did you mean --out? (async-tnt mask --help)",
+        ),
         ("run -json", "unrecognized arguments: -json; did you mean --json? (async-tnt run --help)"),
         ("run --mod digits --xyzzy", "unrecognized arguments: --xyzzy (async-tnt run --help)"),
         ("run --xyzzy", "unrecognized arguments: --xyzzy (async-tnt run --help)"),
-        ("--verison", "are required: COMMAND; --verison: did you mean --version? (async-tnt --help)"),
+        (
+            "--verison",
+            "are required: COMMAND; --verison: did you mean --version? (async-tnt --help)",
+        ),
         ("xyzzy --modle", "'view', 'plot') (async-tnt --help)"),
         ("run -- --modle", "async-tnt: --modle: No such file or directory"),
-        ("run --mod nowhere", "(bundled: digits, digits-everywhere, digits-from-pictures)"),  # the beginning of --model
+        # the beginning of --model
+        ("run --mod nowhere", "(bundled: digits, digits-everywhere, digits-from-pictures)"),
     ],
 )
 def test_what_was_probably_meant(words, end, refused):
@@ -178,7 +226,9 @@ def test_what_was_probably_meant(words, end, refused):
         ("view {} --out v.rrd", "v.rrd: 4,952 events"),
     ],
 )
-def test_a_digit_names_its_bundled_recording_in_every_command(words, expected, program, tmp_path, monkeypatch):
+def test_a_digit_names_its_bundled_recording_in_every_command(
+    words, expected, program, tmp_path, monkeypatch
+):
     """Unless a file has this name."""
     monkeypatch.chdir(tmp_path)
     for command, module in (("check", "torch"), ("plot", "matplotlib"), ("view", "rerun")):

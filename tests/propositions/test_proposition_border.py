@@ -1,4 +1,5 @@
-"""What the transform costs: an object shrinks like 1 / tau, and what lies beyond the border is lost."""
+"""What the transform costs: an object shrinks like 1 / tau, and what lies beyond the border is
+lost."""
 
 import math
 from fractions import Fraction
@@ -17,8 +18,8 @@ WINDOW_US = 105_000
 @pytest.mark.parametrize("t_max", [0.5, 1.0, 3.0, 8.0])
 def test_an_event_is_lost_exactly_where_tau_is_less_than_its_distance_from_the_landmark(t_max):
     """Kept iff |x - c| / tau <= c and |y - c| / tau <= c, in the stream, by whole numbers:
-    |2 x - 33| T <= 33 t_max dt. Of 5,000 events anywhere, and of those that come, for each column and each row, at the
-    last microsecond before tau is enough and at the first at which it is."""
+    |2 x - 33| T <= 33 t_max dt. Of 5,000 events anywhere, and of those that come, for each column
+    and each row, at the last microsecond before tau is enough and at the first at which it is."""
     enough = [abs(2 * k - 33) * WINDOW_US / (33 * Fraction(t_max)) for k in range(34)]
     near = [
         (t, *xy, 1)
@@ -28,7 +29,9 @@ def test_an_event_is_lost_exactly_where_tau_is_less_than_its_distance_from_the_l
         if t < WINDOW_US
     ]
     assert len(near) > 60
-    events = np.concatenate([random_events(5_000, duration_us=WINDOW_US), events_of(*zip(*near, strict=True))])
+    events = np.concatenate(
+        [random_events(5_000, duration_us=WINDOW_US), events_of(*zip(*near, strict=True))]
+    )
     n_kept = sum(
         dt > 0 and max(abs(2 * x - 33), abs(2 * y - 33)) * WINDOW_US <= 33 * Fraction(t_max) * dt
         for dt, x, y, _ in events.tolist()
@@ -39,13 +42,19 @@ def test_an_event_is_lost_exactly_where_tau_is_less_than_its_distance_from_the_l
 
 
 def test_an_object_is_compressed_by_tau():
-    """Size (standard deviation of u and of v) over size at rest is 1 / tau at every instant, to 1e-12: at the window's
-    end 1 / t_max. About any landmark and under any flow."""
-    shape = torch.rand(2, 200, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 10 - 5
+    """Size (standard deviation of u and of v) over size at rest is 1 / tau at every instant, to
+    1e-12: at the window's end 1 / t_max. About any landmark and under any flow."""
+    shape = (
+        torch.rand(2, 200, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 10 - 5
+    )
     at = dict(start_us=0, window_us=16_000, sensor=(57, 57), grid=(57, 57))
     for t_max, f in ((2.0, 0.5), (2.0, 1.0), (8.0, 0.25), (8.0, 1.0)):
         t = torch.full((200,), int(f * 16_000))
-        for place, landmark in ((28.0, "center"), (20.0, (21.5, 19.0)), (28.0 + 6 * f, (28.0, 28.0))):
+        for place, landmark in (
+            (28.0, "center"),
+            (20.0, (21.5, 19.0)),
+            (28.0 + 6 * f, (28.0, 28.0)),
+        ):
             x, y = shape + place
             moved = tnt_coordinates(t, x, y, **at, t_max=t_max, landmark=landmark)
             assert moved.kept.all()

@@ -1,7 +1,8 @@
-"""Optical flow: no symmetry of the convolution (Proposition 1), and a translation after the transform (Proposition 2).
+"""Optical flow: no symmetry of the convolution (Proposition 1), and a translation after the
+transform (Proposition 2).
 
-L_v is the motion of constant optical flow, a shear of space-time: (x, y, t) -> (x + v_x t, y + v_y t, t).
-Propositions of Wang 2019, arXiv:1911.12801.
+L_v is the motion of constant optical flow, a shear of space-time: (x, y, t) -> (x + v_x t, y + v_y
+t, t). Propositions of Wang 2019, arXiv:1911.12801.
 """
 
 import pytest
@@ -28,8 +29,9 @@ def point_events(flow):
 def test_proposition_1_in_x_y_and_t():
     """V(L_v e) * phi != L_v (V(e) * phi), in the event volume and with a 3-D convolution.
 
-    A point, seen by a 3 x 3 x 3 filter of ones, answers 3 at rest. At 3 px per bin to the right and 1 up it
-    answers 1. Neither the same shear of the still answer nor a translation brings the two closer than 2 of 3.
+    A point, seen by a 3 x 3 x 3 filter of ones, answers 3 at rest. At 3 px per bin to the right and
+    1 up it answers 1. Neither the same shear of the still answer nor a translation brings the two
+    closer than 2 of 3.
     """
     flow = (24, -8)
     phi = torch.ones(1, 1, 3, 3, 3, dtype=torch.float64)
@@ -45,23 +47,34 @@ def test_proposition_1_in_x_y_and_t():
 
 
 def sheared(volume, flow):
-    """L_v of a volume (..., B, H, W): bin k moved by k times `flow`, (x, y) in whole pixels per bin."""
-    return torch.stack([v.roll((k * flow[1], k * flow[0]), (-2, -1)) for k, v in enumerate(volume.unbind(-3))], -3)
+    """L_v of a volume (..., B, H, W): bin k moved by k times `flow`, (x, y) in whole pixels per
+    bin."""
+    return torch.stack(
+        [v.roll((k * flow[1], k * flow[0]), (-2, -1)) for k, v in enumerate(volume.unbind(-3))], -3
+    )
 
 
 def test_a_convolution_with_sheared_filters_is_equivariant_to_flow():
     """V(L_v e) * L_v phi = L_v (V(e) * phi): Proposition 1 is about filters that stay as they are.
 
-    With (V * phi)[b, y, x] = sum phi[d, i, j] V[b + d, y + i, x + j], shearing both moves the sum's terms only.
+    With (V * phi)[b, y, x] = sum phi[d, i, j] V[b + d, y + i, x + j], shearing both moves the sum's
+    terms only.
     """
     per_bin = (2, -1)  # FLOW, in pixels per bin
-    volumes = [event_volume(**square(v), **AT, dtype=torch.float64)[None, None] for v in ((0, 0), FLOW)]
+    volumes = [
+        event_volume(**square(v), **AT, dtype=torch.float64)[None, None] for v in ((0, 0), FLOW)
+    ]
     assert difference(volumes[1], sheared(volumes[0], per_bin)) < 1e-12
-    phi = torch.zeros(1, 1, 3, 13, 13, dtype=torch.float64)  # 3 x 3 x 3 inside, so that sheared it stays inside
-    phi[..., 5:8, 5:8] = torch.randn(3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    # 3 x 3 x 3 inside, so that sheared it stays inside
+    phi = torch.zeros(1, 1, 3, 13, 13, dtype=torch.float64)
+    phi[..., 5:8, 5:8] = torch.randn(
+        3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+    )
     still, moving, same_filter = (
         F.conv3d(volume, filters, padding=(0, 6, 6))
-        for volume, filters in zip((volumes[0], volumes[1], volumes[1]), (phi, sheared(phi, per_bin), phi), strict=True)
+        for volume, filters in zip(
+            (volumes[0], volumes[1], volumes[1]), (phi, sheared(phi, per_bin), phi), strict=True
+        )
     )
     inner = (..., slice(12, -12), slice(4, -20))  # what rolling round the border does not reach
     assert still[inner].abs().max() > 1
@@ -70,34 +83,44 @@ def test_a_convolution_with_sheared_filters_is_equivariant_to_flow():
 
 
 def test_proposition_2_event_by_event():
-    """TNT(L_v e) = TNT(e) + v / t_max for each event, at any place, time and fixed landmark; to 1e-12 px.
+    """TNT(L_v e) = TNT(e) + v / t_max for each event, at any place, time and fixed landmark; to
+    1e-12 px.
 
-    It asks for a motion that starts where the object at rest is. With d(f) = v (f - 1/2) about a fixed landmark, as of
-    an object that passes the centre at half time, u = [the object at rest] + v / t_max - v / (2 t_max f), and the last
-    term depends on time. About the centroid it vanishes, as all translations do.
+    It asks for a motion that starts where the object at rest is. With d(f) = v (f - 1/2) about a
+    fixed landmark, as of an object that passes the centre at half time, u = [the object at rest] +
+    v / t_max - v / (2 t_max f), and the last term depends on time. About the centroid it vanishes,
+    as all translations do.
     """
     v_x, v_y = -3.7, 11.1
     g = torch.Generator().manual_seed(3)
     t = torch.randint(WINDOW_US // 8, WINDOW_US + 1, (500,), generator=g).sort().values
     x, y = torch.rand(2, 500, generator=g, dtype=torch.float64) * 10 + 23
-    f, settings = t.double() / WINDOW_US, dict(start_us=0, window_us=WINDOW_US, sensor=SENSOR, grid=SENSOR, t_max=T_MAX)
+    f, settings = (
+        t.double() / WINDOW_US,
+        dict(start_us=0, window_us=WINDOW_US, sensor=SENSOR, grid=SENSOR, t_max=T_MAX),
+    )
     flowing = move_by_flow(t, x, y, (v_x, v_y), start_us=0, window_us=WINDOW_US)
     for fixed in ("center", (30.5, 25.25)):
         still, moved, passing = (
-            tnt_coordinates(t, *xy, **settings, landmark=fixed) for xy in ((x, y), flowing, (x + v_x * (f - 0.5), y))
+            tnt_coordinates(t, *xy, **settings, landmark=fixed)
+            for xy in ((x, y), flowing, (x + v_x * (f - 0.5), y))
         )
         assert (still.kept & moved.kept).sum() > 300
         assert (moved.u - still.u - v_x / T_MAX).abs().max() < 1e-12
         assert (moved.v - still.v - v_y / T_MAX).abs().max() < 1e-12
         assert (passing.u - still.u - v_x / T_MAX + v_x / (2 * T_MAX * f)).abs().max() < 1e-12
-    moved, passing = (tnt_coordinates(t, x + v_x * d, y, **settings, landmark="running").u for d in (f, f - 0.5))
+    moved, passing = (
+        tnt_coordinates(t, x + v_x * d, y, **settings, landmark="running").u for d in (f, f - 0.5)
+    )
     assert (moved - passing).abs().max() < 1e-9
 
 
 def square(flow):
-    """The outline of a square of 5 x 5 px about the centre, ON on two sides, all of it at each of 8 instants.
+    """The outline of a square of 5 x 5 px about the centre, ON on two sides, all of it at each of 8
+    instants.
 
-    Whole pixels, at rest and in motion, so that the stream, whose pixels are integers, can take it too.
+    Whole pixels, at rest and in motion, so that the stream, whose pixels are integers, can take it
+    too.
     """
     side = torch.arange(-2, 3)
     offset = torch.cartesian_prod(side, side)
@@ -117,7 +140,8 @@ def translated(f, step=1):
 
 
 # An object that moves at constant flow while events arrive evenly: event i at f_i = i/n, i = 0..n-1, so that
-# the mean of f over events 0..i is exactly f_i/2. x is real-valued: no rounding to pixels hides the law.
+# the mean of f over events 0..i is exactly f_i/2. x is real-valued: no rounding to pixels hides the
+# law.
 N_EVENTS = 1300
 WIDE = dict(start_us=0, window_us=10 * N_EVENTS, sensor=(41, 41), grid=(41, 41), t_max=T_MAX)
 I = torch.arange(1, N_EVENTS, dtype=torch.float64)  # noqa: E741
@@ -126,7 +150,10 @@ RIDGE = 1 + (I + 1) * ((I + 1) ** 2 - 1) / 12 / N_EVENTS**2  # C_ff + 1 over eve
 
 def object_in_motion(flow):
     """The same 1,300 points of an object 6 px across; `flow` in grid pixels per window, along x."""
-    shape = torch.rand(N_EVENTS, 2, generator=torch.Generator().manual_seed(7), dtype=torch.float64) * 6 + 12
+    shape = (
+        torch.rand(N_EVENTS, 2, generator=torch.Generator().manual_seed(7), dtype=torch.float64) * 6
+        + 12
+    )
     i = torch.arange(N_EVENTS)
     return dict(t=10 * i, x=shape[:, 0] + flow * i.double() / N_EVENTS, y=shape[:, 1])
 
@@ -137,7 +164,11 @@ def object_in_motion(flow):
         ({"landmark": "running"}, 2.0 + 0 * I, {}),
         ({"landmark": "line"}, 4 * (1 - 1 / (2 * RIDGE)), {129: 2.200, 649: 3.863, -1: 3.982}),
         ({"landmark": "line", "remove_flow": True}, 4 / (2 * RIDGE), {-1: 0.018}),
-        ({"landmark": "window"}, 4 * (1 - (N_EVENTS - 1) / (2 * I)), {324: -4.0, 649: 0.0, -1: 2.0}),
+        (
+            {"landmark": "window"},
+            4 * (1 - (N_EVENTS - 1) / (2 * I)),
+            {324: -4.0, 649: 0.0, -1: 2.0},
+        ),
     ],
     ids=["running", "line", "line, flow removed", "window"],
 )
@@ -150,27 +181,37 @@ def test_how_far_each_landmark_translates_events_under_flow(options, expected, a
     line, flow removed           v / (2 t_max (C_ff + 1))             what the ridge leaves
     window                       v / t_max (1 - T / 2t)               not a translation
     """
-    moving, still = (tnt_coordinates(**object_in_motion(flow), **WIDE, **options) for flow in (8.0, 0.0))
+    moving, still = (
+        tnt_coordinates(**object_in_motion(flow), **WIDE, **options) for flow in (8.0, 0.0)
+    )
     torch.testing.assert_close(moving.v, still.v, rtol=0, atol=1e-12)
     got = (moving.u - still.u)[1:]
     torch.testing.assert_close(got, expected, rtol=0, atol=1e-9)
     for i, shift in at.items():
-        assert got[i].item() == pytest.approx(shift, abs=0.01 if options["landmark"] == "window" else 0.001)
+        assert got[i].item() == pytest.approx(
+            shift, abs=0.01 if options["landmark"] == "window" else 0.001
+        )
 
 
 @pytest.mark.parametrize("polarity", ["signed", "split"])
 def test_proposition_2_for_the_volume_and_a_3d_convolution_of_it(polarity):
-    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by (8, -4) cells.
+    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by
+    (8, -4) cells.
 
-    So V(TNT(L_v e)) * phi = L_{v / t_max} (V(TNT(e)) * phi), for filters over x, y and t; without TNT it is not.
+    So V(TNT(L_v e)) * phi = L_{v / t_max} (V(TNT(e)) * phi), for filters over x, y and t; without
+    TNT it is not.
     """
     options = dict(AT, polarity=polarity, dtype=torch.float64)
-    still, moving = (tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX) for v in ((0, 0), FLOW))
+    still, moving = (
+        tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX) for v in ((0, 0), FLOW)
+    )
     assert still.abs().sum() > 50
     assert moving.abs().sum().item() == pytest.approx(still.abs().sum().item())  # nothing fell off
     assert difference(moving, translated(still)) < 1e-12
     assert difference(moving, still) >= 1
-    phi = torch.randn(4, 1, 3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    phi = torch.randn(
+        4, 1, 3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+    )
     raw_still, raw_moving = (event_volume(**square(v), **options) for v in ((0, 0), FLOW))
     still, moving, raw_still, raw_moving = (
         F.conv3d(volume[None, None], phi) for volume in (still, moving, raw_still, raw_moving)
@@ -180,10 +221,11 @@ def test_proposition_2_for_the_volume_and_a_3d_convolution_of_it(polarity):
 
 
 def test_the_classifiers_features_translate_with_the_flow():
-    """Phi(V(TNT(L_v e))) = L Phi(V(TNT(e))): by (8, -4) cells after conv1, by (2, -1) after conv1, pool, conv2, pool.
+    """Phi(V(TNT(L_v e))) = L Phi(V(TNT(e))): by (8, -4) cells after conv1, by (2, -1) after conv1,
+    pool, conv2, pool.
 
-    v / t_max is a multiple of 4, as two poolings ask for. The outermost cells, which see the zero padding, are
-    left out. Features of the raw volumes differ by more than a standard deviation.
+    v / t_max is a multiple of 4, as two poolings ask for. The outermost cells, which see the zero
+    padding, are left out. Features of the raw volumes differ by more than a standard deviation.
     """
     torch.manual_seed(0)
     network = Classifier(BINS, SENSOR).double().requires_grad_(False)
@@ -192,12 +234,17 @@ def test_the_classifiers_features_translate_with_the_flow():
     def worst(volume_of):
         """The largest difference of each layer, in standard deviations."""
         firsts = [network.conv1(volume_of(v)).relu() for v in ((0, 0), FLOW)]
-        seconds = [F.avg_pool2d(network.conv2(F.avg_pool2d(first, 2)).relu(), 2) for first in firsts]
+        seconds = [
+            F.avg_pool2d(network.conv2(F.avg_pool2d(first, 2)).relu(), 2) for first in firsts
+        ]
         for (still, moving), step in ((firsts, 1), (seconds, 4)):
             inner = (..., slice(2, -2 + SHIFT_Y // step), slice(SHIFT_X // step + 2, -2))
             expected = translated(still, step)[inner]
             assert expected.std() > 0.01
             yield difference(moving[inner], expected) / expected.std().item()
 
-    assert max(worst(lambda v: tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX))) < 1e-12
+    assert (
+        max(worst(lambda v: tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX)))
+        < 1e-12
+    )
     assert min(worst(lambda v: event_volume(**square(v), **options))) > 1

@@ -1,4 +1,5 @@
-"""Chapter 2: convolutions over a group are equivariant to it, those over translations to translations alone.
+"""Chapter 2: convolutions over a group are equivariant to it, those over translations to
+translations alone.
 
 C4 is the group of quarter turns r of the image about its middle; its group convolutions are
 
@@ -16,7 +17,9 @@ TURNS = range(4)
 
 
 def random(*shape):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(sum(shape)), dtype=torch.float64)
+    return torch.randn(
+        *shape, generator=torch.Generator().manual_seed(sum(shape)), dtype=torch.float64
+    )
 
 
 def turned(images, k=1):
@@ -24,7 +27,9 @@ def turned(images, k=1):
 
 
 def on_torus(images, filters, stride=1):
-    return F.conv2d(F.pad(images, [filters.shape[-1] // 2] * 4, mode="circular"), filters, stride=stride)
+    return F.conv2d(
+        F.pad(images, [filters.shape[-1] // 2] * 4, mode="circular"), filters, stride=stride
+    )
 
 
 def lifted(images, filters):
@@ -37,7 +42,9 @@ def group_convolution(maps, filters):
     answers = []
     for s in TURNS:
         of_turn = turned(filters.roll(s, 2), s)
-        answers.append(sum(F.conv2d(maps[:, :, h], of_turn[:, :, h], padding="same") for h in TURNS))
+        answers.append(
+            sum(F.conv2d(maps[:, :, h], of_turn[:, :, h], padding="same") for h in TURNS)
+        )
     return torch.stack(answers, 2)
 
 
@@ -53,7 +60,9 @@ def assert_close(a, b):
 def test_a_convolution_is_equivariant_to_translation():
     images, filters = random(2, 3, 17, 17), random(5, 3, 3, 3)
     for by in ((1, 0), (0, -3), (8, 5)):
-        assert_close(on_torus(images.roll(by, (2, 3)), filters), on_torus(images, filters).roll(by, (2, 3)))
+        assert_close(
+            on_torus(images.roll(by, (2, 3)), filters), on_torus(images, filters).roll(by, (2, 3))
+        )
 
 
 @pytest.mark.parametrize(
@@ -81,11 +90,16 @@ def test_a_convolution_of_a_turned_image_is_one_with_filters_turned_back():
 
 
 def test_convolutions_over_quarter_turns_are_equivariant_to_them():
-    """Layer after layer, ReLUs between; the maximum over turns is that of a turned image, turned."""
+    """Layer after layer, ReLUs between; the maximum over turns is that of a turned image,
+    turned."""
     images, filters, more = random(2, 3, 17, 17), random(5, 3, 3, 3), random(4, 5, 4, 3, 3)
     first, of_turned = lifted(images, filters), lifted(turned(images), filters)
     assert_close(of_turned, turned_maps(first))
-    second, of_turned = group_convolution(first.relu(), more), group_convolution(of_turned.relu(), more)
+    second, of_turned = (
+        group_convolution(first.relu(), more),
+        group_convolution(of_turned.relu(), more),
+    )
     assert_close(of_turned, turned_maps(second))
     assert_close(of_turned.amax(2), turned(second.amax(2)))
-    assert (of_turned - turned(second)).norm() > 0.5 * second.norm()  # the maps alone, each of its own turn, are not
+    # the maps alone, each of its own turn, are not
+    assert (of_turned - turned(second)).norm() > 0.5 * second.norm()

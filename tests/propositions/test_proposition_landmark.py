@@ -1,9 +1,11 @@
-"""Translation: a landmark that moves along takes it away altogether (Proposition 3 of Wang 2019, arXiv:1911.12801).
+"""Translation: a landmark that moves along takes it away altogether (Proposition 3 of Wang 2019,
+arXiv:1911.12801).
 
     TNT(e + a, l + a) = TNT(e, l)        since u_i = (x_i + a - (l + a)) / tau_i + c
 
-A landmark l(e) that events define must be equivariant for it: l(e + a) = l(e) + a. Centroids and fitted lines are;
-so is the centroid of what a convolution draws, as far as its heatmap has nothing outside the object.
+A landmark l(e) that events define must be equivariant for it: l(e + a) = l(e) + a. Centroids and
+fitted lines are; so is the centroid of what a convolution draws, as far as its heatmap has nothing
+outside the object.
 """
 
 import numpy as np
@@ -34,7 +36,8 @@ def shifted(events, a):
 
 @given(st.data())
 def test_proposition_3_in_the_stream_to_the_last_bit(data):
-    """`running` and `line`, whole pixels: n x - S_x, of which all else is made, is the same integer for x + a.
+    """`running` and `line`, whole pixels: n x - S_x, of which all else is made, is the same integer
+    for x + a.
 
     On a grid of another size than the sensor's as well.
     """
@@ -58,7 +61,7 @@ def test_proposition_3_in_the_stream_to_the_last_bit(data):
         assert np.subtract(there.landmark, here.landmark) == pytest.approx(step, abs=1e-12)
 
 
-# -- fractions of a pixel: the reference --------------------------------------------------------------------------
+# -- fractions of a pixel: the reference -----------------------------------------------------------
 
 AT = dict(start_us=0, window_us=WINDOW_US, sensor=(57, 57), grid=(57, 57))
 
@@ -71,16 +74,23 @@ def real_valued(n=500):
     return t, x, y, torch.randint(0, 2, (n,), generator=g)
 
 
-@pytest.mark.parametrize("landmark", ["running", "line", "window", "line, flow removed", "a point", "a point an event"])
+@pytest.mark.parametrize(
+    "landmark", ["running", "line", "window", "line, flow removed", "a point", "a point an event"]
+)
 def test_proposition_3_for_any_translation(landmark):
-    """Coordinates and volumes to 1e-12; a given landmark is translated with the stream, the others go by themselves."""
+    """Coordinates and volumes to 1e-12; a given landmark is translated with the stream, the others
+    go by themselves."""
     a = 1 / 3, 21.7
     t, x, y, p = real_valued()
     options = dict(AT, t_max=2.0, remove_flow=landmark == "line, flow removed")
     here = there = landmark.removesuffix(", flow removed")
     if landmark.startswith("a point"):
         rows = torch.stack([x.roll(3) + 0.7, y.flip(0)], 1)
-        here = rows if landmark == "a point an event" else torch.tensor([16.2, 17.0], dtype=torch.float64)
+        here = (
+            rows
+            if landmark == "a point an event"
+            else torch.tensor([16.2, 17.0], dtype=torch.float64)
+        )
         there = here + torch.tensor(a, dtype=torch.float64)
     sides = [((t, x, y), here), ((t, x + a[0], y + a[1]), there)]
     one, other = (tnt_coordinates(*columns, **options, landmark=about) for columns, about in sides)
@@ -92,10 +102,11 @@ def test_proposition_3_for_any_translation(landmark):
 
 
 def test_the_softmax_of_the_regressor_follows_as_far_as_its_mass_lies_on_the_object():
-    """`LandmarkRegressor` takes h = exp(...) > 0 everywhere: empty cells hold mass that stays where it is.
+    """`LandmarkRegressor` takes h = exp(...) > 0 everywhere: empty cells hold mass that stays where
+    it is.
 
-    It follows a translation by 16 px not at all with its starting weights, by a part with small ones, and by all of
-    it, to 1e-6 px, where the object's cells outweigh the 57 x 57 others.
+    It follows a translation by 16 px not at all with its starting weights, by a part with small
+    ones, and by all of it, to 1e-6 px, where the object's cells outweigh the 57 x 57 others.
     """
     torch.manual_seed(0)
     network = LandmarkRegressor(9, (57, 57), n_filters=4).double().requires_grad_(False)
@@ -103,7 +114,10 @@ def test_the_softmax_of_the_regressor_follows_as_far_as_its_mass_lies_on_the_obj
         convolution.bias.zero_()
         convolution.weight.abs_()
     t, x, y, p = real_valued()
-    volumes = [event_volume(t, x + a, y, p, **AT, polarity="unsigned", dtype=torch.float64) for a in (0, 16)]
+    volumes = [
+        event_volume(t, x + a, y, p, **AT, polarity="unsigned", dtype=torch.float64)
+        for a in (0, 16)
+    ]
     follows = []
     for weight in (0.0, 0.05, 10.0):
         network.heatmap.weight.fill_(weight)

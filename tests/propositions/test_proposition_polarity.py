@@ -14,10 +14,15 @@ THRESHOLD = 0.19  # log 5 = 1.609 holds 8 of them
 
 
 def events_of_motion(image, start, end):
-    """Events of noiseless pixels that see `image` move from displacement `start` to `end` in 100 ms."""
-    motion = ConstantVelocity(tuple(10 * (b - a) for a, b in zip(start, end, strict=True)), start, 100_000)
+    """Events of noiseless pixels that see `image` move from displacement `start` to `end` in 100
+    ms."""
+    motion = ConstantVelocity(
+        tuple(10 * (b - a) for a, b in zip(start, end, strict=True)), start, 100_000
+    )
     times = np.linspace(0, 100_000, 101)
-    light = render(image, *motion.position(times), scene=Scene(contrast=5.0, gamma=1.0), sensor=SENSOR)
+    light = render(
+        image, *motion.position(times), scene=Scene(contrast=5.0, gamma=1.0), sensor=SENSOR
+    )
     return noiseless_events(light, times, THRESHOLD, THRESHOLD)
 
 
@@ -28,10 +33,12 @@ def counts(events, polarity):
 
 
 def test_reversed_motion_flips_the_polarity_at_each_pixel():
-    """dL/dt = -v . grad L: -v for v gives -dL/dt, so n_ON(v) = n_OFF(-v) and n_OFF(v) = n_ON(-v), pixel by pixel.
+    """dL/dt = -v . grad L: -v for v gives -dL/dt, so n_ON(v) = n_OFF(-v) and n_OFF(v) = n_ON(-v),
+    pixel by pixel.
 
-    The square is wider than the way it goes, so one edge alone passes over a pixel, and its light only rises or only
-    falls. A pixel that the edge passes altogether gives floor(log 5 / C) = 8 events.
+    The square is wider than the way it goes, so one edge alone passes over a pixel, and its light
+    only rises or only falls. A pixel that the edge passes altogether gives floor(log 5 / C) = 8
+    events.
     """
     square = np.zeros((28, 28))
     square[8:20, 8:20] = 1
@@ -45,8 +52,9 @@ def test_reversed_motion_flips_the_polarity_at_each_pixel():
 
 
 def test_an_edge_parallel_to_the_motion_gives_no_events():
-    """dL/dt = -v . grad L = 0 where v is along the edge: along its length a bar gives events at its ends only; across
-    it, the same number in each column, and as many if it also goes to the side (the aperture problem)."""
+    """dL/dt = -v . grad L = 0 where v is along the edge: along its length a bar gives events at its
+    ends only; across it, the same number in each column, and as many if it also goes to the side
+    (the aperture problem)."""
     bar = np.zeros((28, 28))
     bar[12:16, 3:25] = 1  # 22 px long, on sensor columns 6-27 at displacement (3, y)
     middle = slice(13, 21)  # 4 px and more from the ends wherever it goes

@@ -1,4 +1,5 @@
-"""Every bad argument is named with its rule; the reference shares no code with what it is compared with."""
+"""Every bad argument is named with its rule; the reference shares no code with what it is compared
+with."""
 
 import re
 from pathlib import Path
@@ -13,16 +14,40 @@ T, X, Y, P = [1_200, 1_300, 5_000, 6_000], [0, 33, 17, 5], [33, 0, 16, 4], [1, 0
 
 
 BAD = [
-    (dict(x=[0, 34, 17, 5]), ValueError, r"`x` must be in \[0, 33\], inside the sensor, got 34 at event 1"),
+    (
+        dict(x=[0, 34, 17, 5]),
+        ValueError,
+        r"`x` must be in \[0, 33\], inside the sensor, got 34 at event 1",
+    ),
     (dict(t=[float("inf"), 0, 1, 9]), ValueError, r"`t` must be finite, got inf at event 0"),
-    (dict(t=torch.tensor(T).float()), TypeError, r"`t` must hold integers or float64, got torch.float32"),
-    (dict(x=[1, 2, 3]), ValueError, r"event columns must have one length, got {'t': 4, 'x': 3, 'y': 4}"),
+    (
+        dict(t=torch.tensor(T).float()),
+        TypeError,
+        r"`t` must hold integers or float64, got torch.float32",
+    ),
+    (
+        dict(x=[1, 2, 3]),
+        ValueError,
+        r"event columns must have one length, got {'t': 4, 'x': 3, 'y': 4}",
+    ),
     (dict(p=[1, 0, 1, 0.5]), ValueError, r"`p` must be bool, 0/1 or -1/\+1, got 0.5 at event 3"),
     (dict(window_us=0), ValueError, r"`window_us` must be positive, got 0; .* pass at least 1"),
-    (dict(sensor=(34, 1)), ValueError, r"`sensor` must have sides of at least 2 pixels, got \(34, 1\)"),
+    (
+        dict(sensor=(34, 1)),
+        ValueError,
+        r"`sensor` must have sides of at least 2 pixels, got \(34, 1\)",
+    ),
     (dict(t_max=float("nan")), ValueError, r"`t_max` must be positive and finite, got nan"),
-    (dict(landmark=(1, 2, 3)), ValueError, r"shape \(2,\) or \(4, 2\), one row an event, got \(3,\)"),
-    (dict(remove_flow=True), ValueError, r"`remove_flow` needs the flow fitted by landmark 'line', got .* 'running'"),
+    (
+        dict(landmark=(1, 2, 3)),
+        ValueError,
+        r"shape \(2,\) or \(4, 2\), one row an event, got \(3,\)",
+    ),
+    (
+        dict(remove_flow=True),
+        ValueError,
+        r"`remove_flow` needs the flow fitted by landmark 'line', got .* 'running'",
+    ),
 ]
 
 
@@ -34,5 +59,16 @@ def test_bad_arguments(bad, error, message):
 
 def test_the_reference_imports_nothing_of_what_it_is_compared_with():
     for path in Path(tnt_reference.__file__).parent.rglob("*.py"):
-        imported = set(re.findall(r"^ *(?:from|import) +(\w+)", path.read_text(encoding="utf-8"), re.MULTILINE))
-        assert imported <= {"__future__", "collections", "itertools", "math", "operator", "typing", "numpy", "torch"}
+        imported = set(
+            re.findall(r"^ *(?:from|import) +(\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+        )
+        assert imported <= {
+            "__future__",
+            "collections",
+            "itertools",
+            "math",
+            "operator",
+            "typing",
+            "numpy",
+            "torch",
+        }

@@ -1,4 +1,5 @@
-"""Volumes and landmarks worked out with pencil and paper: twins cannot see an error made on both sides."""
+"""Volumes and landmarks worked out with pencil and paper: twins cannot see an error made on both
+sides."""
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ def cells(volume):
 
 
 TNT = {"landmark": "center"}
-GIVEN = {(2, y, x): 0.25 for y in (2, 3) for x in (2, 3)}  # u = (4 - 3)/2 + 2 = 2.5, v = (2 - 1)/2 + 2 = 2.5
+# u = (4 - 3)/2 + 2 = 2.5, v = (2 - 1)/2 + 2 = 2.5
+GIVEN = {(2, y, x): 0.25 for y in (2, 3) for x in (2, 3)}
 ONE_EVENT = [  # t, x, y, settings of a transform or None, cells
     (0, 1, 3, None, {(0, 3, 1): 1.0}),  # the window's start: first bin
     (250, 1, 3, None, {(2, 3, 1): 0.5, (3, 3, 1): 0.5}),  # between bins
@@ -49,14 +51,26 @@ def test_one_event(t, x, y, transform, expected):
     assert cells(volume([t], [x], [y], [1], **SQUARE, **transform or {})) == expected
 
 
-@pytest.mark.parametrize(("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"])
+@pytest.mark.parametrize(
+    ("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"]
+)
 def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
-    """A pixel at the side of four is 1.5 from the centre; k microseconds before tau = 1 of T, it is 4.17e-10 k past the
-    border."""
+    """A pixel at the side of four is 1.5 from the centre; k microseconds before tau = 1 of T, it is
+    4.17e-10 k past the border."""
     window_us = 3_600_000_000
-    at = dict(start_us=0, window_us=window_us, sensor=(4, 4), grid=(4, 4), bins=2, t_max=1.0, landmark="center")
+    at = dict(
+        start_us=0,
+        window_us=window_us,
+        sensor=(4, 4),
+        grid=(4, 4),
+        bins=2,
+        t_max=1.0,
+        landmark="center",
+    )
     for k, kept in ((1, 1), (2, 1), (3, 0), (4, 0), (1000, 0)):
-        assert tnt_volume([window_us - k], [x], [y], [1], **at).sum().item() == pytest.approx(kept), k
+        assert tnt_volume([window_us - k], [x], [y], [1], **at).sum().item() == pytest.approx(
+            kept
+        ), k
 
 
 def test_eight_cells_and_polarities():
@@ -64,7 +78,12 @@ def test_eight_cells_and_polarities():
     event = dict(t=[150], x=[2], y=[4], p=[0], **SQUARE | {"sensor": (6, 6)})
     k_x, k_y = {1: 0.4, 2: 0.6}, {3: 0.8, 4: 0.2}
     for polarity, sign, first in (("signed", -1, 0), ("unsigned", 1, 0), ("split", 1, 9)):
-        expected = {(first + b, y, x): sign * 0.5 * k_y[y] * k_x[x] for b in (1, 2) for y in k_y for x in k_x}
+        expected = {
+            (first + b, y, x): sign * 0.5 * k_y[y] * k_x[x]
+            for b in (1, 2)
+            for y in k_y
+            for x in k_x
+        }
         assert cells(event_volume(**event, polarity=polarity)) == expected
 
 
@@ -111,7 +130,11 @@ def test_windows_of_events_end_with_their_last_event_or_before_their_time_is_ove
         (1, [[0], [1], [2], [3], [4], [5], [6], [7], [8], [9]]),
     ):
         assert [one.tolist() for one in windows_of_events(times, n, 20)] == expected
-    assert [one.tolist() for one in windows_of_events(times, 4)] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
+    assert [one.tolist() for one in windows_of_events(times, 4)] == [
+        [0, 1, 2, 3],
+        [4, 5, 6, 7],
+        [8, 9],
+    ]
     assert windows_of_events([], 3, 20) == []
 
 
@@ -124,33 +147,48 @@ def test_an_image_of_counts_and_times_leaves_out_what_is_outside_its_window():
 
 
 def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
-    """Cells of 10 x 5 pixels. In the left upper one, ON at (2, 1) twice, then at (4, 2); OFF at (4, 1)."""
-    t, x, y, p = np.array([(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]).T
+    """Cells of 10 x 5 pixels. In the left upper one, ON at (2, 1) twice, then at (4, 2); OFF at (4,
+    1)."""
+    t, x, y, p = np.array(
+        [(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]
+    ).T
     at = dict(start_us=0, window_us=100, sensor=(20, 10), grid=(2, 2))
     expected = torch.zeros(2, 7, 7, 2, 2)  # polarity, z_y + 3, z_x + 3, row, column
-    expected[0, 3, 3, 0, 0] = 1 / 5  # the second at (2, 1) finds the first; five events are in this cell
+    # the second at (2, 1) finds the first; five events are in this cell
+    expected[0, 3, 3, 0, 0] = 1 / 5
     expected[0, 2, 1, 0, 0] = 2 / 5  # that at (4, 2) finds both, two pixels to the left and one up
-    torch.testing.assert_close(hats(t, x, y, p, **at), expected.reshape(98, 2, 2))  # (9, 4) is too far; (10, 4) outside
+    # (9, 4) is too far; (10, 4) outside
+    torch.testing.assert_close(hats(t, x, y, p, **at), expected.reshape(98, 2, 2))
     expected[0, 3, 1, 0, 0] = 2 / 5  # the OFF event finds both ON events
     expected[0, 2, 3, 0, 0] = 1 / 5  # and is found
-    torch.testing.assert_close(hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2))
+    torch.testing.assert_close(
+        hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2)
+    )
     with pytest.raises(TypeError, match="`x` and `y` must be whole pixels"):
         hats(t, x + 0.5, y, p, **at)
 
 
 def test_hats_reach_three_pixels_in_each_direction():
-    """An earlier event counts in the neighbourhood's own place, up to its rim and corners, and not beyond."""
+    """An earlier event counts in the neighbourhood's own place, up to its rim and corners, and not
+    beyond."""
     at = dict(start_us=0, window_us=100, sensor=(18, 18), grid=(2, 2), polarity="unsigned")
     for z_x in range(-4, 5):
         for z_y in range(-4, 5):
-            histogram = hats([1, 2], [4 + z_x, 4], [4 + z_y, 4], [1, 1], **at)[:, 0, 0].reshape(7, 7)
-            found = {(x - 3, y - 3): histogram[y, x].item() for y, x in histogram.nonzero().tolist()}
+            histogram = hats([1, 2], [4 + z_x, 4], [4 + z_y, 4], [1, 1], **at)[:, 0, 0].reshape(
+                7, 7
+            )
+            found = {
+                (x - 3, y - 3): histogram[y, x].item() for y, x in histogram.nonzero().tolist()
+            }
             assert found == ({(z_x, z_y): 0.5} if max(abs(z_x), abs(z_y)) <= 3 else {})
 
 
 def test_an_image_of_times_leaves_out_shares_below_a_billionth():
-    """The newest event lies a rounding error beside a pixel: the pixel next to it keeps its own time."""
+    """The newest event lies a rounding error beside a pixel: the pixel next to it keeps its own
+    time."""
     shared = dict(start_us=0, window_us=8, sensor=(3, 3), grid=(3, 3), polarity="unsigned")
     for share, newest in ((1e-12, 2 / 8), (1e-6, 4 / 8)):
-        image = time_image([2, 4], [0, 1 - share], [1, 1], [1, 1], representation="count_time", **shared)
+        image = time_image(
+            [2, 4], [0, 1 - share], [1, 1], [1, 1], representation="count_time", **shared
+        )
         assert image[1, 1, :2].tolist() == [newest, 4 / 8] and image[1].count_nonzero() == 2

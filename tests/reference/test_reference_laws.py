@@ -1,7 +1,9 @@
-"""What holds for every stream: sums, derivatives, finite values, and agreement with plain Python loops.
+"""What holds for every stream: sums, derivatives, finite values, and agreement with plain Python
+loops.
 
-The loops are written from the equations alone. Up to the volume's sums both do the same float64 operations in the same
-order, so that those comparisons ask for equality. Landmark `line` is compared with exact rational arithmetic.
+The loops are written from the equations alone. Up to the volume's sums both do the same float64
+operations in the same order, so that those comparisons ask for equality. Landmark `line` is
+compared with exact rational arithmetic.
 """
 
 from fractions import Fraction
@@ -19,7 +21,8 @@ POLARITIES = ("signed", "unsigned", "split")
 WINDOW = dict(start_us=1_000, window_us=5_000, sensor=(12, 9), grid=(8, 7))
 VOLUME = dict(WINDOW, bins=5)
 ATOL_LANDMARK = 1e-9  # grid pixels, the bound of the theory
-ATOL_VOLUME = 1e-12  # a dozen events of weight 1: only the order of float64 sums and products differs
+# a dozen events of weight 1: only the order of float64 sums and products differs
+ATOL_VOLUME = 1e-12
 
 
 @pytest.mark.parametrize(
@@ -34,7 +37,8 @@ ATOL_VOLUME = 1e-12  # a dozen events of weight 1: only the order of float64 sum
     ids=str,
 )
 def test_gradients(options):
-    """Of real-valued events away from the edges of cells and border, and of a landmark for each event."""
+    """Of real-valued events away from the edges of cells and border, and of a landmark for each
+    event."""
     g = torch.Generator().manual_seed(1)
     t, x, y, l_x, l_y = (
         (torch.rand(4, generator=g, dtype=torch.float64) * (high - low) + low).requires_grad_()
@@ -61,30 +65,43 @@ def test_degenerate_input_gives_finite_values_and_gradients(name):
             for column in (times, [11, 3, 3, 4, 0], [8, 4, 4, 4, 0])
         )
         u, v, _ = tnt_coordinates(t, x, y, **WINDOW, landmark=name)
-        assert u.isfinite().all() and v.isfinite().all() and fitted_flow(t, x, y, **WINDOW).shape == (n, 2)
+        assert (
+            u.isfinite().all()
+            and v.isfinite().all()
+            and fitted_flow(t, x, y, **WINDOW).shape == (n, 2)
+        )
         for remove_flow in {False, name == "line"}:
-            volume = tnt_volume(t, x, y, [1, 0, 1, 0, 1][:n], **VOLUME, landmark=name, remove_flow=remove_flow)
+            volume = tnt_volume(
+                t, x, y, [1, 0, 1, 0, 1][:n], **VOLUME, landmark=name, remove_flow=remove_flow
+            )
             assert volume.shape == (5, 7, 8) and volume.isfinite().all()
             loss = (volume * volume).sum() + u.sum() + v.sum()
             gradients = torch.autograd.grad(loss, (t, x, y), retain_graph=True, allow_unused=True)
             assert all(gradient is None or gradient.isfinite().all() for gradient in gradients)
 
 
-# -- against loops -------------------------------------------------------------------------------------------
+# -- against loops ---------------------------------------------------------------------------------
 
 
 @st.composite
 def windows(draw):
-    """A window's settings and up to 12 events: unsorted, repeated, at the ends, outside, far from 0."""
+    """A window's settings and up to 12 events: unsorted, repeated, at the ends, outside, far from
+    0."""
     window_us = draw(st.sampled_from([1, 2, 7, 800, 105_000]))
     start_us = draw(st.sampled_from([0, -5, 123, 1_700_000_000_123_457]))
     sensor = draw(st.tuples(st.integers(2, 12), st.integers(2, 12)))
     grid = draw(st.tuples(st.integers(2, 7), st.integers(2, 7)))
-    dt = st.one_of(st.integers(-2, window_us + 2), st.sampled_from([0, 1, window_us - 1, window_us]))
-    event = st.tuples(dt, st.integers(0, sensor[0] - 1), st.integers(0, sensor[1] - 1), st.booleans())
+    dt = st.one_of(
+        st.integers(-2, window_us + 2), st.sampled_from([0, 1, window_us - 1, window_us])
+    )
+    event = st.tuples(
+        dt, st.integers(0, sensor[0] - 1), st.integers(0, sensor[1] - 1), st.booleans()
+    )
     events = draw(st.lists(event, min_size=draw(st.sampled_from([0, 1, 12])), max_size=12))
     t, x, y, p = ([e[k] for e in events] for k in range(4))
-    return ([start_us + a for a in t], x, y, p), dict(start_us=start_us, window_us=window_us, sensor=sensor, grid=grid)
+    return ([start_us + a for a in t], x, y, p), dict(
+        start_us=start_us, window_us=window_us, sensor=sensor, grid=grid
+    )
 
 
 def line(x, f):
@@ -101,7 +118,9 @@ def k(a):
 
 def volume_of(placed, bins, grid, polarity):
     """placed: (b, v, u, is_on) of each kept event. Visits every cell for every event."""
-    volume = torch.zeros(2 * bins if polarity == "split" else bins, grid[1], grid[0], dtype=torch.float64)
+    volume = torch.zeros(
+        2 * bins if polarity == "split" else bins, grid[1], grid[0], dtype=torch.float64
+    )
     for b, v, u, is_on in placed:
         sign = -1.0 if polarity == "signed" and not is_on else 1.0
         first = bins if polarity == "split" and not is_on else 0
@@ -112,7 +131,8 @@ def volume_of(placed, bins, grid, polarity):
 
 @given(windows(), st.sampled_from(LANDMARKS))
 def test_landmarks(window, name):
-    """Centroids to the last bit, as (S / n) (W - 1) / (Ws - 1) is written: the kernels do the same operations."""
+    """Centroids to the last bit, as (S / n) (W - 1) / (Ws - 1) is written: the kernels do the same
+    operations."""
     (t, x, y, _), where = window
     start, length, sensor, grid = where.values()
     rows, flow = landmark(name, t, x, y, **where), fitted_flow(t, x, y, **where)
@@ -127,13 +147,18 @@ def test_landmarks(window, name):
             scale = Fraction(grid[axis] - 1, sensor[axis] - 1)
             intercept, slope = line(of_members, [Fraction(t[j] - start, length) for j in members])
             assert got == pytest.approx(float(intercept * scale), abs=ATOL_LANDMARK, rel=0)
-            assert flow[i, axis].item() == pytest.approx(float(slope * scale), abs=ATOL_LANDMARK, rel=0)
+            assert flow[i, axis].item() == pytest.approx(
+                float(slope * scale), abs=ATOL_LANDMARK, rel=0
+            )
         else:
             assert got == sum(of_members) / len(members) * (grid[axis] - 1) / (sensor[axis] - 1)
 
 
 @example(  # rounding puts the second event just off the grid
-    (([1, 1], [5, 4], [0, 0], [False, False]), dict(start_us=0, window_us=7, sensor=(8, 2), grid=(2, 2))),
+    (
+        ([1, 1], [5, 4], [0, 0], [False, False]),
+        dict(start_us=0, window_us=7, sensor=(8, 2), grid=(2, 2)),
+    ),
     "line, flow removed",
     1,
     1,
@@ -149,12 +174,19 @@ def test_landmarks(window, name):
 def test_volumes(window, kind, t_max, bins, polarity):
     (t, x, y, p), where = window
     start, length, sensor, grid = where.values()
-    how = dict(landmark=kind.removesuffix(", flow removed"), remove_flow=kind == "line, flow removed", t_max=t_max)
+    how = dict(
+        landmark=kind.removesuffix(", flow removed"),
+        remove_flow=kind == "line, flow removed",
+        t_max=t_max,
+    )
     options = dict(where, bins=bins, polarity=polarity, dtype=torch.float64)
     if kind == "raw":
         got = event_volume(t, x, y, p, **options)
     else:
-        rows, flow = landmark(how["landmark"], t, x, y, **where).tolist(), fitted_flow(t, x, y, **where).tolist()
+        rows, flow = (
+            landmark(how["landmark"], t, x, y, **where).tolist(),
+            fitted_flow(t, x, y, **where).tolist(),
+        )
         u, v, kept = tnt_coordinates(t, x, y, **where, **how)
         got = tnt_volume(t, x, y, p, **options, **how)
     placed = []
@@ -164,7 +196,9 @@ def test_volumes(window, kind, t_max, bins, polarity):
         at = [column[i] * (grid[a] - 1) / (sensor[a] - 1) for a, column in enumerate((x, y))]
         is_kept = 0 <= dt <= length
         if kind != "raw" and is_kept and tau > 0:
-            at = [at[a] - rows[i][a] - how["remove_flow"] * flow[i][a] * (dt / length) for a in (0, 1)]
+            at = [
+                at[a] - rows[i][a] - how["remove_flow"] * flow[i][a] * (dt / length) for a in (0, 1)
+            ]
             at = [at[a] / tau + (grid[a] - 1) / 2 for a in (0, 1)]
             on_grid = [min(max(a, 0.0), side - 1.0) for a, side in zip(at, grid, strict=True)]
             is_kept = all(abs(a - b) <= BORDER_TOLERANCE for a, b in zip(at, on_grid, strict=True))
@@ -175,4 +209,6 @@ def test_volumes(window, kind, t_max, bins, polarity):
             assert kept[i].item() == is_kept
         if is_kept:
             placed.append(((bins - 1) * dt / length, at[1], at[0], p[i]))
-    torch.testing.assert_close(got, volume_of(placed, bins, grid, polarity), rtol=0, atol=ATOL_VOLUME)
+    torch.testing.assert_close(
+        got, volume_of(placed, bins, grid, polarity), rtol=0, atol=ATOL_VOLUME
+    )

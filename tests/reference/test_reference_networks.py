@@ -20,7 +20,8 @@ def seeded():
 
 
 def test_classifier_by_hand():
-    """Grid 8 wide, 4 high. Both convolutions copy their channels, so pooling twice averages 4 x 4 blocks."""
+    """Grid 8 wide, 4 high. Both convolutions copy their channels, so pooling twice averages 4 x 4
+    blocks."""
     network = Classifier(channels=2, grid=(8, 4), n_classes=1, widths=(2, 2, 1))
     with torch.no_grad():
         for w in network.parameters():
@@ -35,7 +36,8 @@ def test_classifier_by_hand():
         network.fc2.bias[:] = 0.5
     volume = torch.zeros(2, 4, 8)
     volume[0, 1, 2], volume[0, 3, 4:] = 16, 4  # left mean 1; right mean 4 * 4 / 16 = 1
-    volume[1, :, :4], volume[1, 0, 7] = 3, -16  # left 3 - 1, right 0 - 1; ReLU cuts the negative ones
+    # left 3 - 1, right 0 - 1; ReLU cuts the negative ones
+    volume[1, :, :4], volume[1, 0, 7] = 3, -16
     assert network(volume).tolist() == [1 + 10 + 200 + 0.5]
 
 
@@ -70,7 +72,11 @@ def test_pipeline_is_volume_then_classifier(options):
     pipeline = Pipeline(classifier, **SETTINGS, grid=(9, 8), **options)
     *events, start_us = window()
     at = dict(start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(9, 8), bins=5)
-    volume = event_volume(*events, **at) if "transform" in options else tnt_volume(*events, **at, t_max=2.0, **options)
+    volume = (
+        event_volume(*events, **at)
+        if "transform" in options
+        else tnt_volume(*events, **at, t_max=2.0, **options)
+    )
     assert volume.abs().sum() > 10
     assert torch.equal(pipeline.volume(*window()), volume)
     torch.testing.assert_close(pipeline(*window()), classifier(volume))

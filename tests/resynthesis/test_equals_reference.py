@@ -1,4 +1,5 @@
-"""Path evidence, its gradient and the images against dense linear algebra over pixels, by the reference."""
+"""Path evidence, its gradient and the images against dense linear algebra over pixels, by the
+reference."""
 
 import numpy as np
 import pytest
@@ -46,7 +47,8 @@ def test_evidence_and_its_gradient(seed):
 
 
 def test_image_costs_least():
-    """Its cost is within a thousandth of the least that another method finds, of a slightly rounded cost."""
+    """Its cost is within a thousandth of the least that another method finds, of a slightly rounded
+    cost."""
     frames, path = made(0, n=1)
     found = moving_image.find_images(MODEL, MODEL.spectra(frames), path[None])[0]
 
@@ -61,11 +63,14 @@ def test_image_costs_least():
         )
 
     best = torch.zeros(MODEL.shape, dtype=torch.float64, requires_grad=True)
-    steps = torch.optim.LBFGS([best], max_iter=300, line_search_fn="strong_wolfe", tolerance_change=1e-12)
+    steps = torch.optim.LBFGS(
+        [best], max_iter=300, line_search_fn="strong_wolfe", tolerance_change=1e-12
+    )
 
     def closure():
         steps.zero_grad()
-        value = cost(best + 1e-9 * torch.arange(best.numel()).reshape(best.shape))  # off the kink at D L = 0
+        # off the kink at D L = 0
+        value = cost(best + 1e-9 * torch.arange(best.numel()).reshape(best.shape))
         value.backward()
         return value
 
@@ -73,12 +78,19 @@ def test_image_costs_least():
     assert cost(torch.tensor(found)).item() <= 1.001 * cost(best.detach()).item()
 
 
-@given(st.lists(st.tuples(st.integers(0, 999), st.integers(0, 6), st.integers(0, 4), st.integers(0, 1)), max_size=40))
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 999), st.integers(0, 6), st.integers(0, 4), st.integers(0, 1)),
+        max_size=40,
+    )
+)
 @settings(max_examples=30, deadline=None)
 def test_contrast_frames(rows):
     t, x, y, p = np.ascontiguousarray(np.array(sorted(rows), np.int64).reshape(-1, 4).T)
     frames = np.empty((K, 5, 7))
-    contrast_frames(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8), 1_000, 1.25, 0.8, 1, frames)
+    contrast_frames(
+        t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8), 1_000, 1.25, 0.8, 1, frames
+    )
     columns = (torch.from_numpy(np.ascontiguousarray(column)) for column in (t, x, y, p))
     expected = reference.contrast_frames(
         *columns, window_us=1_000, n_frames=K, shape=(5, 7), step_on=1.25, step_off=0.8
@@ -106,11 +118,16 @@ def test_noise_is_white_after_whitening(cell):
 def test_pictures_move_as_the_reference_moves_an_image():
     """Between the places of the fine image the light is interpolated: the finer, the nearer."""
     image = np.random.default_rng(1).normal(size=(5, 7))
-    moved = reference.motion_matrix(torch.tensor([[1.3, -0.6]], dtype=torch.float64), (5, 7)).numpy() @ image.ravel()
+    moved = (
+        reference.motion_matrix(torch.tensor([[1.3, -0.6]], dtype=torch.float64), (5, 7)).numpy()
+        @ image.ravel()
+    )
     expected = image + moved.reshape(5, 7)
     frames = np.empty((1, 5, 7))
     errors = []
     for factor in (3, 30):
-        move_periodic(frames, finer(image, factor), np.array([[[1, 0, -1.3], [0, 1, 0.6]]]), 0, 0.0, factor)
+        move_periodic(
+            frames, finer(image, factor), np.array([[[1, 0, -1.3], [0, 1, 0.6]]]), 0, 0.0, factor
+        )
         errors.append(np.abs(frames[0] - expected).max())
     assert errors[0] < 0.25 and errors[1] < 0.003

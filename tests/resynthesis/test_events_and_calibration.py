@@ -1,4 +1,5 @@
-"""Pixels are measured, contrast is calibrated, and events of other motions are what the picture would have given."""
+"""Pixels are measured, contrast is calibrated, and events of other motions are what the picture
+would have given."""
 
 import numpy as np
 import pytest
@@ -16,46 +17,69 @@ SHARES = np.linspace(0, 1, 52)
 
 
 def windows_of(rng, pixels, n=24):
-    nets = rng.uniform(3, 9, n)[:, None] * np.stack([np.cos(a := rng.uniform(0, 6.3, n)), np.sin(a)], 1)
+    nets = rng.uniform(3, 9, n)[:, None] * np.stack(
+        [np.cos(a := rng.uniform(0, 6.3, n)), np.sin(a)], 1
+    )
     return [recorded(blobs(rng), straight(net), rng, pixels=pixels) for net in nets]
 
 
 @pytest.mark.parametrize("ratio", [0.7, 1.4])
 def test_pixels_are_measured(ratio):
-    """ON against OFF within 20 %, as refractory times hide more events of the lower threshold; noise within 30 %; the
-    refractory time is below the measured bound."""
+    """ON against OFF within 20 %, as refractory times hide more events of the lower threshold;
+    noise within 30 %; the refractory time is below the measured bound."""
     pixels = PixelModel(0.2 * ratio**0.5, 0.2 / ratio**0.5, 0.1, 800.0, 0.5, 0.8)
     measured = measure_pixels(windows_of(np.random.default_rng(0), pixels), SENSOR, WINDOW_US)
     assert measured.step_on / measured.step_off == pytest.approx(ratio, rel=0.2)
     assert measured.step_on * measured.step_off == pytest.approx(1)
-    assert measured.noise_hz == pytest.approx(0.5, rel=0.3) and measured.noise_on_share == pytest.approx(0.8, abs=0.1)
+    assert measured.noise_hz == pytest.approx(
+        0.5, rel=0.3
+    ) and measured.noise_on_share == pytest.approx(0.8, abs=0.1)
     assert 800 <= measured.refractory_us < 4_000
 
 
 def test_after_pulses_by_hand():
     """Within a millisecond, of the other sign, and at the same pixel."""
-    rows = [(0, 3, 4, 1), (1_000, 3, 4, 0), (2_001, 3, 4, 1), (2_002, 3, 4, 1), (2_003, 4, 4, 0), (2_003, 3, 5, 0)]
+    rows = [
+        (0, 3, 4, 1),
+        (1_000, 3, 4, 0),
+        (2_001, 3, 4, 1),
+        (2_002, 3, 4, 1),
+        (2_003, 4, 4, 0),
+        (2_003, 3, 5, 0),
+    ]
     t, x, y, p = np.array([*rows, (2_900, 3, 4, 0)]).T
     assert is_after_pulse((t, x, y, p)).tolist() == [False, True, False, False, False, False, True]
 
 
 def test_simulated_pixels_are_like_the_measured_ones():
-    """Each number of theirs; thresholds and refractory time vary about them from window to window."""
-    measured = MeasuredPixels(1.25, 0.8, refractory_us=900.0, noise_hz=0.7, noise_on_share=0.3, after_share=0.2)
+    """Each number of theirs; thresholds and refractory time vary about them from window to
+    window."""
+    measured = MeasuredPixels(
+        1.25, 0.8, refractory_us=900.0, noise_hz=0.7, noise_on_share=0.3, after_share=0.2
+    )
     rng = np.random.default_rng(0)
     drawn = [SimulatedPixels(measured, scale=0.3).draw(rng) for _ in range(500)]
-    assert {(one.noise_hz, one.noise_on_share, one.after_share) for one in drawn} == {(0.7, 0.3, 0.2)}
-    on, off, refractory_us = np.array([(one.threshold_on, one.threshold_off, one.refractory_us) for one in drawn]).T
+    assert {(one.noise_hz, one.noise_on_share, one.after_share) for one in drawn} == {
+        (0.7, 0.3, 0.2)
+    }
+    on, off, refractory_us = np.array(
+        [(one.threshold_on, one.threshold_off, one.refractory_us) for one in drawn]
+    ).T
     np.testing.assert_allclose(on / off, 1.25 / 0.8)
-    assert np.median(on) == pytest.approx(0.3 * 1.25, rel=0.03) and np.log(on).std() == pytest.approx(0.1, rel=0.15)
+    assert np.median(on) == pytest.approx(0.3 * 1.25, rel=0.03) and np.log(
+        on
+    ).std() == pytest.approx(0.1, rel=0.15)
     assert np.mean(refractory_us) == pytest.approx(900, rel=0.05)
     assert 540 <= refractory_us.min() < 600 and 1_200 < refractory_us.max() <= 1_260
 
 
 def test_numbers_of_windows_by_hand():
-    """Pixel (1, 1) at 0, 2 and 6 ms and pixel (5, 9) once; then pixel (1, 1) twice, 8 ms apart; then nothing."""
+    """Pixel (1, 1) at 0, 2 and 6 ms and pixel (5, 9) once; then pixel (1, 1) twice, 8 ms apart;
+    then nothing."""
     first = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0)]
-    windows = [np.array(rows, EVENT_DTYPE) for rows in (first, [(0, 1, 1, 0), (8_000, 1, 1, 1)], [])]
+    windows = [
+        np.array(rows, EVENT_DTYPE) for rows in (first, [(0, 1, 1, 0), (8_000, 1, 1, 1)], [])
+    ]
     expected = {
         "events per window": 6 / 3,
         "active pixels": 100 * (2 + 1 + 0) / 3 / 100,
@@ -95,32 +119,50 @@ def test_nothing_that_moves_is_an_error():
 
 
 def test_other_motions_have_their_polarity(calibrated):
-    """Dark objects: where they go, OFF events are first; so OFF minus ON centroids point along the new motion."""
+    """Dark objects: where they go, OFF events are first; so OFF minus ON centroids point along the
+    new motion."""
     windows, reconstruction, calibration = calibrated
     agree = []
     for i, (_, image) in enumerate(reconstruction(windows[:12], calibration.pixels.measured)):
         if image is None:
             continue
         for seed in range(4):
-            events, motion = image.moved(calibration.length, calibration.pixels, np.random.default_rng((i, seed)))
-            assert (np.diff(events["t"]) >= 0).all() and events["t"].min() >= 0 and events["t"].max() < WINDOW_US
+            events, motion = image.moved(
+                calibration.length, calibration.pixels, np.random.default_rng((i, seed))
+            )
+            assert (
+                (np.diff(events["t"]) >= 0).all()
+                and events["t"].min() >= 0
+                and events["t"].max() < WINDOW_US
+            )
             on, off = (np.array([events[a][events["p"] == p].mean() for a in "xy"]) for p in (1, 0))
             agree.append((off - on) @ motion[-1] > 0)
     assert np.mean(agree) > 0.9
 
 
 def test_each_polarity_comes_at_its_own_threshold(calibrated):
-    """A quarter of the contrast for an ON event gives about four times as many of them for each OFF event."""
+    """A quarter of the contrast for an ON event gives about four times as many of them for each OFF
+    event."""
     windows, reconstruction, calibration = calibrated
-    images = [image for _, image in reconstruction(windows[:8], calibration.pixels.measured) if image is not None]
+    images = [
+        image
+        for _, image in reconstruction(windows[:8], calibration.pixels.measured)
+        if image is not None
+    ]
 
     def on_for_each_off(step_on):
-        pixels = SimulatedPixels(MeasuredPixels(step_on=step_on, step_off=1 / step_on), calibration.pixels.scale)
-        p = np.concatenate([image.as_recorded(pixels, np.random.default_rng(0))["p"] for image in images])
+        pixels = SimulatedPixels(
+            MeasuredPixels(step_on=step_on, step_off=1 / step_on), calibration.pixels.scale
+        )
+        p = np.concatenate(
+            [image.as_recorded(pixels, np.random.default_rng(0))["p"] for image in images]
+        )
         return p.sum() / (p == 0).sum()
 
     for step_on in (0.5, 2.0):
-        assert on_for_each_off(step_on) / on_for_each_off(1.0) == pytest.approx(step_on**-2, rel=0.4)
+        assert on_for_each_off(step_on) / on_for_each_off(1.0) == pytest.approx(
+            step_on**-2, rel=0.4
+        )
 
 
 def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
@@ -137,7 +179,9 @@ def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
 
 def test_random_motions_keep_to_their_ranges():
     rng = np.random.default_rng(0)
-    motions, turns = map(np.array, zip(*(random_motion(6.0, SHARES, rng) for _ in range(2_000)), strict=True))
+    motions, turns = map(
+        np.array, zip(*(random_motion(6.0, SHARES, rng) for _ in range(2_000)), strict=True)
+    )
     net = motions[:, -1] - motions[:, 0]
     lengths = np.hypot(*net.T)
     assert 6 - 1e-9 <= lengths.min() < 6.01 and 6.4 < lengths.max() <= 6 * np.hypot(1, 0.4)
@@ -145,14 +189,19 @@ def test_random_motions_keep_to_their_ranges():
     assert directions.min() > 190 and directions.max() < 310
     still = np.mean(np.hypot(*(motions[:, 3] - motions[:, 0]).T) < 1e-9)  # those that start later
     assert 0.2 < still < 0.5
-    np.testing.assert_allclose([np.interp(0.5, SHARES, motion[:, 0]) for motion in motions], 0, atol=0.1)
+    np.testing.assert_allclose(
+        [np.interp(0.5, SHARES, motion[:, 0]) for motion in motions], 0, atol=0.1
+    )
     turned = np.abs(turns[:, -1] - turns[:, 0]).max(0)
-    assert (turned > 0.98 * np.array([np.radians(6), 0.06])).all() and (turned <= [np.radians(6), 0.06]).all()
+    assert (turned > 0.98 * np.array([np.radians(6), 0.06])).all() and (
+        turned <= [np.radians(6), 0.06]
+    ).all()
 
 
 @pytest.mark.parametrize("turn, growth", [(np.pi / 6, 0.0), (0.0, np.log(1.3)), (-0.4, -0.2)])
 def test_an_image_turns_and_grows_about_its_centre(turn, growth):
-    """The moments of a long spot: its centre only moves, its longer axis turns, and both axes grow."""
+    """The moments of a long spot: its centre only moves, its longer axis turns, and both axes
+    grow."""
     model = Reconstruction((48, 48), WINDOW_US).model
     y, x = np.mgrid[: model.shape[0], : model.shape[1]]
     spot = np.exp(-(((x - 20) / 5) ** 2 + ((y - 25) / 3) ** 2) / 2)
@@ -168,9 +217,13 @@ def test_an_image_turns_and_grows_about_its_centre(turn, growth):
 
 
 def test_noise_does_not_count_where_on_is_compared_with_off():
-    """A third more events, all ON, anywhere: without them the thresholds are as before, within 5 %."""
+    """A third more events, all ON, anywhere: without them the thresholds are as before, within 5
+    %."""
     rng = np.random.default_rng(0)
-    scenes = [recorded(blobs(rng, n=1), straight(net), rng, pixels=PixelModel(noise_hz=0.0)) for net in [(6, 3)] * 24]
+    scenes = [
+        recorded(blobs(rng, n=1), straight(net), rng, pixels=PixelModel(noise_hz=0.0))
+        for net in [(6, 3)] * 24
+    ]
     noisy = [together(scene, (*noise(rng, 80)[:3], np.ones(80, np.uint8))) for scene in scenes]
     expected, measured = (measure_pixels(windows, SENSOR, WINDOW_US) for windows in (scenes, noisy))
     assert measured.step_on == pytest.approx(expected.step_on, rel=0.05)

@@ -24,14 +24,20 @@ def reconstruction():
 
 @pytest.mark.parametrize("profile", [lambda u: u, minimum_jerk, lambda u: np.clip(2 * u - 1, 0, 1)])
 def test_paths_and_images_are_found(reconstruction, profile):
-    """Net displacement within .8 pixels in the median; images correlate with what moved at .9 and more."""
+    """Net displacement within .8 pixels in the median; images correlate with what moved at .9 and
+    more."""
     rng = np.random.default_rng(3)
     angle, length = rng.uniform(0, 2 * np.pi, 16), rng.uniform(4, 12, 16)
     nets = np.stack([length * np.cos(angle), length * np.sin(angle)], 1)
     scenes = [blobs(rng) for _ in nets]
-    windows = [recorded(scene, straight(net, profile=profile), rng) for scene, net in zip(scenes, nets, strict=True)]
+    windows = [
+        recorded(scene, straight(net, profile=profile), rng)
+        for scene, net in zip(scenes, nets, strict=True)
+    ]
     errors, likeness = [], []
-    for scene, net, (path, image) in zip(scenes, nets, reconstruction(windows, PIXELS), strict=True):
+    for scene, net, (path, image) in zip(
+        scenes, nets, reconstruction(windows, PIXELS), strict=True
+    ):
         assert not path.refused
         errors.append(np.linalg.norm(path.positions[-1] - net))
         moved = image.picture.frames(path.at(np.array([0.5])))[0]
@@ -42,16 +48,21 @@ def test_paths_and_images_are_found(reconstruction, profile):
 
 
 def test_neighbours_tell_what_a_window_does_not():
-    """A third of a slow motion has too few events; with those of before and after, its own part of the path is found,
-    and its image where it is halfway through the window."""
+    """A third of a slow motion has too few events; with those of before and after, its own part of
+    the path is found, and its image where it is halfway through the window."""
     rng, third = np.random.default_rng(5), WINDOW_US // 3
     net, scenes = np.array([6.0, 0.0]), [blobs(rng) for _ in range(16)]
     whole = [recorded(scene, straight(net), rng) for scene in scenes]
     masks = [rng.random(len(t)) < 0.3 for t, *_ in whole]
-    kept = [tuple(column[mask] for column in columns) for mask, columns in zip(masks, whole, strict=True)]
+    kept = [
+        tuple(column[mask] for column in columns)
+        for mask, columns in zip(masks, whole, strict=True)
+    ]
     wide = [(t - third, *rest) for t, *rest in kept]
     thirds = Reconstruction(SENSOR, third)
-    alone = [path.refused for path, _ in thirds([part_of(window, third) for window in wide], PIXELS)]
+    alone = [
+        path.refused for path, _ in thirds([part_of(window, third) for window in wide], PIXELS)
+    ]
     found = list(thirds(wide, PIXELS))
     assert alone.count("") < 4 <= 10 < [path.refused for path, _ in found].count("")
     for scene, (path, image) in zip(scenes, found, strict=True):
@@ -67,7 +78,9 @@ def test_where_neighbours_do_not_help_the_windows_own_reason_is_told():
     """Few events between two windows of noise, which would be refused as noise."""
     rng = np.random.default_rng(3)
     parts = (-WINDOW_US, 2000), (0, 20), (WINDOW_US, 2000)
-    t = np.concatenate([np.sort(rng.integers(first_us, first_us + WINDOW_US, n)) for first_us, n in parts])
+    t = np.concatenate(
+        [np.sort(rng.integers(first_us, first_us + WINDOW_US, n)) for first_us, n in parts]
+    )
     x, y, p = (rng.integers(0, end, len(t)) for end in (*SENSOR, 2))
     window = t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)
     ((path, image),) = Reconstruction(SENSOR, WINDOW_US)([window], PIXELS)
@@ -80,7 +93,8 @@ STEPS = np.stack([np.arange(1.0, N_FRAMES + 1), np.zeros(N_FRAMES)], 1)
 
 @pytest.mark.parametrize("span", [1, 3])
 def test_a_windows_part_of_a_path_begins_at_0(span):
-    """Of three windows, the middle one has a third of the way, and the first third lies before it."""
+    """Of three windows, the middle one has a third of the way, and the first third lies before
+    it."""
     path = MotionPath(STEPS, span=span)
     at = path.at(np.array([0, 0.5, 1]))
     np.testing.assert_allclose(at, [(share * N_FRAMES / span, 0) for share in (0, 0.5, 1)])
@@ -92,12 +106,14 @@ def test_a_windows_part_of_a_path_begins_at_0(span):
     ("measured", "reason"),
     [
         ({}, ""),
-        ({"n_events": 50, "margin": 6.0, "agreement": 0.0, "explained": 0.0}, ""),  # no less than enough
+        # no less than enough
+        ({"n_events": 50, "margin": 6.0, "agreement": 0.0, "explained": 0.0}, ""),
         ({"n_events": 49}, "few events"),
         ({"positions": 0.005 * STEPS}, "no motion"),
         ({"margin": 5.99}, "ambiguous direction"),
         ({"agreement": -0.01}, "several objects"),
-        ({"events_a_cell": 0.5, "explained": 0.25}, ""),  # few events need explain little: their square
+        # few events need explain little: their square
+        ({"events_a_cell": 0.5, "explained": 0.25}, ""),
         ({"events_a_cell": 0.5, "explained": 0.24}, "noise"),
         ({"events_a_cell": 7.0, "explained": 0.5}, ""),  # and many at most half
         ({"events_a_cell": 7.0, "explained": 0.49}, "noise"),
@@ -116,7 +132,8 @@ def test_noise_has_no_path(reconstruction, kind):
 
 
 def side_by_side(rng, net, other):
-    """Two objects on opposite sides of the middle, one of which moves by `net`, the other by `other`."""
+    """Two objects on opposite sides of the middle, one of which moves by `net`, the other by
+    `other`."""
     angle = rng.uniform(0, np.pi)
     beside = 9 * np.array([np.cos(angle), np.sin(angle)])
     scenes = [blobs(rng, n=2, spread=3.0) for _ in range(2)]
@@ -130,23 +147,32 @@ def side_by_side(rng, net, other):
 
 
 def test_two_objects_that_move_oppositely_have_no_path(reconstruction):
-    """One would be explained with the opposite contrast. Two that move together have a path: theirs."""
+    """One would be explained with the opposite contrast. Two that move together have a path:
+    theirs."""
     rng = np.random.default_rng(3)
     angle, length = rng.uniform(0, 2 * np.pi, 40), rng.uniform(2, 6, 40)
     nets = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     apart = reconstruction([side_by_side(rng, net, -net) for net in nets], PIXELS)
     assert [path.refused for path, _ in apart].count("") <= 4
     together = list(reconstruction([side_by_side(rng, net, net) for net in nets], PIXELS))
-    right = [path.positions[-1] @ net > 0 for net, (path, _) in zip(nets, together, strict=True) if not path.refused]
+    right = [
+        path.positions[-1] @ net > 0
+        for net, (path, _) in zip(nets, together, strict=True)
+        if not path.refused
+    ]
     assert len(right) >= 28 and all(right)
 
 
 def test_few_events_are_enough(reconstruction):
-    """Three of ten, on the way out and on the way back: most paths are found, and lead the right way."""
+    """Three of ten, on the way out and on the way back: most paths are found, and lead the right
+    way."""
     rng = np.random.default_rng(4)
     windows, nets = [], []
     for k in range(40):
-        angle, profile = rng.uniform(0, 2 * np.pi), (lambda u: u, lambda u: np.sin(np.pi * u) ** 2)[k % 2]
+        angle, profile = (
+            rng.uniform(0, 2 * np.pi),
+            (lambda u: u, lambda u: np.sin(np.pi * u) ** 2)[k % 2],
+        )
         nets.append(rng.uniform(4, 8) * np.array([np.cos(angle), np.sin(angle)]))
         window = recorded(blobs(rng), straight(nets[-1], profile=profile), rng)
         kept = rng.random(len(window[0])) < 0.3
@@ -182,11 +208,16 @@ def test_sensors_of_any_size(sensor):
     """Larger ones are averaged over cells; paths stay in pixels."""
     rng = np.random.default_rng(4)
     scale = min(sensor) / 34
-    window = recorded(blobs(rng, sensor), straight((9 * scale, -5 * scale)), rng, sensor, window_us=10_000)
+    window = recorded(
+        blobs(rng, sensor), straight((9 * scale, -5 * scale)), rng, sensor, window_us=10_000
+    )
     reconstruction = Reconstruction(sensor, 10_000, cell_for([window], sensor))
     ((path, image),) = reconstruction([window], PIXELS)
     if min(sensor) >= 20:
-        assert not path.refused and np.linalg.norm(path.positions[-1] - (9 * scale, -5 * scale)) < 2 * scale
+        assert (
+            not path.refused
+            and np.linalg.norm(path.positions[-1] - (9 * scale, -5 * scale)) < 2 * scale
+        )
         assert image.picture.frames(path.at(np.array([0.5]))).shape == (1, sensor[1], sensor[0])
     assert np.isfinite(path.positions).all()
 

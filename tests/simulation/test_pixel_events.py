@@ -1,4 +1,5 @@
-"""The event camera's pixel: numbers by hand, and the kernel against the plain reference, event for event."""
+"""The event camera's pixel: numbers by hand, and the kernel against the plain reference, event for
+event."""
 
 import numpy as np
 import pytest
@@ -11,10 +12,17 @@ from tnt_reference.simulator import simulate_events as reference_events
 from async_tnt.kernels.simulate import low_pass
 from async_tnt.simulation.simulator import AFTER_US, PixelModel, simulate
 
-BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not stated), events (t, p)
+# light of one pixel, times in us, settings (thresholds 1 where not stated), events (t, p)
+BY_HAND = {
     # L rises by 3.5 in 7,000 us: it reaches 1, 2 and 3 at 2,000, 4,000 and 6,000 us
-    "a ramp over three thresholds": ([0, 3.5], [0, 7_000], {}, [(2_000, 1), (4_000, 1), (6_000, 1)]),
-    # up to 2 in 1,000 us with C_on 0.5, then down to -0.2 with C_off 0.8: from 2 to 1.2 and 0.4, 0.8 / 2.2 ms each
+    "a ramp over three thresholds": (
+        [0, 3.5],
+        [0, 7_000],
+        {},
+        [(2_000, 1), (4_000, 1), (6_000, 1)],
+    ),
+    # up to 2 in 1,000 us with C_on 0.5, then down to -0.2 with C_off 0.8: from 2 to 1.2 and 0.4,
+    # 0.8 / 2.2 ms each
     "ON and OFF thresholds differ": (
         [0, 2, -0.2],
         [0, 1_000, 2_000],
@@ -22,9 +30,19 @@ BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not
         [(250, 1), (500, 1), (750, 1), (1_000, 1), (1_364, 0), (1_727, 0)],
     ),
     # 0.6 each: 0.6 + 0.4 of the second frame reaches 1; 2 is reached 0.2/0.6 into the fourth
-    "the level carries over": ([0, 0.6, 1.2, 1.8, 2.4], [0, 300, 600, 900, 1_200], {}, [(500, 1), (1_000, 1)]),
+    "the level carries over": (
+        [0, 0.6, 1.2, 1.8, 2.4],
+        [0, 300, 600, 900, 1_200],
+        {},
+        [(500, 1), (1_000, 1)],
+    ),
     "less than a threshold": ([0, 0.99, -0.99, 0], [0, 1_000, 2_000, 3_000], {}, []),
-    "a threshold met exactly at a frame": ([0, 1, 1, 1], [0, 1_000, 2_000, 3_000], {}, [(1_000, 1)]),
+    "a threshold met exactly at a frame": (
+        [0, 1, 1, 1],
+        [0, 1_000, 2_000, 3_000],
+        {},
+        [(1_000, 1)],
+    ),
     # L(t) = t / 1000. Event at 1,000 us; blind to 2,500; level 2.5; next at 3,500; blind to 5,000; 6,000
     "the level follows the light in reset": (
         [0, 7],
@@ -33,13 +51,28 @@ BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not
         [(1_000, 1), (3_500, 1), (6_000, 1)],
     ),
     # event at 500 (L = 1); blind to 2,250, where L = 2 - 0.25 x 2 = 1.5; OFF at L = 0.5, 2,750 us
-    "reset over two frames": ([0, 2, 2, 0], [0, 1_000, 2_000, 3_000], {"refractory_us": 1_750}, [(500, 1), (2_750, 0)]),
+    "reset over two frames": (
+        [0, 2, 2, 0],
+        [0, 1_000, 2_000, 3_000],
+        {"refractory_us": 1_750},
+        [(500, 1), (2_750, 0)],
+    ),
     "a reference far below": ([2.5, 2.5], [100, 200], {"reference": 0.0}, [(100, 1), (100, 1)]),
     "a reference far above": ([2.5, 2.5], [100, 200], {"reference": 4.0}, [(100, 0)]),
     "times are rounded": ([0, 3], [0, 10], {}, [(3, 1), (7, 1), (10, 1)]),
-    "a half is rounded up": ([0, 2], [0, 5], {"threshold_on": 0.5}, [(1, 1), (3, 1), (4, 1), (5, 1)]),
+    "a half is rounded up": (
+        [0, 2],
+        [0, 5],
+        {"threshold_on": 0.5},
+        [(1, 1), (3, 1), (4, 1), (5, 1)],
+    ),
     # at 7.1 and 7.2 up past 1 and 2, at 7.3 and 7.4 down past 1 and 0
-    "one microsecond keeps its order": ([0, 2, 0], [7.0, 7.2, 7.4], {}, [(7, 1), (7, 1), (7, 0), (7, 0)]),
+    "one microsecond keeps its order": (
+        [0, 2, 0],
+        [7.0, 7.2, 7.4],
+        {},
+        [(7, 1), (7, 1), (7, 0), (7, 0)],
+    ),
 }
 
 
@@ -51,8 +84,15 @@ def of_kernel(*arguments):
 @pytest.mark.parametrize(("light", "times", "settings", "expected"), BY_HAND.values(), ids=BY_HAND)
 def test_one_pixel_by_hand(light, times, settings, expected, events_of):
     frames = np.array(light, float).reshape(-1, 1, 1)
-    known = {"threshold_on": 1.0, "threshold_off": 1.0, "reference": light[0], "refractory_us": 0.0} | settings
-    of_pixel = (np.full((1, 1), known[name]) for name in ("threshold_on", "threshold_off", "reference"))
+    known = {
+        "threshold_on": 1.0,
+        "threshold_off": 1.0,
+        "reference": light[0],
+        "refractory_us": 0.0,
+    } | settings
+    of_pixel = (
+        np.full((1, 1), known[name]) for name in ("threshold_on", "threshold_off", "reference")
+    )
     events = events_of(frames, times, *of_pixel, known["refractory_us"])
     assert [(t, p) for t, x, y, p in events] == expected
 
@@ -92,8 +132,17 @@ def test_background_events_of_still_light_have_the_stated_rate_and_polarity():
     assert abs(events["p"].mean() - 0.7) < 0.0106
     counts = np.zeros((20, 30))
     np.add.at(counts, (events["y"], events["x"]), 1)
-    assert counts.min() > 15 and (np.diff(events["t"]) >= 0).all() and events["t"].max() < 10_000_000
-    assert len(simulate(still, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0))) == 0
+    assert (
+        counts.min() > 15 and (np.diff(events["t"]) >= 0).all() and events["t"].max() < 10_000_000
+    )
+    assert (
+        len(
+            simulate(
+                still, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0)
+            )
+        )
+        == 0
+    )
 
 
 def test_bandwidth_equals_reference():
@@ -106,14 +155,18 @@ def test_bandwidth_equals_reference():
 
 
 def test_a_dark_pixel_answers_later():
-    """A step of 2.5 thresholds, 100 Hz in full light, a tenth where it is dark. Behind a low-pass a share s of it is
-    reached after ln(1 / (1 - s)) / (2 pi f). A level begins within a threshold of its light, so that the last event
-    comes when 1.5 to 2.5 thresholds are reached: after 1.5 ms or later, and 15 ms."""
+    """A step of 2.5 thresholds, 100 Hz in full light, a tenth where it is dark. Behind a low-pass a
+    share s of it is reached after ln(1 / (1 - s)) / (2 pi f). A level begins within a threshold of
+    its light, so that the last event comes when 1.5 to 2.5 thresholds are reached: after 1.5 ms or
+    later, and 15 ms."""
     times = np.arange(0, 300_000, 10.0)
     for light, earliest_us in ((0.0, 1_458), (-5.0, 14_583)):
         frames = np.where(times > 0, light, light - 0.5).reshape(-1, 1, 1) + np.zeros((1, 6, 6))
         events = simulate(
-            frames, times, np.random.default_rng(0), PixelModel(0.2, 0.2, 0.0, 0.0, 0.0, bandwidth_hz=100.0)
+            frames,
+            times,
+            np.random.default_rng(0),
+            PixelModel(0.2, 0.2, 0.0, 0.0, 0.0, bandwidth_hz=100.0),
         )
         last = np.zeros((6, 6))
         np.maximum.at(last, (events["y"], events["x"]), events["t"])
@@ -121,16 +174,21 @@ def test_a_dark_pixel_answers_later():
 
 
 def test_leak_hot_pixels_and_after_pulses_by_their_rates():
-    """Of still light for 10 s: 3 leaked ON events of each pixel a second, the first after half an interval; a tenth of
-    the pixels hot; then a fifth of the events followed by one of the other sign within a millisecond."""
+    """Of still light for 10 s: 3 leaked ON events of each pixel a second, the first after half an
+    interval; a tenth of the pixels hot; then a fifth of the events followed by one of the other
+    sign within a millisecond."""
     still, times = np.zeros((2, 20, 30)), np.array([0, 10_000_000])
     quiet = {"mismatch": 0.0, "refractory_us": 0.0, "noise_hz": 0.0}
     leaked = simulate(still, times, np.random.default_rng(0), PixelModel(**quiet, leak_hz=3.0))
     assert (leaked["p"] == 1).all() and len(leaked) == pytest.approx(600 * 29.5, rel=0.01)
-    hot = simulate(still, times, np.random.default_rng(0), PixelModel(**quiet, hot_share=0.1, hot_hz=20.0))
+    hot = simulate(
+        still, times, np.random.default_rng(0), PixelModel(**quiet, hot_share=0.1, hot_hz=20.0)
+    )
     n_hot = len(np.unique(hot["y"].astype(int) * 30 + hot["x"]))
     assert 40 < n_hot < 80 and len(hot) == pytest.approx(200 * n_hot, rel=0.5)
-    after = simulate(still, times, np.random.default_rng(0), PixelModel(**quiet, leak_hz=3.0, after_share=0.2))
+    after = simulate(
+        still, times, np.random.default_rng(0), PixelModel(**quiet, leak_hz=3.0, after_share=0.2)
+    )
     later = after[after["p"] == 0]
     assert len(later) == pytest.approx(600 * 30 * 0.2, rel=0.06)
     for event in later[:50]:
@@ -141,10 +199,22 @@ def test_leak_hot_pixels_and_after_pulses_by_their_rates():
 @pytest.mark.parametrize(
     ("frames", "times", "message"),
     [
-        (np.zeros((2, 3)), [0, 5], r"`log_frames` must have shape \(K, H, W\) with K >= 1, got \(2, 3\)"),
-        (np.full((2, 1, 1), -np.inf), [0, 5], "`log_frames` must be finite; luminance 0 has no logarithm"),
+        (
+            np.zeros((2, 3)),
+            [0, 5],
+            r"`log_frames` must have shape \(K, H, W\) with K >= 1, got \(2, 3\)",
+        ),
+        (
+            np.full((2, 1, 1), -np.inf),
+            [0, 5],
+            "`log_frames` must be finite; luminance 0 has no logarithm",
+        ),
         (np.zeros((2, 1, 1)), [5, 5], "`frame_times_us` must be strictly increasing"),
-        (np.zeros((2, 1, 1)), [5], r"`frame_times_us` must have shape \(2,\), one per frame, got \(1,\)"),
+        (
+            np.zeros((2, 1, 1)),
+            [5],
+            r"`frame_times_us` must have shape \(2,\), one per frame, got \(1,\)",
+        ),
     ],
 )
 def test_invalid_frames_and_pixels_are_refused(frames, times, message):
@@ -163,11 +233,16 @@ def test_invalid_frames_and_pixels_are_refused(frames, times, message):
 
 @pytest.mark.parametrize("start_us", [1, 1 << 24, 1 << 40])
 def test_events_do_not_depend_on_when_the_frames_begin(start_us):
-    """Of pixels that leak, follow slowly, fire for themselves and again; within the rounding of a microsecond."""
+    """Of pixels that leak, follow slowly, fire for themselves and again; within the rounding of a
+    microsecond."""
     frames = np.cumsum(np.random.default_rng(1).normal(0.0, 0.3, (30, 6, 7)), axis=0)
     times = 1_000.0 * np.arange(30)
-    pixels = PixelModel(leak_hz=40.0, bandwidth_hz=300.0, noise_hz=30.0, hot_share=0.1, after_share=0.3)
-    first, later = (simulate(frames, times + t, np.random.default_rng(2), pixels=pixels) for t in (0, start_us))
+    pixels = PixelModel(
+        leak_hz=40.0, bandwidth_hz=300.0, noise_hz=30.0, hot_share=0.1, after_share=0.3
+    )
+    first, later = (
+        simulate(frames, times + t, np.random.default_rng(2), pixels=pixels) for t in (0, start_us)
+    )
     assert len(first) == len(later) > 200
     for one in (first, later):
         one.sort(order=("x", "y", "p", "t"))

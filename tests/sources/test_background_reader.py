@@ -1,4 +1,5 @@
-"""The queue of packets, and the reader that fills it in a thread: order, skipping and its accounts, the end."""
+"""The queue of packets, and the reader that fills it in a thread: order, skipping and its accounts,
+the end."""
 
 import asyncio
 import collections
@@ -15,18 +16,24 @@ from async_tnt.events import as_events
 from async_tnt.sources import BackgroundReader, PacketQueue, QueueCounters
 
 EVENTS = random_events(10_000, seed=1)
-PACKETS = np.split(EVENTS, np.sort(np.random.default_rng(2).integers(0, 10_001, 40)))  # some of them empty
+# some of them empty
+PACKETS = np.split(EVENTS, np.sort(np.random.default_rng(2).integers(0, 10_001, 40)))
 EQUAL = [EVENTS[k : k + 250] for k in range(0, 10_000, 250)]
 
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left():
     yield
-    until(lambda: not any(thread.name == "async_tnt.BackgroundReader" for thread in threading.enumerate()))
+    until(
+        lambda: (
+            not any(thread.name == "async_tnt.BackgroundReader" for thread in threading.enumerate())
+        )
+    )
 
 
 class Source:
-    """Packets, with a note of how many were asked for; `gate` holds back the packets from number `gate_at` on."""
+    """Packets, with a note of how many were asked for; `gate` holds back the packets from number
+    `gate_at` on."""
 
     def __init__(self, packets=PACKETS, gate_at=None, error=None):
         self.packets, self.error = packets, error
@@ -75,7 +82,10 @@ def test_received_is_handed_out_and_skipped_and_waiting_at_any_moment(max_packet
         for packet in reader:
             handed_out += len(packet)
             now = reader.counters
-            assert now.received == now.handed_out + now.skipped + now.backlog and now.handed_out == handed_out
+            assert (
+                now.received == now.handed_out + now.skipped + now.backlog
+                and now.handed_out == handed_out
+            )
     now = reader.counters
     assert now.received == source.n_events == handed_out + now.skipped and now.backlog == 0
     assert packet.tobytes() == PACKETS[-1].tobytes()
@@ -92,7 +102,7 @@ def test_an_error_of_the_source_comes_after_the_packets_before_it(read, latest, 
     assert list(reader) == []  # once; then it has ended
 
 
-# -- closing ---------------------------------------------------------------------------------------------
+# -- closing ---------------------------------------------------------------------------------------
 
 
 def test_closing_at_any_moment_accounts_for_every_event():
@@ -104,7 +114,9 @@ def test_closing_at_any_moment_accounts_for_every_event():
         counters = reader.counters
         assert counters.received == source.n_events == handed_out + counters.skipped
         assert counters.handed_out == handed_out and counters.backlog == 0
-        assert next(reader, None) is None and repr(reader).startswith("BackgroundReader(closed, 0 events ")
+        assert next(reader, None) is None and repr(reader).startswith(
+            "BackgroundReader(closed, 0 events "
+        )
 
 
 @in_both_ways
@@ -122,16 +134,19 @@ def test_closing_from_another_thread_ends_the_loop_and_wakes_the_source(read):
 
 @in_both_ways
 def test_who_closes_a_reader_wants_no_error_any_more_and_wakes_the_source_once(read):
-    """Also where the source has failed before: closing twice, or after that, ends the loop without a word."""
+    """Also where the source has failed before: closing twice, or after that, ends the loop without
+    a word."""
     woken = []
-    reader = BackgroundReader(Source(PACKETS[:2], error=OSError("gone")), on_close=lambda: woken.append(1))
+    reader = BackgroundReader(
+        Source(PACKETS[:2], error=OSError("gone")), on_close=lambda: woken.append(1)
+    )
     until(lambda: repr(reader).startswith("BackgroundReader(ended"))
     reader.close()
     reader.close()
     assert read(reader) == [] and woken == [1]
 
 
-# -- arguments -------------------------------------------------------------------------------------------
+# -- arguments -------------------------------------------------------------------------------------
 
 
 async def asynchronous():
@@ -143,8 +158,16 @@ async def asynchronous():
     [
         ({"max_packets": 0}, ValueError, "`max_packets` must be at least 1, got 0"),
         ({"source": 7}, TypeError, "`source` must be an iterable of packets, got int"),
-        ({"source": "a.bin"}, TypeError, r"`source` must yield events, got the path a.bin; open_recording\(path\)"),
-        ({"source": asynchronous()}, TypeError, "`source` is asynchronous already: pass it to `astream` directly"),
+        (
+            {"source": "a.bin"},
+            TypeError,
+            r"`source` must yield events, got the path a.bin; open_recording\(path\)",
+        ),
+        (
+            {"source": asynchronous()},
+            TypeError,
+            "`source` is asynchronous already: pass it to `astream` directly",
+        ),
     ],
 )
 def test_wrong_arguments(settings, error, message):
@@ -152,7 +175,7 @@ def test_wrong_arguments(settings, error, message):
         BackgroundReader(**({"source": PACKETS} | settings))
 
 
-# -- the queue alone --------------------------------------------------------------------------------------
+# -- the queue alone -------------------------------------------------------------------------------
 
 PADDED = np.dtype([("p", "u1"), ("x", "<u2"), ("t", "<i8"), ("y", "<u2")], align=True)
 FORMS = {
@@ -168,7 +191,8 @@ def test_every_form_is_copied_and_counted(form):
     queue = PacketQueue()
     packet = FORMS[form](EVENTS[:100])
     assert queue.put(packet) and queue.backlog == 100
-    for array in packet if form == "columns" else [packet]:  # a driver reuses it for the next packet
+    # a driver reuses it for the next packet
+    for array in packet if form == "columns" else [packet]:
         array[:] = 0
     got = next(queue)
     assert as_events(got, (34, 34)).tobytes() == EVENTS[:100].tobytes()
@@ -191,9 +215,14 @@ def test_after_the_end_nothing_comes_in():
     queue.put(EQUAL[0])
     queue.end(OSError("first"))
     queue.end(ValueError("second"))
-    with pytest.raises(ValueError, match=r"^a packet after the end: this queue's end\(\) was called; make a new"):
+    with pytest.raises(
+        ValueError, match=r"^a packet after the end: this queue's end\(\) was called; make a new"
+    ):
         queue.put(EQUAL[1])
-    assert repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)" and len(next(queue)) == 250
+    assert (
+        repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)"
+        and len(next(queue)) == 250
+    )
     with pytest.raises(OSError, match="first"):
         next(queue)
     assert list(queue) == [] and queue.counters.received == 250
@@ -226,7 +255,7 @@ def test_delay_is_the_age_of_the_packet_handed_out(monkeypatch):
     assert (queue.counters.longest_wait_us, queue.delay_us) == (20, 25)
 
 
-# -- asyncio ---------------------------------------------------------------------------------------------
+# -- asyncio ---------------------------------------------------------------------------------------
 
 
 def test_cancelled_while_it_waits_loses_nothing():
@@ -240,7 +269,9 @@ def test_cancelled_while_it_waits_loses_nothing():
         queue.put(EQUAL[1])
         return [await anext(queue), await anext(queue)]
 
-    assert [packet.tobytes() for packet in asyncio.run(run())] == [packet.tobytes() for packet in EQUAL[:2]]
+    assert [packet.tobytes() for packet in asyncio.run(run())] == [
+        packet.tobytes() for packet in EQUAL[:2]
+    ]
 
 
 def test_a_queue_that_never_runs_empty_leaves_other_tasks_their_turn(monkeypatch):

@@ -1,7 +1,9 @@
-"""Both camera libraries with made devices: only the cable is played, packets are of the libraries' own classes.
+"""Both camera libraries with made devices: only the cable is played, packets are of the libraries'
+own classes.
 
-The compiled part of neuromorphic-drivers makes its packets itself and lets nobody else make them; its documented
-classes of the same names and fields stand for them, with arrays of the library's dtypes. dv-processing makes stores.
+The compiled part of neuromorphic-drivers makes its packets itself and lets nobody else make them;
+its documented classes of the same names and fields stand for them, with arrays of the library's
+dtypes. dv-processing makes stores.
 """
 
 import json
@@ -15,7 +17,13 @@ from sources.test_cameras import RECORD
 
 from async_tnt.events import as_events
 from async_tnt.sources import open_camera, open_recording, sample_recordings
-from async_tnt.sources.camera_drivers import DV_KINDS, NEUROMORPHIC_KINDS, DvDevice, dv_cameras, neuromorphic_cameras
+from async_tnt.sources.camera_drivers import (
+    DV_KINDS,
+    NEUROMORPHIC_KINDS,
+    DvDevice,
+    dv_cameras,
+    neuromorphic_cameras,
+)
 from async_tnt.sources.cameras import Camera
 
 SERIAL = "00050423"
@@ -23,19 +31,26 @@ EPOCH_US = 1_700_000_000_000_000  # dv-processing's times count from 1970
 
 
 class Neuromorphic:
-    """neuromorphic-drivers and its only camera, which sends these packets (None: nothing comes) and is unplugged."""
+    """neuromorphic-drivers and its only camera, which sends these packets (None: nothing comes) and
+    is unplugged."""
 
     kinds = NEUROMORPHIC_KINDS
     find = staticmethod(neuromorphic_cameras)
     lost = ("gaps: 4", "raw packets dropped: 10")
 
     def __init__(self, packets=(), model="Prophesee EVK4"):
-        self._module = pytest.importorskip("neuromorphic_drivers", reason="the extra `cameras` is not installed")
+        self._module = pytest.importorskip(
+            "neuromorphic_drivers", reason="the extra `cameras` is not installed"
+        )
         self.models = {name.value: name for name in self._module.Name}
         self._model, self._packets, self._n_dropped = self.models[model], list(packets), 0
 
     def list_devices(self):
-        return [self._module.ListedDevice(self._model, self._module.Connection.USB_SUPER, "1:2", SERIAL, None)]
+        return [
+            self._module.ListedDevice(
+                self._model, self._module.Connection.USB_SUPER, "1:2", SERIAL, None
+            )
+        ]
 
     def open(self, **settings):
         return self
@@ -55,7 +70,10 @@ class Neuromorphic:
 
     def _packet_of(self, events):
         """As the library makes it: columns that have nothing are None."""
-        special = {"iniVation DAVIS 346": "Davis346Packet", "iniVation DVXplorer": "DvxplorerPacket"}
+        special = {
+            "iniVation DAVIS 346": "Davis346Packet",
+            "iniVation DVXplorer": "DvxplorerPacket",
+        }
         made = getattr(self._module, special.get(self._model.value, "Evt3Packet"))()
         for column in type(made).__annotations__:
             setattr(made, column, [] if column == "frames" else None)
@@ -71,19 +89,23 @@ class Neuromorphic:
 
 
 class Dv:
-    """dv-processing and its only camera, which sends these packets (None: nothing comes) and stops running."""
+    """dv-processing and its only camera, which sends these packets (None: nothing comes) and stops
+    running."""
 
     kinds = DV_KINDS
     find = staticmethod(dv_cameras)
     lost = ("lost: unknown",)
 
     def __init__(self, packets=(), model="DAVIS"):
-        self._module = pytest.importorskip("dv_processing", reason="the extra `cameras` is not installed")
+        self._module = pytest.importorskip(
+            "dv_processing", reason="the extra `cameras` is not installed"
+        )
         self.models = self._module.io.camera.CameraModel.__members__
         self._model, self._packets = self.models[model], list(packets)
 
     def discover(self):
-        return [SimpleNamespace(cameraModel=self._model, serialNumber=SERIAL)]  # its own class has no constructor
+        # its own class has no constructor
+        return [SimpleNamespace(cameraModel=self._model, serialNumber=SERIAL)]
 
     def open(self, descriptor):
         return self
@@ -137,7 +159,10 @@ def test_every_event_on_the_sensor_comes_through_once_and_in_order(library):
     events = random_events(60, sensor=(width, height), start_us=EPOCH_US)
     mixed = np.zeros(7, [("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1")])
     mixed["t"] = events["t"][-1] + np.arange(7)
-    mixed["x"], mixed["y"] = [0, width, width - 1, -1, 3, 3, 3], [0, 0, height - 1, 3, height, height - 1, -1]
+    mixed["x"], mixed["y"] = (
+        [0, width, width - 1, -1, 3, 3, 3],
+        [0, 0, height - 1, 3, height, height - 1, -1],
+    )
     camera = opened(library([None, events[:30], events[:0], None, events[30:], mixed, mixed[1:2]]))
     assert camera.summary().startswith("0 packets, 0 events (")
     came = read_until_unplugged(camera)
@@ -173,11 +198,15 @@ def test_a_file_of_dv_processing_read_as_a_camera(tmp_path):
     """Nothing is played: the library writes events, reads them and ends."""
     dv = pytest.importorskip("dv_processing", reason="the extra `cameras` is not installed")
     events, path = open_recording(sample_recordings()[3]).read(), str(tmp_path / "a.aedat4")
-    writer = dv.io.MonoCameraWriter(path, dv.io.MonoCameraWriter.EventOnlyConfig("DAVIS346_00000042", (34, 34)))
+    writer = dv.io.MonoCameraWriter(
+        path, dv.io.MonoCameraWriter.EventOnlyConfig("DAVIS346_00000042", (34, 34))
+    )
     for part in np.array_split(events, 20):
         writer.writeEvents(store_of(dv, part))
     del writer
     camera = Camera(DvDevice(dv.io.MonoCameraRecording, path), "a file by dv")
     assert camera.sensor == (34, 34)
     came = read_until_unplugged(camera)
-    assert np.concatenate(came).tolist() == events.tolist() and camera.counts.packets == len(came) > 1
+    assert (
+        np.concatenate(came).tolist() == events.tolist() and camera.counts.packets == len(came) > 1
+    )

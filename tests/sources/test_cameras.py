@@ -1,4 +1,5 @@
-"""A played camera: which one a name opens, packets, counts, closing, cables; and `async-tnt run camera`."""
+"""A played camera: which one a name opens, packets, counts, closing, cables; and `async-tnt run
+camera`."""
 
 import importlib.util
 import json
@@ -22,7 +23,8 @@ from async_tnt.sources import (
 from async_tnt.sources.camera_drivers import CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
-RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
+# as neuromorphic-drivers has it
+RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
 
 
 class PanicException(BaseException):
@@ -63,7 +65,9 @@ class PlayedDevice:
         with self._borrowed():
             assert not self.n_closed, "read after close"
             self.n_reads += 1
-            packet = self.packets.pop(0) if self.packets else threading.Event().wait(self.read_s) or None
+            packet = (
+                self.packets.pop(0) if self.packets else threading.Event().wait(self.read_s) or None
+            )
             if isinstance(packet, BaseException):
                 raise packet
             return packet
@@ -93,14 +97,17 @@ def opened(*packets, **settings):
     return device, open_camera(drivers=drivers(found(device)))
 
 
-# -- which source a name opens ---------------------------------------------------------------------------
+# -- which source a name opens ---------------------------------------------------------------------
 
 
 def test_any_source_by_name():
     """A URL, a path, an array; and cameras below."""
     assert list(DRIVERS) == ["neuromorphic-drivers", "dv-processing"]
     with open_source("udp://127.0.0.1:0?format=spif", (34, 20)) as source:
-        assert isinstance(source, UdpSource) and (source.format, source.sensor) == ("spif", (34, 20))
+        assert isinstance(source, UdpSource) and (source.format, source.sensor) == (
+            "spif",
+            (34, 20),
+        )
     path = sample_recordings()[3]
     recorded = open_recording(path).read().tobytes()
     for name in (path, str(path), open_recording(path).read()):
@@ -111,7 +118,9 @@ def test_any_source_by_name():
 
 
 def davis():
-    return found(PlayedDevice(sensor=(346, 260)), "iniVation DAVIS 346", ("davis346", "davis"), "00000042")
+    return found(
+        PlayedDevice(sensor=(346, 260)), "iniVation DAVIS 346", ("davis346", "davis"), "00000042"
+    )
 
 
 def evk4(device=None, serial="00050423", **known):
@@ -145,7 +154,11 @@ def test_a_name_selects_a_camera(name, table, opened):
     assert open_camera(name, drivers=table).name == opened
 
 
-SHY = evk4(RuntimeError("device not found"), serial=None, problem="Access denied (insufficient permissions)")
+SHY = evk4(
+    RuntimeError("device not found"),
+    serial=None,
+    problem="Access denied (insufficient permissions)",
+)
 UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
 
 
@@ -159,7 +172,12 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             r"camera: a is not installed; b is not installed: cameras need one of them, "
             r"pip install 'async_tnt\[cameras\]'$",
         ),
-        ("camera", {"a": poisoned, **drivers()}, OSError, r"played found none; a cannot search: libusb[^;]*$"),
+        (
+            "camera",
+            {"a": poisoned, **drivers()},
+            OSError,
+            r"played found none; a cannot search: libusb[^;]*$",
+        ),
         (
             "camera:evk4:1",
             drivers(evk4()),
@@ -173,7 +191,12 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             r"^camera:evk4:00050423: cannot be opened; .* Prophesee EVK4 but cannot open it: Access denied \(insuf",
         ),
         ("camera", drivers(evk4(KeyboardInterrupt())), KeyboardInterrupt, "^$"),
-        ("camera:evk9", {}, ValueError, "camera:evk9: no such kind of camera; known are davis, davis346, .*, evk4"),
+        (
+            "camera:evk9",
+            {},
+            ValueError,
+            "camera:evk9: no such kind of camera; known are davis, davis346, .*, evk4",
+        ),
         *((name, {}, ValueError, UNKNOWN) for name in ("camera:", "camera::1", "cameras")),
     ],
 )
@@ -188,11 +211,14 @@ def test_the_installed_libraries_look_for_a_camera():
         open_source("camera:evk3:no such serial")
     line = str(caught.value)
     assert line.startswith("camera:evk3:no such serial: ") and "\n" not in line
-    for module, name in (("neuromorphic_drivers", "neuromorphic-drivers"), ("dv_processing", "dv-processing")):
+    for module, name in (
+        ("neuromorphic_drivers", "neuromorphic-drivers"),
+        ("dv_processing", "dv-processing"),
+    ):
         assert (f"{name} is not installed" in line) == (importlib.util.find_spec(module) is None)
 
 
-# -- packets and the end ---------------------------------------------------------------------------------
+# -- packets and the end ---------------------------------------------------------------------------
 
 
 def test_close_from_another_thread_ends_the_loop():
@@ -216,7 +242,7 @@ def test_a_loop_may_be_left_and_resumed_until_the_camera_is_closed():
     assert list(camera) == [] and camera.closed and device.n_closed == 1
 
 
-# -- the cable -------------------------------------------------------------------------------------------
+# -- the cable -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -231,13 +257,14 @@ def test_unplugged_after_the_packets_before(background, error):
         r"check its cable and power, and open it again$"
     )
     with pytest.raises(OSError, match=line) as caught:
-        came.extend(BackgroundReader(camera, copy=False) if background else camera)  # what came before the error stays
+        # what came before the error stays
+        came.extend(BackgroundReader(camera, copy=False) if background else camera)
     assert np.concatenate(came)["t"].tolist() == [1, 2, 3] and caught.value.__cause__ is error
     assert camera.closed and device.n_closed == 1
     assert list(camera) == [] and camera.counts.events == 3
 
 
-# -- counts, and invalid events --------------------------------------------------------------------------
+# -- counts, and invalid events --------------------------------------------------------------------
 
 
 def test_events_whose_time_jumps_are_left_out():
@@ -260,7 +287,7 @@ def test_events_off_the_sensor_are_left_out_and_counted_once():
     assert camera.summary() == "2 packets, 3 events (off the sensor: 3, lost: unknown)"
 
 
-# -- async-tnt run camera --------------------------------------------------------------------------------
+# -- async-tnt run camera --------------------------------------------------------------------------
 
 UNPLUGGED = RuntimeError("Usb(NoDevice)")
 
@@ -298,7 +325,10 @@ def test_decisions_until_the_cable_is_pulled(flags, lost, plug_in, program):
     code, out, err = program("run", "camera:evk4:00050423", "--json", *flags)
     assert code == 2 and labels(out) == ["3", "3", "3"]
     assert f"{len(packets):,} packets, {n_events:,} events" in err and lost in err
-    assert f"the camera is gone after {n_events:,} events (Usb(NoDevice)); check its cable" in err.splitlines()[-1]
+    assert (
+        f"the camera is gone after {n_events:,} events (Usb(NoDevice)); check its cable"
+        in err.splitlines()[-1]
+    )
     assert "Traceback" not in err and device.n_closed == 1
 
 

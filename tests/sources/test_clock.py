@@ -1,4 +1,5 @@
-"""The rule for clocks, once: jumps are dropped until eight packets agree, and times continue. UDP applies it.
+"""The rule for clocks, once: jumps are dropped until eight packets agree, and times continue. UDP
+applies it.
 
 That cameras do, too, is in test_cameras.py.
 """
@@ -17,7 +18,9 @@ JUMP_US = 10_000_000
 MINUTE_US = 60_000_000
 HOUR_US = 60 * MINUTE_US
 UNSIGNED = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
-SIGNED = np.dtype({"names": ["t", "x"], "formats": ["<i8", "<i2"], "offsets": [4, 0], "itemsize": 16})
+SIGNED = np.dtype(
+    {"names": ["t", "x"], "formats": ["<i8", "<i2"], "offsets": [4, 0], "itemsize": 16}
+)
 
 
 def by_clock(packets, arrivals=None, *, max_jump_s=10.0, dtype=UNSIGNED):
@@ -74,7 +77,9 @@ def test_one_garbled_time_costs_its_event_and_no_more(place, number, garbled):
 
 @pytest.mark.parametrize("late", [[MINUTE_US - 10], [MINUTE_US - 10, HOUR_US]])
 def test_late_events_do_not_tell_how_much_time_has_passed(late):
-    kept, _ = by_clock([[MINUTE_US], late, [MINUTE_US + 3 * JUMP_US]], [0, 2 * JUMP_US, 2 * JUMP_US])
+    kept, _ = by_clock(
+        [[MINUTE_US], late, [MINUTE_US + 3 * JUMP_US]], [0, 2 * JUMP_US, 2 * JUMP_US]
+    )
     assert kept == [[MINUTE_US], late[:1], [MINUTE_US + 3 * JUMP_US]]
 
 
@@ -88,13 +93,26 @@ AHEAD = [[15 * MINUTE_US + k, 15 * MINUTE_US + k] for k in range(N + 2)]
 AGAIN = [[k, 10 + k] for k in range(N + 1)]
 WENT_ON = [[MINUTE_US, MINUTE_US + 10], [MINUTE_US + 1, MINUTE_US + 11]]
 NOTHING = [[]] * (N - 1)
-OLD_STREAM_NOW_AND_THEN = [[MINUTE_US + k] if k % N == 0 else [30 * MINUTE_US + k] for k in range(10 * N)]
+OLD_STREAM_NOW_AND_THEN = [
+    [MINUTE_US + k] if k % N == 0 else [30 * MINUTE_US + k] for k in range(10 * N)
+]
 MOVES = {
     "ahead: keeps its times": ([[5], *AHEAD], [[5], *NOTHING, *AHEAD[N - 1 :]], (2 * N - 2, 0, 0)),
-    "back: times continue": ([[MINUTE_US], *AGAIN], [[MINUTE_US], *NOTHING, *WENT_ON], (2 * N - 2, 1, 1)),
+    "back: times continue": (
+        [[MINUTE_US], *AGAIN],
+        [[MINUTE_US], *NOTHING, *WENT_ON],
+        (2 * N - 2, 1, 1),
+    ),
     "back, twice": (
         [[MINUTE_US], *[[0]] * N, [JUMP_US], *[[0]] * N],
-        [[MINUTE_US], *NOTHING, [MINUTE_US], [MINUTE_US + JUMP_US], *NOTHING, [MINUTE_US + JUMP_US]],
+        [
+            [MINUTE_US],
+            *NOTHING,
+            [MINUTE_US],
+            [MINUTE_US + JUMP_US],
+            *NOTHING,
+            [MINUTE_US + JUMP_US],
+        ],
         (2 * N - 2, 0, 2),
     ),
     "one packet of the old stream ends the vote": (
@@ -102,14 +120,26 @@ MOVES = {
         [times if k % N == 0 else [] for k, times in enumerate(OLD_STREAM_NOW_AND_THEN)],
         (10 * (N - 1), 0, 0),
     ),
-    "packets that disagree": ([[MINUTE_US], *[[0], [2 * MINUTE_US]] * N], [[MINUTE_US], *[[], []] * N], (2 * N, 0, 0)),
-    "the first packet's oldest event starts": ([[9, 5, 5 + JUMP_US, 6 + JUMP_US]], [[9, 5, 5 + JUMP_US]], (1, 1, 0)),
+    "packets that disagree": (
+        [[MINUTE_US], *[[0], [2 * MINUTE_US]] * N],
+        [[MINUTE_US], *[[], []] * N],
+        (2 * N, 0, 0),
+    ),
+    "the first packet's oldest event starts": (
+        [[9, 5, 5 + JUMP_US, 6 + JUMP_US]],
+        [[9, 5, 5 + JUMP_US]],
+        (1, 1, 0),
+    ),
     "a start beyond 2100 does not": (
         [[2**62 - 1], [LATEST_START_US + 1], [LATEST_START_US - 9]],
         [[], [], [LATEST_START_US - 9]],
         (2, 0, 0),
     ),
-    "unless a stream agrees on it": ([[2**61 + k] for k in range(N)], [*NOTHING, [2**61 + N - 1]], (N - 1, 0, 0)),
+    "unless a stream agrees on it": (
+        [[2**61 + k] for k in range(N)],
+        [*NOTHING, [2**61 + N - 1]],
+        (N - 1, 0, 0),
+    ),
 }
 
 
@@ -142,12 +172,19 @@ def test_times_never_fall_far_and_every_event_is_counted(packets, passed):
     assert jumped + len(flat(kept)) == len(flat(packets)) and late == n_late
 
 
-@given(starts=st.lists(st.integers(0, 4 * MINUTE_US), min_size=1, max_size=4), first=st.integers(0, LATEST_START_US))
+@given(
+    starts=st.lists(st.integers(0, 4 * MINUTE_US), min_size=1, max_size=4),
+    first=st.integers(0, LATEST_START_US),
+)
 def test_after_anything_one_stream_is_followed_again(starts, first):
     """The last of several streams, in order and at its own pace."""
     length = 4 * N  # 3 s: a fall by less than a second, which is no jump, is caught up with
-    kept, _ = by_clock([[first]] + [[start + k * 100_000] for start in starts for k in range(length)])
-    assert np.diff(flat(kept[-N:])).tolist() == [100_000] * (N - 1) and flat(kept)[-1] == max(flat(kept))
+    kept, _ = by_clock(
+        [[first]] + [[start + k * 100_000] for start in starts for k in range(length)]
+    )
+    assert np.diff(flat(kept[-N:])).tolist() == [100_000] * (N - 1) and flat(kept)[-1] == max(
+        flat(kept)
+    )
 
 
 @pytest.mark.parametrize(("apart", "agree"), [(JUMP_US, True), (JUMP_US + 1, False)])
@@ -182,11 +219,13 @@ def test_without_a_limit_every_time_below_the_largest_is_kept_as_it_is():
 
 def test_wrong_arguments():
     for max_jump_s in (0, -1, float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="`max_jump_s` must be a positive number of seconds, or None, got"):
+        with pytest.raises(
+            ValueError, match="`max_jump_s` must be a positive number of seconds, or None, got"
+        ):
             Clock(max_jump_s)
 
 
-# -- applied to the network ------------------------------------------------------------------------------
+# -- applied to the network ------------------------------------------------------------------------
 
 
 def at(*times):

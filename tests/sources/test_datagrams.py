@@ -28,7 +28,11 @@ def test_one_event_by_hand(format):
     decoder = Decoder(format)
     events = decoder.decode(bytearray(data), arrival_us=77)
     t = {"t64_x16_y16_on8": 0x1_0000_0203, "spif": 77}.get(format, 0x203)
-    assert events.tolist() == [(t, 0x0405, 0x0607, 1)] and decoder.malformed == 0 and events.flags.writeable
+    assert (
+        events.tolist() == [(t, 0x0405, 0x0607, 1)]
+        and decoder.malformed == 0
+        and events.flags.writeable
+    )
 
 
 @of_all_formats
@@ -45,12 +49,26 @@ def test_the_sensors_borders_by_hand(format):
     [
         (encode(ONE, "spif_t32"), "spif", [], 2),  # the word, and its time
         (events_of([5, 6], [0] * 2, [0] * 2, [1, 2]).tobytes(), "t64_x16_y16_on8", [5], 1),
-        (events_of([5, -1, 2**62, 6], [0] * 4, [0] * 4, [1] * 4).tobytes(), "t64_x16_y16_on8", [5, 6], 2),
-        (encode(ONE)[:-1], "t64_x16_y16_on8", [], 1),
-        # 32 bits: older than the first event and before zero; times of malformed events are not followed
-        (encode(events_of([5, 2**32 - 3, 6], [0] * 3, [0] * 3, [0] * 3), "spif_t32"), "spif_t32", [5, 6], 1),
         (
-            encode(events_of([10, 2**31 + 5, 2**32 - 20, 30], [1, 99, 99, 2], [0] * 4, [0] * 4), "t32_x16_y15_on1"),
+            events_of([5, -1, 2**62, 6], [0] * 4, [0] * 4, [1] * 4).tobytes(),
+            "t64_x16_y16_on8",
+            [5, 6],
+            2,
+        ),
+        (encode(ONE)[:-1], "t64_x16_y16_on8", [], 1),
+        # 32 bits: older than the first event and before zero; times of malformed events are not
+        # followed
+        (
+            encode(events_of([5, 2**32 - 3, 6], [0] * 3, [0] * 3, [0] * 3), "spif_t32"),
+            "spif_t32",
+            [5, 6],
+            1,
+        ),
+        (
+            encode(
+                events_of([10, 2**31 + 5, 2**32 - 20, 30], [1, 99, 99, 2], [0] * 4, [0] * 4),
+                "t32_x16_y15_on1",
+            ),
             "t32_x16_y15_on1",
             [10, 30],
             2,
@@ -65,12 +83,19 @@ def test_malformed_events_by_hand(data, format, times, malformed):
 def test_what_a_format_cannot_hold_is_refused():
     for format in FORMATS:
         for x in (-1, 32768, 70000):
-            with pytest.raises(ValueError, match=rf"`x` must be in \[0, 32768\), got {x} at event 1"):
+            with pytest.raises(
+                ValueError, match=rf"`x` must be in \[0, 32768\), got {x} at event 1"
+            ):
                 encode(([0, 0], [0, x], [0, 0], [0, 1]), format)
         with pytest.raises(TypeError, match="`t` must be integer microseconds"):
-            encode(np.array([(0.75, 1, 2, 1)], [("t", "f8"), ("x", "i4"), ("y", "i4"), ("p", "i1")]), format)
+            encode(
+                np.array([(0.75, 1, 2, 1)], [("t", "f8"), ("x", "i4"), ("y", "i4"), ("p", "i1")]),
+                format,
+            )
     for call in (lambda: encode(EVENT, "aer"), lambda: Decoder("aer")):
-        with pytest.raises(ValueError, match=r"`format` must be one of t64_x16_y16_on8, .*, got 'aer'"):
+        with pytest.raises(
+            ValueError, match=r"`format` must be one of t64_x16_y16_on8, .*, got 'aer'"
+        ):
             call()
     for sensor in ((0, 5), (34.5, 34), "ab"):
         with pytest.raises(ValueError, match="`sensor` must"):
@@ -79,7 +104,9 @@ def test_what_a_format_cannot_hold_is_refused():
 
 @given(
     start=st.sampled_from((5, 2**32 - 50)),
-    steps=st.lists(st.one_of(st.integers(-100, 100), st.integers(-(2**31) + 1, 2**31 - 1)), max_size=30),
+    steps=st.lists(
+        st.one_of(st.integers(-100, 100), st.integers(-(2**31) + 1, 2**31 - 1)), max_size=30
+    ),
     cuts=st.sets(st.integers(0, 30)),
     format=st.sampled_from(("t32_x16_y15_on1", "spif_t32")),
 )
@@ -100,7 +127,9 @@ def test_times_of_32_bits_are_unwrapped_however_the_stream_is_cut(start, steps, 
 @st.composite
 def any_datagrams(draw):
     """Any bytes, or valid events of the first format with any or with nearby times."""
-    times = st.one_of(st.lists(st.integers(0, high), min_size=1, max_size=5) for high in (2**63 - 1, 1000))
+    times = st.one_of(
+        st.lists(st.integers(0, high), min_size=1, max_size=5) for high in (2**63 - 1, 1000)
+    )
     valid = times.map(lambda t: events_of(t, [1] * len(t), [2] * len(t), [1] * len(t)).tobytes())
     return draw(st.lists(st.one_of(st.binary(max_size=90), valid), max_size=30))
 
@@ -112,7 +141,9 @@ def any_datagrams(draw):
     sensor=st.sampled_from([None, (34, 34), (30_000, 200)]),
     cut=st.integers(0, 30),
 )
-def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(datagrams, format, bound, sensor, cut):
+def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(
+    datagrams, format, bound, sensor, cut
+):
     size = EVENT_BYTES[format]
     one_by_one, in_two = Decoder(format, sensor, bound), Decoder(format, sensor, bound)
     parts = [one_by_one.decode(datagram) for datagram in datagrams]

@@ -1,4 +1,5 @@
-"""Hot pixels: all that were planted are found, and none where there are none; and `async-tnt mask`."""
+"""Hot pixels: all that were planted are found, and none where there are none; and `async-tnt
+mask`."""
 
 import json
 import os
@@ -36,13 +37,22 @@ BRIGHT = [(5, 5), (6, 5), (30, 30)]
 @pytest.mark.parametrize(
     ("packets", "pixels"),
     [
-        # in the dark corner of a recording 60 events are many; on the digit's edge they would be normal
+        # in the dark corner of a recording 60 events are many; on the digit's edge they would be
+        # normal
         ([RECORDINGS[0], *planted([(0, 0), (33, 0), (33, 33)], 60)], [(0, 0), (33, 0), (33, 33)]),
         *(([random_events(20_000), *planted([at], 400)], [at]) for at in [(0, 0), (32, 1)]),
         ([random_events(5_000), *planted(FOUR, 500)], FOUR),
-        ([random_events(5_000), *planted([(x, y) for x in range(10, 14) for y in range(10, 14)], 500)], []),  # a lamp
+        # a lamp
+        (
+            [
+                random_events(5_000),
+                *planted([(x, y) for x in range(10, 14) for y in range(10, 14)], 500),
+            ],
+            [],
+        ),
         (list(planted([(3, 4), (20, 30)], 300)), [(3, 4), (20, 30)]),  # alone in the dark
-        ([random_events(2000), *planted(BRIGHT[:1], 100_000), *planted(BRIGHT[1:], 60)], BRIGHT),  # one outshines two
+        # one outshines two
+        ([random_events(2000), *planted(BRIGHT[:1], 100_000), *planted(BRIGHT[1:], 60)], BRIGHT),
         *(([recording], []) for recording in RECORDINGS.values()),
         ([None, random_events(0)], []),
     ],
@@ -59,7 +69,8 @@ def test_a_line_that_moves_along_itself_is_not_hot():
     counts[7, 12] = 400 * 6
     before = counts.copy()
     assert np.argwhere(hot_pixels(counts)).tolist() == [[7, 12]] and (counts == before).all()
-    for x, y in ((np.arange(60) + 20, np.arange(60) + 10), (np.arange(60), np.full(60, 9))):  # one ends on the sensor
+    # one ends on the sensor
+    for x, y in ((np.arange(60) + 20, np.arange(60) + 10), (np.arange(60), np.full(60, 9))):
         counts = np.random.default_rng(0).poisson(0.2, (90, 120))
         counts[y, x] = 25
         assert hot_pixels(counts).sum() <= 4  # its very ends
@@ -85,22 +96,29 @@ def test_an_event_off_the_sensor_is_refused():
         learn_mask([([1], [34], [0], [1])], SENSOR)
 
 
-# -- async-tnt mask ---------------------------------------------------------------------------------------
+# -- async-tnt mask --------------------------------------------------------------------------------
 
 SAMPLE = sample_recordings()[3]
 EVENTS = open_recording(SAMPLE).read()
 
 
 def with_hot_pixels(path, *pixels):
-    """The sample of a 3 with hot pixels (x, y, events), as a file that does not state its sensor."""
-    hot = [events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n) for x, y, n in pixels]
+    """The sample of a 3 with hot pixels (x, y, events), as a file that does not state its
+    sensor."""
+    hot = [
+        events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n)
+        for x, y, n in pixels
+    ]
     events = np.concatenate([EVENTS, *hot])
     np.save(path, events[np.argsort(events["t"], kind="stable")])
     return path
 
 
 def test_it_finds_what_was_planted(tmp_path, program):
-    path, out = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200)), tmp_path / "mask.npy"
+    path, out = (
+        with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200)),
+        tmp_path / "mask.npy",
+    )
     events = open_recording(path).read()
     at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
     code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", out)
@@ -112,7 +130,10 @@ def test_it_finds_what_was_planted(tmp_path, program):
     words = ("mask", path, "--sensor", "34x34", "--json", "--out", out)
     pixels = [{"x": 30, "y": 2, "events": at[0]}, {"x": 3, "y": 31, "events": at[1]}]
     result = {"sensor": [34, 34], "events": len(events), "out": str(out)}
-    assert json.loads(program(*words)[1]) == result | {"hot_pixels": pixels, "share": sum(at) / len(events)}
+    assert json.loads(program(*words)[1]) == result | {
+        "hot_pixels": pixels,
+        "share": sum(at) / len(events),
+    }
 
 
 @pytest.mark.parametrize(("n", "more"), [(9, []), (10, []), (11, ["... and 1 more"])])
@@ -134,7 +155,10 @@ def test_a_mask_never_replaces_a_recording_by_whichever_path(tmp_path, program, 
     (tmp_path / "below").mkdir()
     for other in ("a.npy", "below/../a.npy", "link.npy", "second_name.npy"):
         code, _, err = program("mask", path, "--sensor", "34x34", "--out", other)
-        assert (code, err.count("\n")) == (2, 1) and f"--out is one of the recordings, {other}" in err
+        assert (code, err.count("\n")) == (
+            2,
+            1,
+        ) and f"--out is one of the recordings, {other}" in err
         assert path.read_bytes() == before
 
 
@@ -148,8 +172,14 @@ def test_where_nothing_stands_out_the_mask_masks_nothing(tmp_path, program):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("a.npy --out m.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
-        ("34.npz 50.npz --out m.npy", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
+        (
+            "a.npy --out m.npy",
+            "a.npy: the file does not state the camera's sensor; give --sensor WxH",
+        ),
+        (
+            "34.npz 50.npz --out m.npy",
+            "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording",
+        ),
         ("e.npz --out m.npy", "e.npz: no events, no hot pixels can be found"),
         ("a.npy --sensor 34x34 --out a.npy", "--out is one of the recordings, a.npy"),
         ("34.npz --out m.png", "m.png: its name must end in .npy"),
@@ -161,7 +191,11 @@ def test_an_error_is_one_line(words, message, tmp_path, program, monkeypatch):
     for name, n, side in (("34", 9, 34), ("50", 9, 50), ("e", 0, 34)):
         np.savez(f"{name}.npz", events=random_events(n), sensor=np.array([side, side]))
     code, printed, error = program("mask", *words.split())
-    assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
+    assert (
+        (code, printed) == (2, "")
+        and error.startswith("async-tnt: ")
+        and len(error.splitlines()) == 1
+    )
     assert message in error
     assert not (tmp_path / "mask.npy").exists()
 
@@ -169,13 +203,21 @@ def test_an_error_is_one_line(words, message, tmp_path, program, monkeypatch):
 def test_a_sensor_may_have_so_many_pixels(tmp_path, program):
     """A file of a few hundred bytes may state any number: their counts would take gigabytes."""
     assert count_pixels([], (4096, 4096)).shape == (4096, 4096)
-    with pytest.raises(ValueError, match=r"^a sensor must have at most 16,777,216 pixels to count .*, got 4097x4096$"):
+    with pytest.raises(
+        ValueError,
+        match=r"^a sensor must have at most 16,777,216 pixels to count .*, got 4097x4096$",
+    ):
         learn_mask([], (4097, 4096))
     columns = dict(t=[5], x=[1], y=[2], p=[1])
     np.savez(tmp_path / "a.npz", **columns, sensor=[32768, 32768])
     code, _, err = program("mask", tmp_path / "a.npz", "--out", tmp_path / "m.npy")
     assert code == 2 and err.count("\n") == 1
-    assert f"{tmp_path / 'a.npz'}: a sensor must have at most 16,777,216 pixels" in err and "32768x32768" in err
+    assert (
+        f"{tmp_path / 'a.npz'}: a sensor must have at most 16,777,216 pixels" in err
+        and "32768x32768" in err
+    )
     np.savez(tmp_path / "b.npz", **columns)
-    code, _, err = program("mask", tmp_path / "b.npz", "--sensor", "32768x32768", "--out", tmp_path / "m.npy")
+    code, _, err = program(
+        "mask", tmp_path / "b.npz", "--sensor", "32768x32768", "--out", tmp_path / "m.npy"
+    )
     assert code == 2 and "b.npz: a sensor must have at most 16,777,216 pixels" in err

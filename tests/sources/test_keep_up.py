@@ -1,4 +1,5 @@
-"""Events that outrun decisions: fewer decisions, then packets skipped and counted; delay bounded; time is simulated."""
+"""Events that outrun decisions: fewer decisions, then packets skipped and counted; delay bounded;
+time is simulated."""
 
 import threading
 from types import SimpleNamespace
@@ -57,7 +58,8 @@ def packet(k, n=50):
 
 
 def consumed(reader, processor, clock, n_packets, decision_us, event_us=0.01):
-    """Stream packets that come every millisecond; decisions and events cost time. Returns the delays."""
+    """Stream packets that come every millisecond; decisions and events cost time. Returns the
+    delays."""
     delays, start_us, k = [], clock.now_us, 0
     while k < n_packets or reader.backlog:
         while k < n_packets and start_us + k * PACKET_US <= clock.now_us:
@@ -75,7 +77,9 @@ def consumed(reader, processor, clock, n_packets, decision_us, event_us=0.01):
     return np.array(delays)
 
 
-@pytest.mark.parametrize("trigger", [{"every_us": 1_000}, {"every_events": 50}], ids=["every_us", "every_events"])
+@pytest.mark.parametrize(
+    "trigger", [{"every_us": 1_000}, {"every_events": 50}], ids=["every_us", "every_events"]
+)
 @pytest.mark.parametrize("overload", [2, 20])
 def test_decisions_become_rarer_before_packets_are_skipped(trigger, overload, clock, reader_of):
     """A decision after each packet costs twice, or twenty times, what there is time for."""
@@ -85,25 +89,43 @@ def test_decisions_become_rarer_before_packets_are_skipped(trigger, overload, cl
     counters = reader.counters
     assert counters.received == counters.handed_out + counters.skipped == 250_000
     assert counters.handed_out == processor.counts.received and counters.skipped == 0
-    assert delays.max() < 100_000 and overload <= reader.slowest <= 8 * overload  # what waits must be made up for
+    # what waits must be made up for
+    assert delays.max() < 100_000 and overload <= reader.slowest <= 8 * overload
     processor.reset()  # times begin again
     delays = consumed(reader, processor, clock, 2_000, decision_us=1)
     assert reader.slower == 1 and delays[-100:].max() < PACKET_US
-    assert (processor.every_us, processor.every_events) == (trigger.get("every_us"), trigger.get("every_events"))
+    assert (processor.every_us, processor.every_events) == (
+        trigger.get("every_us"),
+        trigger.get("every_events"),
+    )
 
 
 def test_how_long_packets_wait_decides_by_hand(clock, reader_of):
-    """In percent of the delay: rarer above 25, oftener below 5, else as it was; and so soon after a change, neither."""
+    """In percent of the delay: rarer above 25, oftener below 5, else as it was; and so soon after a
+    change, neither."""
     processor = Processor(CONFIG, classifier=lambda volume: [0.0], every_us=1_000)
     reader = reader_of(processor, max_delay_us=100_000)
-    steps = [(24, 1), (26, 2), (6, 2), (24, 2), (26, 4), (24, 4), (6, 4), (4, 2), (6, 2), (4, 1), (0, 1)]
+    steps = [
+        (24, 1),
+        (26, 2),
+        (6, 2),
+        (24, 2),
+        (26, 4),
+        (24, 4),
+        (6, 4),
+        (4, 2),
+        (6, 2),
+        (4, 1),
+        (0, 1),
+    ]
     for k, (percent, slower) in enumerate(steps):
         clock.now_us += 30_000  # more than there is between two changes
         reader.put(packet(k))
         clock.now_us += 1_000 * percent
         next(reader)
         assert (reader.slower, processor.every_us) == (slower, 1_000 * slower), (k, percent)
-    for percent, slower in ((26, 2), (24, 2), (26, 4), (51, 8), (4, 8)):  # one after the other, without a pause
+    # one after the other, without a pause
+    for percent, slower in ((26, 2), (24, 2), (26, 4), (51, 8), (4, 8)):
         reader.put(packet(k))
         clock.now_us += 1_000 * percent
         next(reader)
@@ -117,7 +139,9 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     delays = consumed(reader, processor, clock, 5_000, decision_us=10, event_us=2 * PACKET_US / 50)
     counters = reader.counters
     assert counters.received == counters.handed_out + counters.skipped == 250_000
-    assert counters.handed_out == processor.counts.received and 0.4 < counters.skipped / 250_000 < 0.6
+    assert (
+        counters.handed_out == processor.counts.received and 0.4 < counters.skipped / 250_000 < 0.6
+    )
     assert delays.max() <= 20_000 and processor.every_us == CONFIG.window_us
     assert reader.slowest == 128  # 100 are a window
     with reader:
@@ -176,5 +200,7 @@ def test_a_delay_that_cannot_be_kept_is_refused():
     processor = Processor(CONFIG, classifier=lambda volume: [0.0])
     with pytest.raises(ValueError, match=r"^`max_delay_us` must be at least 1, got 0$"):
         KeepUp([], processor, max_delay_us=0)
-    with pytest.raises(ValueError, match=r"^`max_delay_us` discards packets, which `latest=True` must allow$"):
+    with pytest.raises(
+        ValueError, match=r"^`max_delay_us` discards packets, which `latest=True` must allow$"
+    ):
         PacketQueue(max_delay_us=5)

@@ -29,9 +29,7 @@ POINTER = (
     b"version https://git-lfs.github.com/spec/v1\n"
     b"oid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32b1258daaa5e2ca24d17e2393\nsize 12345\n"
 )
-NAMED = (
-    r"a{}: .*only a Git LFS pointer to the file, not the file itself; fetch it with `git lfs pull` in its repository"
-)
+NAMED = r"a{}: .*only a Git LFS pointer to the file, not the file itself; fetch it with `git lfs pull` in its repository"
 MASK = np.zeros((34, 34), bool)
 CONFIG = TNTConfig()
 
@@ -74,7 +72,11 @@ def test_a_pointer_of_git_lfs_is_named_whatever_it_stands_for(tmp_path, ending):
 @pytest.mark.parametrize("name", ["a.npz", "a.raw", "model.safetensors"])
 def test_the_program_says_so_too(program, tmp_path, words, name):
     (tmp_path / name).write_bytes(POINTER)
-    command = ("run", sample_recordings()[3], "--model") if name.endswith("s") and words[0] == "run" else words
+    command = (
+        ("run", sample_recordings()[3], "--model")
+        if name.endswith("s") and words[0] == "run"
+        else words
+    )
     code, _, err = program(*command, tmp_path / name)
     assert code == 2 and "git lfs pull" in err and err.count("\n") == 1
 
@@ -96,13 +98,20 @@ def home(tmp_path, monkeypatch):
 
 def test_a_tilde_is_the_home_folder_wherever_a_path_is_taken(home):
     events = open_recording(sample_recordings()[3]).read()
-    for read in (open_recording("~/3.bin").read(), open_source("~/3.bin").read(), read_nmnist("~/3.bin")):
+    for read in (
+        open_recording("~/3.bin").read(),
+        open_source("~/3.bin").read(),
+        read_nmnist("~/3.bin"),
+    ):
         np.testing.assert_array_equal(read, events)
     np.testing.assert_array_equal(np.concatenate(list(replay("~/3.bin", speed=np.inf))), events)
     assert summarize("~/3.bin").events == len(events)
     model = load_model("~/model.safetensors")
     assert model.classes == load_model("digits").classes
-    assert model.save("~/saved.safetensors") == home / "saved.safetensors" and (home / "saved.safetensors").is_file()
+    assert (
+        model.save("~/saved.safetensors") == home / "saved.safetensors"
+        and (home / "saved.safetensors").is_file()
+    )
     np.testing.assert_array_equal(load_mask("~/mask.npy"), MASK)
     assert PixelFilter((34, 34), mask="~/mask.npy")(events).tolist() == events.tolist()
     save_mask("~/other.npy", MASK)
@@ -120,7 +129,13 @@ def test_a_tilde_is_the_home_folder_wherever_a_path_is_taken(home):
         ("info", "~/model.safetensors"),
         ("plot", "~/3.bin", "--out=~/out/a.png"),
         ("mask", "~/3.bin", "--out=~/out/mask.npy"),
-        ("evaluate", "~/model.safetensors", "~/set", "--out=~/out/results.jsonl", "--mask=~/mask.npy"),
+        (
+            "evaluate",
+            "~/model.safetensors",
+            "~/set",
+            "--out=~/out/results.jsonl",
+            "--mask=~/mask.npy",
+        ),
         ("check", "~/3.bin", "--prefixes=1"),
         ("view", "~/3.bin", "--out=~/out/a.rrd"),
     ],

@@ -1,4 +1,5 @@
-"""The filter equals its NumPy twin and counts what it drops; which pixels a model sees, as values that can be sent."""
+"""The filter equals its NumPy twin and counts what it drops; which pixels a model sees, as values
+that can be sent."""
 
 import pickle
 
@@ -65,18 +66,33 @@ def test_filter_equals_numpy(data, settings):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"sensor": (30, 40_000)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(30, 40000\)"),
-        ({"roi": (5, 19, 3, 2)}, r"`roi` .* must lie on the sensor of 30x20 pixels, .* got \(5, 19, 3, 2\)"),
+        (
+            {"sensor": (30, 40_000)},
+            r"`sensor` must have sides in \[1, 32768\] pixels, got \(30, 40000\)",
+        ),
+        (
+            {"roi": (5, 19, 3, 2)},
+            r"`roi` .* must lie on the sensor of 30x20 pixels, .* got \(5, 19, 3, 2\)",
+        ),
         (
             {"roi": (-1, 0, 3, 2)},
             r"`roi` .* must lie on the sensor of 30x20 .*, x and y at least 0, .* got \(-1, 0, 3, 2\)",
         ),
         ({"roi": (5, 5, 0, 1)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 0, 1\)"),
         ({"roi": (5, 5, 1, 0)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 1, 0\)"),
-        ({"roi": (5, 5, 3.0, 1)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3.0, 1\)"),
+        (
+            {"roi": (5, 5, 3.0, 1)},
+            r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3.0, 1\)",
+        ),
         ({"crop": True}, r"`crop` belongs to `roi`: the region that .* the sensor"),
-        ({"mask": np.zeros((30, 20), bool)}, r"a mask of a 30x20 sensor must be .* \(30, 20\); transpose it with .T"),
-        ({"mask": np.zeros((20, 30), np.uint8)}, r"a mask of a 30x20 .* got uint8 of shape \(20, 30\)"),
+        (
+            {"mask": np.zeros((30, 20), bool)},
+            r"a mask of a 30x20 sensor must be .* \(30, 20\); transpose it with .T",
+        ),
+        (
+            {"mask": np.zeros((20, 30), np.uint8)},
+            r"a mask of a 30x20 .* got uint8 of shape \(20, 30\)",
+        ),
     ],
 )
 def test_wrong_arguments(settings, message):
@@ -84,17 +100,23 @@ def test_wrong_arguments(settings, message):
         PixelFilter(**({"sensor": (30, 20)} | settings))
 
 
-# -- selections of pixels ---------------------------------------------------------------------------------
+# -- selections of pixels --------------------------------------------------------------------------
 
 
 def test_a_selection_goes_to_another_process_with_its_mask():
     mask = np.random.default_rng(0).random((720, 1280)) < 1e-4
     selection = PixelSelection((10, 20, 34, 34), True, PackedMask.of(mask, "hot.npy"))
-    assert selection == PixelSelection((10, 20, 34, 34), True, PackedMask.of(np.asfortranarray(mask)))
+    assert selection == PixelSelection(
+        (10, 20, 34, 34), True, PackedMask.of(np.asfortranarray(mask))
+    )
     sent = pickle.dumps(selection)
     assert len(sent) < 3000
     received = pickle.loads(sent)
-    assert received == selection and hash(received) == hash(selection) and received.about == selection.about
+    assert (
+        received == selection
+        and hash(received) == hash(selection)
+        and received.about == selection.about
+    )
     np.testing.assert_array_equal(received.mask.pixels((1280, 720)), mask)
     assert received.mask.name == "hot.npy"
 
@@ -106,12 +128,34 @@ MASK = PackedMask.of(np.zeros((48, 60), bool), "hot.npy")
 @pytest.mark.parametrize(
     ("selection", "model", "found", "message"),
     [
-        (PixelSelection(), (40, 40), (60, 48), "the model is for 40x40; train .*, or cut out a part: `roi` X,Y,40,40"),
-        (PixelSelection(), (40, 40), (40, 39), r"a: a .* 40x39 .*, but the model is for 40x40; train one .* train\)$"),
-        (PixelSelection((3, 4, 34, 34), True, MASK), (34, 34), (50, 50), "but hot.npy is a mask of 60x48$"),
-        (PixelSelection(ROI, True), (40, 40), None, "the camera's pixels, which `crop` needs: give `sensor`$"),
+        (
+            PixelSelection(),
+            (40, 40),
+            (60, 48),
+            "the model is for 40x40; train .*, or cut out a part: `roi` X,Y,40,40",
+        ),
+        (
+            PixelSelection(),
+            (40, 40),
+            (40, 39),
+            r"a: a .* 40x39 .*, but the model is for 40x40; train one .* train\)$",
+        ),
+        (
+            PixelSelection((3, 4, 34, 34), True, MASK),
+            (34, 34),
+            (50, 50),
+            "but hot.npy is a mask of 60x48$",
+        ),
+        (
+            PixelSelection(ROI, True),
+            (40, 40),
+            None,
+            "the camera's pixels, which `crop` needs: give `sensor`$",
+        ),
     ],
 )
-def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(selection, model, found, message):
+def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(
+    selection, model, found, message
+):
     with pytest.raises(ValueError, match=message):
         PixelSelector(selection, model).filter_of("a", found)

@@ -41,7 +41,8 @@ def test_packets_come_when_they_are_due_without_drift(clock, speed, size):
     started_ns, parts = clock.now_ns, []
     for packet in replay(packets, speed):
         due_ns = (int(packet["t"][-1]) - int(EVENTS["t"][0])) * 1000 / speed
-        assert 0 <= clock.now_ns - started_ns - due_ns + 1 <= 150_002  # late by one sleep, not by all of them
+        # late by one sleep, not by all of them
+        assert 0 <= clock.now_ns - started_ns - due_ns + 1 <= 150_002
         assert packet["t"][-1] - packet["t"][0] < 1000
         parts.append(packet)
     assert np.concatenate(parts).tobytes() == EVENTS.tobytes()
@@ -61,9 +62,15 @@ def test_an_event_out_of_order_is_due_with_the_newest_before(clock, packets, pla
 
 
 def test_no_pause_is_too_long_for_the_system(clock):
-    """It refuses to sleep for three centuries; a speed may make more of any pause, even infinitely much."""
-    clock.sleep = lambda seconds, sleep=clock.sleep: sleep(seconds) if seconds <= 9e9 else pytest.fail("too long")
-    assert [len(packet) for packet in replay([([0, 10**15], [1, 1], [1, 1], [1, 1])], 0.1)] == [1, 1]
+    """It refuses to sleep for three centuries; a speed may make more of any pause, even infinitely
+    much."""
+    clock.sleep = lambda seconds, sleep=clock.sleep: (
+        sleep(seconds) if seconds <= 9e9 else pytest.fail("too long")
+    )
+    assert [len(packet) for packet in replay([([0, 10**15], [1, 1], [1, 1], [1, 1])], 0.1)] == [
+        1,
+        1,
+    ]
     next(packets := replay([at(0, 1000)], 1e-320))
     clock.sleep = lambda seconds: (_ for _ in ()).throw(TimeoutError)
     with pytest.raises(TimeoutError):
@@ -73,7 +80,10 @@ def test_no_pause_is_too_long_for_the_system(clock):
 @pytest.mark.parametrize(
     ("how", "message"),
     [
-        ({"speed": math.nan}, r"`speed` must be above 0 \(math.inf: as fast as possible\), got nan"),
+        (
+            {"speed": math.nan},
+            r"`speed` must be above 0 \(math.inf: as fast as possible\), got nan",
+        ),
         ({"packet_us": 0}, "`packet_us` must be at least 1, got 0"),
     ],
 )

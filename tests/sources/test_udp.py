@@ -21,7 +21,7 @@ def listening(**settings):
     return UdpSource(port=0, **{"timeout_s": SILENCE_S, **settings})
 
 
-# -- packets ---------------------------------------------------------------------------------------------
+# -- packets ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("format", EVENT_BYTES)
@@ -44,9 +44,14 @@ def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
         counts = source.counts
     got = np.concatenate([packet for packet in got if packet is not None])
     expected = np.concatenate([decoder.decode(datagram) for datagram in datagrams])
-    fields = ["x", "y", "p"] if format == "spif" else ["t", "x", "y", "p"]  # `spif` has the time of arrival
+    # `spif` has the time of arrival
+    fields = ["x", "y", "p"] if format == "spif" else ["t", "x", "y", "p"]
     assert got[fields].tolist() == expected[fields].tolist() and len(got) > 100
-    assert (counts.datagrams, counts.bytes, counts.events) == (201, sum(map(len, datagrams)), len(got))
+    assert (counts.datagrams, counts.bytes, counts.events) == (
+        201,
+        sum(map(len, datagrams)),
+        len(got),
+    )
     assert (counts.malformed, counts.off_sensor) == (decoder.malformed, decoder.off_sensor)
     assert format == "spif" or counts.late == decoder.clock.late
 
@@ -58,11 +63,12 @@ def test_many_datagrams_become_one_packet_up_to_the_limit(monkeypatch):
     packets = list(source)
     source.close()
     assert [len(packet) for packet in packets] == [800, 800, 400]
-    assert np.concatenate(packets).tobytes() == EVENTS[:2000].tobytes()  # none was overwritten by the next
+    # none was overwritten by the next
+    assert np.concatenate(packets).tobytes() == EVENTS[:2000].tobytes()
     assert source.counts == NetworkCounts(20, 13 * 2000, 2000, malformed=0, late=0)
 
 
-# -- waiting, and the end --------------------------------------------------------------------------------
+# -- waiting, and the end --------------------------------------------------------------------------
 
 
 def test_closed_by_a_thread_at_any_moment():
@@ -90,28 +96,39 @@ def test_silence_ends_a_loop_and_a_loop_may_close_its_source():
     assert source.closed and source.counts.events == 200
 
 
-# -- counts ----------------------------------------------------------------------------------------------
+# -- counts ----------------------------------------------------------------------------------------
 
 
 def test_the_summary_is_one_line_of_what_was_counted():
     with UdpSource(port=0, sensor=SENSOR) as source:
-        send(source.port, events_of([5, 9, 2**62 - 1, 2**62 - 1, 8], [0, 1, 2, 34, 3], [0] * 5, [0] * 5))
+        send(
+            source.port,
+            events_of([5, 9, 2**62 - 1, 2**62 - 1, 8], [0, 1, 2, 34, 3], [0] * 5, [0] * 5),
+        )
         assert source.receive(60)["t"].tolist() == [5, 9, 8]
         counts = source.counts
-    assert source.counts == counts == NetworkCounts(1, 65, 3, malformed=2, late=1, jumped=1, off_sensor=1)
+    assert (
+        source.counts
+        == counts
+        == NetworkCounts(1, 65, 3, malformed=2, late=1, jumped=1, off_sensor=1)
+    )
     assert source.summary() == (
-        "1 datagrams, 3 events (2 malformed, 1 of them time jumps, 1 of them off the sensor, 1 out of order)"
+        "1 datagrams, 3 events (2 malformed, 1 of them time jumps, 1 of them off the sensor, 1 out "
+        "of order)"
     )
 
 
 def test_a_stream_without_one_good_event_is_reported_once(caplog):
-    events = events_of(range(WARN_AFTER), [0] * WARN_AFTER, [20] * WARN_AFTER, [1, 2] * (WARN_AFTER // 2))
+    events = events_of(
+        range(WARN_AFTER), [0] * WARN_AFTER, [20] * WARN_AFTER, [1, 2] * (WARN_AFTER // 2)
+    )
     with listening(sensor=SENSOR) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
         for _ in range(2):
             sender.sendto(events.tobytes(), (source.address, source.port))
             assert list(source) == []
     line = (
-        "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
+        "none of the first 1000 events can be used, 500 of them lie off the sensor; does the "
+        "sender use another format "
         "than t64_x16_y16_on8 (?format=...), or a larger camera?"
     )
     assert caplog.text.count(line) == 1
@@ -127,7 +144,7 @@ def test_a_stream_with_a_good_event_is_not_reported(caplog):
     assert caplog.text == ""
 
 
-# -- names and settings ----------------------------------------------------------------------------------
+# -- names and settings ----------------------------------------------------------------------------
 
 
 def test_a_url_has_a_format_and_a_timeout():
@@ -145,9 +162,15 @@ def test_a_url_has_a_format_and_a_timeout():
     [
         ("udp://127.0.0.1", "expected udp://HOST:PORT, such as udp://127.0.0.1:3333"),
         ("udp://127.0.0.1:99999", "Port out of range 0-65535"),
-        ("udp://127.0.0.1:1?format=aer", f"`format` must be one of {', '.join(EVENT_BYTES)}, got 'aer'"),
+        (
+            "udp://127.0.0.1:1?format=aer",
+            f"`format` must be one of {', '.join(EVENT_BYTES)}, got 'aer'",
+        ),
         ("udp://127.0.0.1:1?speed=1", "unknown option 'speed', expected format or timeout_s"),
-        ("udp://127.0.0.1:1?timeout_s=nan", "`timeout_s` must be a positive number of seconds below 1e+06, got nan"),
+        (
+            "udp://127.0.0.1:1?timeout_s=nan",
+            "`timeout_s` must be a positive number of seconds below 1e+06, got nan",
+        ),
     ],
 )
 def test_wrong_urls_say_what_is_wrong(url, message):

@@ -21,7 +21,22 @@ def trained(gestures, tmp_path_factory):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
     folder = tmp_path_factory.mktemp("trained")
     out = folder / "gestures.safetensors"
-    assert main(["train", str(gestures), "--out", str(out), "--grid", "34x34", "--epochs", "3", "--test"]) == 0
+    assert (
+        main(
+            [
+                "train",
+                str(gestures),
+                "--out",
+                str(out),
+                "--grid",
+                "34x34",
+                "--epochs",
+                "3",
+                "--test",
+            ]
+        )
+        == 0
+    )
     return out
 
 
@@ -33,12 +48,15 @@ def few_steps(monkeypatch):
 
 @pytest.fixture
 def train(program, tmp_path, few_steps):
-    """Train on a set for one short epoch, by the program; returns exit code, stderr and the model's file."""
+    """Train on a set for one short epoch, by the program; returns exit code, stderr and the model's
+    file."""
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
     def run(dataset, *words):
         out = tmp_path / "m.safetensors"
-        code, _, err = program("train", dataset, "--out", out, "--grid", "34x34", "--epochs", 1, *words)
+        code, _, err = program(
+            "train", dataset, "--out", out, "--grid", "34x34", "--epochs", 1, *words
+        )
         return code, err, out
 
     return run

@@ -12,7 +12,15 @@ from experiments.nmnist_files import write_nmnist
 SLOPES = {"upright": 0.0, "flat": 0.5 * np.pi, "slanted": 0.25 * np.pi}
 
 
-def bar(kind: str, seed: int, *, side: int = 128, n: int = 1500, duration_us: int = 100_000, start_us: int = 0):
+def bar(
+    kind: str,
+    seed: int,
+    *,
+    side: int = 128,
+    n: int = 1500,
+    duration_us: int = 100_000,
+    start_us: int = 0,
+):
     """A bar of that slope, drifting across itself: edges ahead ON, behind OFF."""
     rng = np.random.default_rng((seed, *map(ord, kind)))
     t = np.sort(rng.integers(0, duration_us, n))
@@ -20,7 +28,12 @@ def bar(kind: str, seed: int, *, side: int = 128, n: int = 1500, duration_us: in
     along = rng.uniform(-0.35, 0.35, n) * side
     p = rng.integers(0, 2, n)
     drift = rng.choice([-1, 1]) * 0.06 * side * (t / 100_000 % 1)
-    across = rng.uniform(-0.06, 0.06) * side + drift + (2 * p - 1) * 0.04 * side + rng.normal(0, 0.01 * side, n)
+    across = (
+        rng.uniform(-0.06, 0.06) * side
+        + drift
+        + (2 * p - 1) * 0.04 * side
+        + rng.normal(0, 0.01 * side, n)
+    )
     cos, sin = np.cos(SLOPES[kind]), np.sin(SLOPES[kind])
     x, y = across * cos - along * sin + side / 2, across * sin + along * cos + side / 2
     x, y = (np.clip(np.rint(values), 0, side - 1).astype(int) for values in (x, y))
@@ -43,11 +56,18 @@ def write(path: Path, events: np.ndarray, *, sensor: tuple[int, int] | None = (1
 
 
 def write_set(
-    folder: Path, counts: dict[str, int], *, seed: int = 0, suffixes=(".npy", ".npz"), side: int = 128
+    folder: Path,
+    counts: dict[str, int],
+    *,
+    seed: int = 0,
+    suffixes=(".npy", ".npz"),
+    side: int = 128,
 ) -> Path:
     """So many recordings of each class, in the formats by turns, each with a start of its own."""
     for name, n in counts.items():
         for k in range(n):
             events = bar(name, 1000 * seed + k, side=side, start_us=10_000 * k)
-            write(folder / name / f"{k:02d}{suffixes[k % len(suffixes)]}", events, sensor=(side, side))
+            write(
+                folder / name / f"{k:02d}{suffixes[k % len(suffixes)]}", events, sensor=(side, side)
+            )
     return folder

@@ -1,4 +1,5 @@
-"""The bundled models of digits: right on every bundled sample, and as accurate as their records say."""
+"""The bundled models of digits: right on every bundled sample, and as accurate as their records
+say."""
 
 import pytest
 
@@ -13,7 +14,9 @@ from async_tnt.training.windows import make_windows  # noqa: E402
 from experiments import everywhere  # noqa: E402
 from experiments.digits_data import DURATION_US, read_nmnist_folder  # noqa: E402
 
-from_either = pytest.mark.parametrize("first_event", [False, True], ids=["from 0", "from the first event"])
+from_either = pytest.mark.parametrize(
+    "first_event", [False, True], ids=["from 0", "from the first event"]
+)
 
 
 @pytest.fixture(scope="module", params=["digits", "digits-from-pictures"])
@@ -25,8 +28,11 @@ def test_the_record_of_digits_has_its_data_accuracy_and_command():
     model = load_model("digits")
     record = model.record
     assert model.config.transform == "tnt" and model.classes == tuple("0123456789")
-    assert {"data", "command", "seed", "epochs", "versions", "validation", "test", "tried"} <= set(record)
-    assert "official" in record["data"]["note"]  # not the official split: stated where the numbers are
+    assert {"data", "command", "seed", "epochs", "versions", "validation", "test", "tried"} <= set(
+        record
+    )
+    # not the official split: stated where the numbers are
+    assert "official" in record["data"]["note"]
     assert record["test"]["per_window"] >= 0.97 and record["test"]["per_recording"] >= 0.985
 
 
@@ -41,7 +47,9 @@ def test_the_other_one_saw_pictures_alone():
 def test_every_window_of_every_sample_is_classified_right(model, first_event):
     labels, paths = zip(*sample_recordings().items(), strict=True)
     recordings = Recordings.from_events([open_recording(path).read() for path in paths], labels)
-    windows = make_windows(recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US)
+    windows = make_windows(
+        recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US
+    )
     assert len(windows) == 30 and evaluate(pipeline_of(model), windows).per_window == 1.0
 
 
@@ -54,7 +62,9 @@ def real_recordings(data):
 @from_either
 def test_accuracy_on_real_recordings(model, first_event, real_recordings):
     """1,200 windows: standard error 0.4 %."""
-    windows = make_windows(real_recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US)
+    windows = make_windows(
+        real_recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US
+    )
     found = evaluate(pipeline_of(model), windows)
     assert (found.to_dict()["recordings"], len(windows) >= 1_195) == (400, True)
     assert found.per_window >= 0.98 and found.per_recording >= 0.985

@@ -1,4 +1,5 @@
-"""A trained model's probabilities: what they say on held-out windows, and where nothing is there."""
+"""A trained model's probabilities: what they say on held-out windows, and where nothing is
+there."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -33,9 +34,18 @@ def shapes(n, seed):
     recordings = []
     for k in range(n):
         n_shape, n_stray = rng.integers(150, 400), rng.integers(0, 60)
-        radius, angle = (13.0 if k % 2 else 4.0) + rng.normal(0, 1.5, n_shape), rng.uniform(0, 2 * np.pi, n_shape)
-        x, y = radius * np.cos(angle) + rng.integers(14, 20), radius * np.sin(angle) + rng.integers(14, 20)
-        x, y = (np.concatenate([np.clip(axis, 0, 33), rng.integers(0, 34, n_stray)]).astype(int) for axis in (x, y))
+        radius, angle = (
+            (13.0 if k % 2 else 4.0) + rng.normal(0, 1.5, n_shape),
+            rng.uniform(0, 2 * np.pi, n_shape),
+        )
+        x, y = (
+            radius * np.cos(angle) + rng.integers(14, 20),
+            radius * np.sin(angle) + rng.integers(14, 20),
+        )
+        x, y = (
+            np.concatenate([np.clip(axis, 0, 33), rng.integers(0, 34, n_stray)]).astype(int)
+            for axis in (x, y)
+        )
         t = np.sort(rng.integers(0, 100_000, n_shape + n_stray))
         recordings.append(events_of(t, x, y, rng.integers(0, 2, n_shape + n_stray)))
     return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
@@ -48,7 +58,9 @@ def models(tmp_path_factory):
     for nothing in (0.0, 0.2):
         settings = TrainSettings(epochs=6, batch=16, augmentation=Augmentation(nothing=nothing))
         folder = tmp_path_factory.mktemp("run")
-        made[nothing] = train(CONFIG, shapes(400, 0), shapes(60, 1), settings, folder, classes=("spot", "ring")).model
+        made[nothing] = train(
+            CONFIG, shapes(400, 0), shapes(60, 1), settings, folder, classes=("spot", "ring")
+        ).model
     return made
 
 
@@ -72,9 +84,14 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
 
 
 def test_what_shows_nothing_is_counted_in_no_class(tmp_path):
-    """With all windows scattered, the loss is that of an answer which says nothing, and no accuracy is claimed."""
-    settings = TrainSettings(epochs=2, batch=16, augmentation=Augmentation(nothing=1.0), label_smoothing=0.0)
-    row = train(CONFIG, shapes(64, 0), shapes(8, 1), settings, tmp_path, classes=("spot", "ring")).history[-1]
+    """With all windows scattered, the loss is that of an answer which says nothing, and no accuracy
+    is claimed."""
+    settings = TrainSettings(
+        epochs=2, batch=16, augmentation=Augmentation(nothing=1.0), label_smoothing=0.0
+    )
+    row = train(
+        CONFIG, shapes(64, 0), shapes(8, 1), settings, tmp_path, classes=("spot", "ring")
+    ).history[-1]
     assert row["loss"] == pytest.approx(np.log(2), abs=0.01) and row["training"] == 0.0
 
 
@@ -85,13 +102,16 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     told = softened(truth, 1 / 2.5)  # far too sure
     temperature = fit_temperature(told, labels)
     assert temperature == pytest.approx(2.5, rel=0.05)
-    found = Evaluation(SimpleNamespace(labels=labels), (100.0,), told[np.newaxis], {"scattered": told})
+    found = Evaluation(
+        SimpleNamespace(labels=labels), (100.0,), told[np.newaxis], {"scattered": told}
+    )
     softer = found.at_temperature(temperature)
     assert found.calibration_error > 0.15 and softer.calibration_error < 0.01
     assert found.sure_of_nothing["scattered"] > softer.sure_of_nothing["scattered"]
     assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
     assert fit_temperature(softened(truth, 9), labels) == pytest.approx(1 / 5)  # and no less
-    assert fit_temperature(np.array([[1.0, 0.0]] * 9), np.ones(9, int)) == pytest.approx(5)  # nor more
+    # nor more
+    assert fit_temperature(np.array([[1.0, 0.0]] * 9), np.ones(9, int)) == pytest.approx(5)
 
 
 def test_a_calibrated_model_decides_the_same(models):
@@ -99,11 +119,14 @@ def test_a_calibrated_model_decides_the_same(models):
     calibrated_model, temperature = calibrated(model, 2.5)
     assert temperature == 2.5 and calibrated_model.classes == model.classes
     *others, last = model.network["classifier"]
-    twice = {"classifier": [*others, last | {"name": "unused"}, last]}  # a layer that has the same weights
+    # a layer that has the same weights
+    twice = {"classifier": [*others, last | {"name": "unused"}, last]}
     assert calibrated(replace(model, network=twice), 2.5)[1] == 1.0
     volumes = np.random.default_rng(0).normal(size=(50, *model.config.shape)).astype(np.float32)
     for volume in volumes:
-        logits, softer = (np.array(CompiledClassifier(m)(volume)) for m in (model, calibrated_model))
+        logits, softer = (
+            np.array(CompiledClassifier(m)(volume)) for m in (model, calibrated_model)
+        )
         np.testing.assert_allclose(softer, logits / 2.5, rtol=1e-5, atol=1e-5)
 
 

@@ -1,4 +1,5 @@
-"""A training ends early where nothing that is held out can improve: by hand, and in the loop, interrupted or not."""
+"""A training ends early where nothing that is held out can improve: by hand, and in the loop,
+interrupted or not."""
 
 from dataclasses import replace
 from functools import partial
@@ -19,7 +20,14 @@ train = partial(loop.train, classes=CLASSES)
 
 
 def row(loss=0.1, share=1.0, **more):
-    return {"epoch": 0, "loss": 0.5, "per_window": share, "per_recording": 1.0, "validation_loss": loss, **more}
+    return {
+        "epoch": 0,
+        "loss": 0.5,
+        "per_window": share,
+        "per_recording": 1.0,
+        "validation_loss": loss,
+        **more,
+    }
 
 
 RIGHT = [row()] * 30
@@ -44,7 +52,10 @@ RIGHT = [row()] * 30
         ),
         "by a seventieth in each": ([row(0.985**k) for k in range(99)], None),
         "by less": ([row(0.999**k) for k in range(99)], 1 + PATIENCE),
-        "that in other motions falls": ([row(motions_validation_loss=0.8**k) for k in range(99)], None),
+        "that in other motions falls": (
+            [row(motions_validation_loss=0.8**k) for k in range(99)],
+            None,
+        ),
         "it rises": ([row(1.1**k) for k in range(99)], 1 + PATIENCE),
         "objects in scenes": ([{"epoch": 0, "loss": 0.5, "f1": 1.0}] * 30, PATIENCE),
         "objects that are not all found": ([{"epoch": 0, "loss": 0.5, "f1": 0.999}] * 30, None),
@@ -93,16 +104,25 @@ def test_the_rate_falls_to_nothing_and_the_last_weights_are_kept(windows, held_o
     assert 3 <= settled < 35 and len(result.history) == settled + 2
     steps = SETTINGS.n_steps(len(windows))
     (rate, *others) = (
-        group["lr"] for group in torch.load(folder / "checkpoint.pt", weights_only=True)["optimizer"]["param_groups"]
+        group["lr"]
+        for group in torch.load(folder / "checkpoint.pt", weights_only=True)["optimizer"][
+            "param_groups"
+        ]
     )
     share = loop._share_of_rate(SETTINGS, settled * steps, SETTINGS.n_iterations(len(windows)))
-    assert rate == pytest.approx(SETTINGS.learning_rate * share / (2 * steps)) and set(others) == {rate}
-    again = train(CONFIG, windows, held_out, SETTINGS, folder, report=lambda row: pytest.fail("trained on"))
+    assert rate == pytest.approx(SETTINGS.learning_rate * share / (2 * steps)) and set(others) == {
+        rate
+    }
+    again = train(
+        CONFIG, windows, held_out, SETTINGS, folder, report=lambda row: pytest.fail("trained on")
+    )
     assert_equal(again.model, result.model)
     assert again.history == result.history
 
 
-def test_interrupted_after_any_epoch_it_ends_in_the_same_with_the_same_weights(windows, held_out, ended, tmp_path):
+def test_interrupted_after_any_epoch_it_ends_in_the_same_with_the_same_weights(
+    windows, held_out, ended, tmp_path
+):
     whole = ended[0]
     settled = early_end.settled_at(whole.history)
 
@@ -112,15 +132,20 @@ def test_interrupted_after_any_epoch_it_ends_in_the_same_with_the_same_weights(w
     for _ in range(settled + 2):  # after each epoch
         with pytest.raises(KeyboardInterrupt):
             train(CONFIG, windows, held_out, SETTINGS, tmp_path / "cut", report=stop)
-    resumed = train(CONFIG, windows, held_out, SETTINGS, tmp_path / "cut", report=stop)  # nothing is left to do
+    # nothing is left to do
+    resumed = train(CONFIG, windows, held_out, SETTINGS, tmp_path / "cut", report=stop)
     assert resumed.history == whole.history
     assert_equal(resumed.model, whole.model)
 
 
-def test_all_epochs_are_made_where_nothing_is_held_out_or_they_were_asked_for(windows, held_out, soon, tmp_path):
+def test_all_epochs_are_made_where_nothing_is_held_out_or_they_were_asked_for(
+    windows, held_out, soon, tmp_path
+):
     settings = replace(SETTINGS, epochs=12)
     nothing = train(CONFIG, windows, windows[:0], settings, tmp_path / "nothing")
-    asked = train(CONFIG, windows, held_out, replace(settings, ends_early=False), tmp_path / "asked")
+    asked = train(
+        CONFIG, windows, held_out, replace(settings, ends_early=False), tmp_path / "asked"
+    )
     assert len(nothing.history) == len(asked.history) == 12
     assert early_end.settled_at(asked.history) is not None
     for a, b in zip(asked.history, asked.history[1:], strict=False):
@@ -143,9 +168,21 @@ def test_the_command_tells_it(gestures, few_steps, program, monkeypatch, tmp_pat
     monkeypatch.setattr("async_tnt.training.settings.MIN_EPOCHS", 10)
     monkeypatch.setattr(loop, "settled_at", lambda history: 1 if history else None)
     monkeypatch.setattr(loop, "COOLING", COOLING)
-    words = "train", gestures, "--out", tmp_path / "m.safetensors", "--grid", "34x34", "--network", "conv4"
+    words = (
+        "train",
+        gestures,
+        "--out",
+        tmp_path / "m.safetensors",
+        "--grid",
+        "34x34",
+        "--network",
+        "conv4",
+    )
     code, _, err = program(*words)
-    assert code == 0 and f"ended after {1 + COOLING} of 10 epochs: all that is held out was right" in err
+    assert (
+        code == 0
+        and f"ended after {1 + COOLING} of 10 epochs: all that is held out was right" in err
+    )
     assert load_checkpoint(tmp_path / "runs" / "m", {})["history"][-1]["epoch"] == 1 + COOLING
     code, _, err = program(*words[:3], tmp_path / "n.safetensors", *words[4:], "--epochs", 7)
     assert code == 0 and "ended after" not in err

@@ -5,7 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from async_tnt.training.groups import groups_by_pattern, hold_out_end, hold_out_groups, hold_out_last
+from async_tnt.training.groups import (
+    groups_by_pattern,
+    hold_out_end,
+    hold_out_groups,
+    hold_out_last,
+)
 
 
 def test_a_pattern_groups_by_its_parentheses_or_by_all_it_finds():
@@ -20,17 +25,21 @@ def test_a_pattern_groups_by_its_parentheses_or_by_all_it_finds():
 
 def test_of_numbered_recordings_the_last_are_held_out():
     names = [f"car/obj_{99 - k}_td.dat" for k in range(100)]
-    names += ["road/7.npy", "road/30.npy", "road/8.npy", "sky/blue.npy"]  # a single one needs no number
+    # a single one needs no number
+    names += ["road/7.npy", "road/30.npy", "road/8.npy", "sky/blue.npy"]
     labels = np.array([0] * 100 + [1] * 3 + [2])
     train, held_out = hold_out_last(names, labels, 0.2)
     assert sorted([*train, *held_out]) == list(range(104))
-    expected = {f"car/obj_{k}_td.dat" for k in range(80, 100)} | {"road/30.npy"}  # at least one, if there are two
+    # at least one, if there are two
+    expected = {f"car/obj_{k}_td.dat" for k in range(80, 100)} | {"road/30.npy"}
     assert {names[r] for r in held_out} == expected
     assert len(hold_out_last(names, labels, 0)[1]) == 0
     assert hold_out_last(["a/left.npy", "a/right.npy"], np.zeros(2, int), 0.2) is None
-    assert hold_out_last(["a/left.npy", "a/left.npz"], np.zeros(2, int), 0.2) is None  # one name, but no number
+    # one name, but no number
+    assert hold_out_last(["a/left.npy", "a/left.npz"], np.zeros(2, int), 0.2) is None
     one_then_three = ["a/blue.npy", "b/1.npy", "b/2.npy", "b/3.npy"]
-    train, held_out = hold_out_last(one_then_three, np.array([0, 1, 1, 1]), 0.9)  # one stays to learn from
+    # one stays to learn from
+    train, held_out = hold_out_last(one_then_three, np.array([0, 1, 1, 1]), 0.9)
     assert (train.tolist(), held_out.tolist()) == ([0, 1], [2, 3])
     users = [f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)]  # by user, then by number
     held_out = hold_out_last(users, np.zeros(40, int), 0.1)[1]
@@ -40,7 +49,10 @@ def test_of_numbered_recordings_the_last_are_held_out():
 def test_of_the_windows_of_one_session_some_are_learned():
     assert [some.tolist() for some in hold_out_end(10, 0.95)] == [[0], list(range(2, 10))]
     for n_windows, share in [(9, 0.2), (10, 0)]:
-        assert [some.tolist() for some in hold_out_end(n_windows, share)] == [list(range(n_windows)), []]
+        assert [some.tolist() for some in hold_out_end(n_windows, share)] == [
+            list(range(n_windows)),
+            [],
+        ]
     assert [some.tolist() for some in hold_out_end(10, 0.1)] == [list(range(8)), [9]]
 
 
@@ -49,8 +61,13 @@ def test_of_the_windows_of_one_session_some_are_learned():
     st.floats(0, 0.99),
     st.integers(0, 9),
 )
-def test_no_group_is_on_both_sides_and_each_class_is_on_the_side_of_training(recordings, share, seed):
-    labels, groups = np.array([label for label, _ in recordings]), [str(group) for _, group in recordings]
+def test_no_group_is_on_both_sides_and_each_class_is_on_the_side_of_training(
+    recordings, share, seed
+):
+    labels, groups = (
+        np.array([label for label, _ in recordings]),
+        [str(group) for _, group in recordings],
+    )
     train, held_out = hold_out_groups(labels, groups, share, np.random.default_rng(seed))
     assert sorted([*train, *held_out]) == list(range(len(labels)))
     assert not {groups[r] for r in train} & {groups[r] for r in held_out}
@@ -77,7 +94,10 @@ def test_without_groups_each_class_gives_its_share_and_no_more(labels, share, se
     st.integers(0, 9),
 )
 def test_a_class_below_its_share_has_no_other_group_that_could_be_held_out(recordings, share, seed):
-    labels, groups = np.array([label for label, _ in recordings]), np.array([str(group) for _, group in recordings])
+    labels, groups = (
+        np.array([label for label, _ in recordings]),
+        np.array([str(group) for _, group in recordings]),
+    )
     train, held_out = hold_out_groups(labels, groups.tolist(), share, np.random.default_rng(seed))
     for label in np.unique(labels):
         if np.sum(labels[held_out] == label) >= max(1, round(share * np.sum(labels == label))):

@@ -1,4 +1,5 @@
-"""The landmark regressor learns through the kernels' volumes: their gradient is the reference's, and reaches it."""
+"""The landmark regressor learns through the kernels' volumes: their gradient is the reference's,
+and reaches it."""
 
 import numpy as np
 import pytest
@@ -23,7 +24,9 @@ LANDMARKS = np.array([[15.2, 17.9], [3.1, 30.2], [16.5, 16.5]])
 
 def windows_of(config, n=600, seed=0):
     events = [random_events(n, seed=seed + k, sensor=config.sensor) for k in range(3)]
-    return make_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us, duration_us=config.window_us)
+    return make_windows(
+        Recordings.from_events(events, [0, 1, 2]), config.window_us, duration_us=config.window_us
+    )
 
 
 def columns(windows, i):
@@ -33,11 +36,16 @@ def columns(windows, i):
 
 
 def reference_settings(config):
-    return {name: getattr(config, name) for name in ("window_us", "sensor", "grid", "bins", "t_max", "polarity")}
+    return {
+        name: getattr(config, name)
+        for name in ("window_us", "sensor", "grid", "bins", "t_max", "polarity")
+    }
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"polarity": "split", "grid": (20, 28)}, {"sensor": (64, 40), "bins": 1, "t_max": 8.0}], ids=str
+    "changes",
+    [{}, {"polarity": "split", "grid": (20, 28)}, {"sensor": (64, 40), "bins": 1, "t_max": 8.0}],
+    ids=str,
 )
 def test_gradient_of_the_kernels_equals_the_references(changes):
     config = CONFIG.replace(**changes)
@@ -46,7 +54,11 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
     expected = torch.stack(
         [
             tnt_reference.tnt_volume(
-                *columns(windows, i), start_us=0, **reference_settings(config), landmark=at[i], dtype=torch.float64
+                *columns(windows, i),
+                start_us=0,
+                **reference_settings(config),
+                landmark=at[i],
+                dtype=torch.float64,
             )
             for i in range(3)
         ]
@@ -55,9 +67,12 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
     (expected * torch.from_numpy(slope).double()).sum().backward()
     assert at.grad.abs().min() > 0.1
     np.testing.assert_allclose(batches(windows, None, LANDMARKS), expected.detach(), atol=1e-5)
-    with pytest.raises(ValueError, match="`landmarks` must be given with landmark 'regressor', and with no other"):
+    with pytest.raises(
+        ValueError, match="`landmarks` must be given with landmark 'regressor', and with no other"
+    ):
         batches(windows)
-    fine = NOTHING.draw(windows, config, np.random.default_rng(0))  # augmentation has a finer sensor
+    # augmentation has a finer sensor
+    fine = NOTHING.draw(windows, config, np.random.default_rng(0))
     assert fine.sensor != config.sensor
     for draws in (None, fine):
         got = batches.landmark_gradient(windows, draws, LANDMARKS, slope)
@@ -65,13 +80,17 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
 
 
 def test_the_loss_reaches_every_layer_and_the_exported_pipeline_equals_the_references():
-    """Scales absorbed, through a model and back: the logits are those of the torch pipeline on the events."""
+    """Scales absorbed, through a model and back: the logits are those of the torch pipeline on the
+    events."""
     windows = windows_of(CONFIG)
     pipeline = new_pipeline(CONFIG, 3, 0, windows)
-    assert pipeline.landmarks(windows).tolist() == [[16.5, 16.5]] * 3  # the first landmark is the centre
+    # the first landmark is the centre
+    assert pipeline.landmarks(windows).tolist() == [[16.5, 16.5]] * 3
     optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.03)
     for _ in range(3):
-        loss = torch.nn.functional.cross_entropy(pipeline(windows), torch.from_numpy(windows.labels))
+        loss = torch.nn.functional.cross_entropy(
+            pipeline(windows), torch.from_numpy(windows.labels)
+        )
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -87,5 +106,9 @@ def test_the_loss_reaches_every_layer_and_the_exported_pipeline_equals_the_refer
     with torch.no_grad():
         expected = pipeline(windows)
         batch = reference.batch([(*columns(windows, i), 0) for i in range(3)])
-        for got in (pipeline_of(model)(windows), pipeline_before_export(model, windows)(windows), batch):
+        for got in (
+            pipeline_of(model)(windows),
+            pipeline_before_export(model, windows)(windows),
+            batch,
+        ):
             torch.testing.assert_close(got, expected, atol=1e-4, rtol=1e-4)

@@ -1,4 +1,5 @@
-"""The networks that can be trained, or one's own: what training ends with computes, compiled, what torch computed."""
+"""The networks that can be trained, or one's own: what training ends with computes, compiled, what
+torch computed."""
 
 import json
 import os
@@ -57,20 +58,28 @@ def own(tmp_path_factory):
 @pytest.fixture(scope="module")
 def windows():
     events = [random_events(300, seed=k, sensor=CONFIG.sensor) for k in range(6)]
-    return make_windows(Recordings.from_events(events, [0, 1, 2] * 2), CONFIG.window_us, duration_us=CONFIG.window_us)
+    return make_windows(
+        Recordings.from_events(events, [0, 1, 2] * 2),
+        CONFIG.window_us,
+        duration_us=CONFIG.window_us,
+    )
 
 
 @pytest.mark.parametrize("name", [*NETWORKS, "linear", "normed"])
 def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_path):
-    """Batch norms and input scale folded; and so does the pipeline that continues from the model."""
+    """Batch norms and input scale folded; and so does the pipeline that continues from the
+    model."""
     config = CONFIG.replace(transform="none") if name == "map" else CONFIG
     pipeline = new_pipeline(config, 3, 0, windows, name if name in NETWORKS else f"{own}:{name}")
     optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.01)
     for _ in range(3):
         optimizer.zero_grad()
         logits = pipeline(windows)
-        labels = torch.from_numpy(windows.labels).reshape(-1, *[1] * (logits.ndim - 2))  # of a map: at all places
-        nn.functional.cross_entropy(logits, labels.expand(len(logits), *logits.shape[2:])).backward()
+        # of a map: at all places
+        labels = torch.from_numpy(windows.labels).reshape(-1, *[1] * (logits.ndim - 2))
+        nn.functional.cross_entropy(
+            logits, labels.expand(len(logits), *logits.shape[2:])
+        ).backward()
         optimizer.step()
     pipeline.eval()
     with torch.no_grad():
@@ -86,7 +95,10 @@ def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_pa
 
 def test_the_first_two_are_the_references_with_the_same_initial_weights():
     builds = [
-        (lambda: build_network("thesis", 3, (20, 18), 5), lambda: tnt_reference.Classifier(3, (20, 18), 5)),
+        (
+            lambda: build_network("thesis", 3, (20, 18), 5),
+            lambda: tnt_reference.Classifier(3, (20, 18), 5),
+        ),
         (lambda: landmark_network(3), lambda: tnt_reference.LandmarkRegressor(3, (20, 18))),
     ]
     volume = torch.randn(2, 3, 18, 20, generator=torch.Generator().manual_seed(1))
@@ -96,7 +108,9 @@ def test_the_first_two_are_the_references_with_the_same_initial_weights():
             torch.manual_seed(7)
             networks.append(build())
         ours, reference = networks
-        torch.testing.assert_close(dict(ours.state_dict()), dict(reference.state_dict()), rtol=0, atol=0)
+        torch.testing.assert_close(
+            dict(ours.state_dict()), dict(reference.state_dict()), rtol=0, atol=0
+        )
         torch.testing.assert_close(ours(volume), reference(volume))
 
 
@@ -120,9 +134,18 @@ def test_the_smallest_grid(name):
         ("absent", ": it has no function 'absent'"),
     ],
 )
-def test_what_is_wrong_with_ones_own_is_said_before_training(function, message, own, tmp_path, program):
+def test_what_is_wrong_with_ones_own_is_said_before_training(
+    function, message, own, tmp_path, program
+):
     folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1}, side=34)
-    words = "--network", f"{own}:{function}", "--sensor", "34x34", "--out", tmp_path / "m.safetensors"
+    words = (
+        "--network",
+        f"{own}:{function}",
+        "--sensor",
+        "34x34",
+        "--out",
+        tmp_path / "m.safetensors",
+    )
     code, _, err = program("train", folder, *words)
     assert code == 2 and f"{own}:{function}" in err and message in err and "windows" not in err
     assert os.listdir(tmp_path) == ["set"]
@@ -135,11 +158,24 @@ def test_training_one_from_the_command(own, tmp_path, program, few_steps):
     words = ["train", folder, "--network", f"{mine}:normed", "--out", out, "--epochs", 1]
     assert program(*words)[0] == 0
     model = load_model(out)
-    assert model.record["network"] == "mine.py:normed" and str(tmp_path) not in json.dumps(dict(model.record))
+    assert model.record["network"] == "mine.py:normed" and str(tmp_path) not in json.dumps(
+        dict(model.record)
+    )
     mine.write_text(OWN + "# another network, perhaps\n")
     code, _, err = program(*words)
     assert code == 2 and "holds a run with other network_file" in err
-    large = write_set(tmp_path / "large", {"upright": 2, "flat": 2}, side=64)  # the smallest grid that it suits
+    # the smallest grid that it suits
+    large = write_set(tmp_path / "large", {"upright": 2, "flat": 2}, side=64)
     assert (
-        program("train", large, "--network", f"{mine}:deep", "--out", tmp_path / "d.safetensors", "--epochs", 1)[0] == 0
+        program(
+            "train",
+            large,
+            "--network",
+            f"{mine}:deep",
+            "--out",
+            tmp_path / "d.safetensors",
+            "--epochs",
+            1,
+        )[0]
+        == 0
     )

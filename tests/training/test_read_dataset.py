@@ -1,4 +1,5 @@
-"""Class folders -> recordings of one sensor: what they state, what is left out, and what is an error."""
+"""Class folders -> recordings of one sensor: what they state, what is left out, and what is an
+error."""
 
 import re
 import shutil
@@ -29,7 +30,9 @@ def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path)
     for pixels in (EVERYTHING, PixelSelection(sensor=SIZE)):
         dataset = read_dataset(tmp_path, pixels=pixels)
         (line,) = dataset.left_out
-        assert line.startswith("flat/large.csv: 2 of 3 events lie off the 64 x 64 sensor; the first is event 1 at x =")
+        assert line.startswith(
+            "flat/large.csv: 2 of 3 events lie off the 64 x 64 sensor; the first is event 1 at x ="
+        )
         assert dataset.camera == dataset.sensor == SIZE
         assert len(dataset.recordings) == 6
     cropped = read_dataset(tmp_path, pixels=PixelSelection((0, 0, 60, 64), True))
@@ -44,7 +47,9 @@ def test_what_is_trained_on_is_not_tested_on(tmp_path):
     data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
     line = f"Test/flat/again{learned.suffix}: the same events as flat/{learned.name}"
     assert data.left_out == (line,) and len(data.tests["test"][0]) == 4
-    shutil.move(tmp_path / "Test" / "flat" / f"again{learned.suffix}", tmp_path / "Test" / "upright")
+    shutil.move(
+        tmp_path / "Test" / "flat" / f"again{learned.suffix}", tmp_path / "Test" / "upright"
+    )
     with pytest.raises(ValueError, match="hold the same events but are in two classes"):
         dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
 
@@ -74,14 +79,20 @@ def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
 
 def test_windows_counts_and_the_held_out(tmp_path):
     for k in range(5):
-        write(tmp_path / "upright" / f"{k}.npz", bar("upright", k, duration_us=500_000, start_us=7_000_000_000))
+        write(
+            tmp_path / "upright" / f"{k}.npz",
+            bar("upright", k, duration_us=500_000, start_us=7_000_000_000),
+        )
         write(tmp_path / "flat" / f"{k}.npz", bar("flat", k, duration_us=20_000))
     write(tmp_path / "single" / "0.npz", bar("slanted", 0))
     data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING)
-    # one of five is held out of each class: 4 x 5 windows of 105 ms and 4 partial ones, and the single one
+    # one of five is held out of each class: 4 x 5 windows of 105 ms and 4 partial ones, and the
+    # single one
     assert (len(data.training), len(data.validation), data.config.sensor) == (25, 6, (128, 128))
     assert data.record["classes"] == {"flat": 5, "single": 1, "upright": 5}
-    assert "not held out, as there is only one short recording, picture or group: single" in data.notes
+    assert (
+        "not held out, as there is only one short recording, picture or group: single" in data.notes
+    )
 
 
 def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
@@ -90,16 +101,24 @@ def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
         write(tmp_path / "upright" / f"{k}.npz", bar("upright", k, duration_us=500_000))
     write(tmp_path / "flat" / "only.npz", bar("flat", 0, n=4_000, duration_us=2_000_000))
     data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=EVERYTHING)
-    learned, held_out = (some.start_us[some.labels == 0] // 100_000 for some in (data.training, data.validation))
+    learned, held_out = (
+        some.start_us[some.labels == 0] // 100_000 for some in (data.training, data.validation)
+    )
     assert learned.tolist() == list(range(15)) and held_out.tolist() == [16, 17, 18, 19]
     assert data.record["held_out_in_time"] == ["flat"] and len(data.validation) == 4 + 5
     (note,) = (line for line in data.notes if "the last windows of flat" in line)
     assert note.endswith("only another session tells more")
     (tmp_path / "flat" / "only.npz").rename(tmp_path / "flat" / "take9.npz")
-    write(tmp_path / "flat" / "take10.npz", bar("flat", 1, n=4_000, duration_us=2_000_000))  # of the same group, later
-    data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=EVERYTHING, groups="flat|[0-3]")
+    # of the same group, later
+    write(tmp_path / "flat" / "take10.npz", bar("flat", 1, n=4_000, duration_us=2_000_000))
+    data = dataset_data(
+        tmp_path, TNTConfig(window_us=100_000), pixels=EVERYTHING, groups="flat|[0-3]"
+    )
     names = data.training.recordings.names
-    for some, windows in ((data.training, {"take9": 20, "take10": 11}), (data.validation, {"take10": 8})):
+    for some, windows in (
+        (data.training, {"take9": 20, "take10": 11}),
+        (data.validation, {"take10": 8}),
+    ):
         of_flat = some.recording[some.labels == 0]
         assert {name: sum(name in names[r] for r in of_flat) for name in windows} == windows
         assert len(of_flat) == sum(windows.values())
@@ -113,26 +132,43 @@ def test_where_pixels_fire_often_the_default_volume_has_time_bins(tmp_path, even
     t = np.arange(3 * n) + np.repeat([0, 0, 100_000], n)
     for k, name in enumerate("aabb"):
         write(tmp_path / name / f"{k}.npz", events_of(t, x, np.full(3 * n, k), is_on))
-    data = dataset_data(tmp_path, default_config(window_us=100_000), pixels=EVERYTHING, fitted={"bins"})
-    assert (data.config.representation, data.config.bins) == volume and data.config.polarity == "split"
-    assert any("time bins, as an active pixel fires" in line for line in data.notes) == (volume[1] == 5)
+    data = dataset_data(
+        tmp_path, default_config(window_us=100_000), pixels=EVERYTHING, fitted={"bins"}
+    )
+    assert (
+        data.config.representation,
+        data.config.bins,
+    ) == volume and data.config.polarity == "split"
+    assert any("time bins, as an active pixel fires" in line for line in data.notes) == (
+        volume[1] == 5
+    )
 
 
 def recording(times_us, pixels=None):
-    return events_of(times_us, *([5] * len(times_us) if pixels is None else pixels for _ in "xy"), [1] * len(times_us))
+    return events_of(
+        times_us,
+        *([5] * len(times_us) if pixels is None else pixels for _ in "xy"),
+        [1] * len(times_us),
+    )
 
 
 def test_what_differs_only_outside_of_the_region_or_is_late_is_left_out_by_event(tmp_path):
-    """Events older than their recording's first one are late; the others are sorted. In files or in memory."""
+    """Events older than their recording's first one are late; the others are sorted. In files or in
+    memory."""
     folder, store = tmp_path / "set", tmp_path / "store"
     store.mkdir()
     for k, name in enumerate("ab"):
         write(folder / name / "1.npz", recording([500, 520 + k, 510, 499]), sensor=SIZE)
         write(folder / name / "2.npz", recording([0, 10, 20 + k], [2, 5, 40 + k]), sensor=SIZE)
     pixels = PixelSelection(roi=(0, 0, 10, 10))
-    held, mapped = read_dataset(folder, pixels=pixels), read_dataset(folder, pixels=pixels, store=store)
+    held, mapped = (
+        read_dataset(folder, pixels=pixels),
+        read_dataset(folder, pixels=pixels, store=store),
+    )
     np.testing.assert_array_equal(held.recordings.t, [0, 10, 20, 0, 10, 0, 10, 21, 0, 10])
-    assert held.left_out == () and held.left_out_events == {"left_out_outside": 2} and held.n_late == 2
+    assert (
+        held.left_out == () and held.left_out_events == {"left_out_outside": 2} and held.n_late == 2
+    )
     for name in ("t", "x", "y", "p", "offsets", "labels"):
         ours, theirs = getattr(mapped.recordings, name), getattr(held.recordings, name)
         np.testing.assert_array_equal(ours, theirs)
@@ -144,13 +180,33 @@ def test_what_differs_only_outside_of_the_region_or_is_late_is_left_out_by_event
 
 
 REFUSED = [  # files and their sensors, what is refused, settings
-    ({"flat/a.npz": SIZE, "up/b.npz": (80, 60)}, "of one sensor, got 64x64 (flat/a.npz) and 80x60 (up/b.npz)", {}),
-    ({"flat/a.npz": (80, 60), "up/b.npz": SIZE}, "got 64x64 (`sensor`) and 80x60 (flat/a.npz)", {"sensor": SIZE}),
-    ({"flat/a.csv": None, "up/b.csv": None}, "no recording states its sensor; give `sensor` (flat/a.csv needs", {}),
+    (
+        {"flat/a.npz": SIZE, "up/b.npz": (80, 60)},
+        "of one sensor, got 64x64 (flat/a.npz) and 80x60 (up/b.npz)",
+        {},
+    ),
+    (
+        {"flat/a.npz": (80, 60), "up/b.npz": SIZE},
+        "got 64x64 (`sensor`) and 80x60 (flat/a.npz)",
+        {"sensor": SIZE},
+    ),
+    (
+        {"flat/a.csv": None, "up/b.csv": None},
+        "no recording states its sensor; give `sensor` (flat/a.csv needs",
+        {},
+    ),
     ({"flat/a.bin": None, "up/b.bin": None}, "unless `sensor` says another", {}),
-    ({"flat/a.npz": SIZE, "up/b.npz": SIZE}, "flat/a.npz and up/b.npz hold the same events but are in two classes", {}),
+    (
+        {"flat/a.npz": SIZE, "up/b.npz": SIZE},
+        "flat/a.npz and up/b.npz hold the same events but are in two classes",
+        {},
+    ),
     ({"up/a.npz": SIZE, "up/b.npz": SIZE}, "there must be at least two class folders, got up", {}),
-    ({"up/a.npz": SIZE, "flat/notes.md": None}, "no recordings in the class folder flat; expected", {}),
+    (
+        {"up/a.npz": SIZE, "flat/notes.md": None},
+        "no recordings in the class folder flat; expected",
+        {},
+    ),
     ({"a.npz": SIZE}, "no class folders; expected set/<class name>/<recording>", {}),
 ]
 
@@ -164,7 +220,9 @@ def test_a_folder_without_a_dataset_of_one_sensor_is_refused(files, message, set
             path.parent.mkdir(parents=True)
             path.touch()
         else:  # whatever time it begins at
-            write(path, bar("flat", 0 if same else k, side=60, start_us=5_000_000 * k), sensor=sensor)
+            write(
+                path, bar("flat", 0 if same else k, side=60, start_us=5_000_000 * k), sensor=sensor
+            )
     with pytest.raises(ValueError, match=re.escape(message)):
         read_dataset(tmp_path / "set", pixels=PixelSelection(**settings))
 
@@ -172,7 +230,9 @@ def test_a_folder_without_a_dataset_of_one_sensor_is_refused(files, message, set
 def test_a_recording_longer_than_35_minutes_is_refused(tmp_path):
     for name in "ab":
         write(tmp_path / name / "1.npz", recording([0, 1 << 31]), sensor=SIZE)
-    with pytest.raises(ValueError, match=r"a/1.npz: lasts 36 minutes, more than the 35 that training supports"):
+    with pytest.raises(
+        ValueError, match=r"a/1.npz: lasts 36 minutes, more than the 35 that training supports"
+    ):
         read_dataset(tmp_path)
 
 
@@ -185,7 +245,10 @@ def test_who_was_seen_in_training_is_not_held_out(tmp_path):
     def held_out_by(n_groups, **how):
         data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, **how)
         names = data.training.recordings.names
-        train, held_out = ({names[r].split("/")[1][0] for r in w.recording} for w in (data.training, data.validation))
+        train, held_out = (
+            {names[r].split("/")[1][0] for r in w.recording}
+            for w in (data.training, data.validation)
+        )
         assert not n_groups or (len(held_out) == n_groups and not train & held_out)
         return data.record["source"].removeprefix("recordings of own classes, held out by ")
 

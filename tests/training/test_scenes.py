@@ -24,7 +24,13 @@ from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 
 CONFIG = TNTConfig(
-    sensor=(20, 16), grid=(20, 16), bins=3, polarity="split", transform="none", landmark="center", window_us=1000
+    sensor=(20, 16),
+    grid=(20, 16),
+    bins=3,
+    polarity="split",
+    transform="none",
+    landmark="center",
+    window_us=1000,
 )
 
 
@@ -53,7 +59,8 @@ def no_noise(monkeypatch):
 
 @pytest.mark.parametrize("grid", [(20, 16), (10, 8)])
 def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(grid, no_noise):
-    """By the reference: each recording moved to its place, events beyond the border left out, in whole cells."""
+    """By the reference: each recording moved to its place, events beyond the border left out, in
+    whole cells."""
     config = CONFIG.replace(grid=grid)
     maker = SceneMaker(config)
     assert (maker.config.sensor, maker.config.grid) == ((60, 48), (3 * grid[0], 3 * grid[1]))
@@ -70,13 +77,20 @@ def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(gr
     for i, (scene, place) in enumerate(zip(scenes.scene, scenes.position, strict=True)):
         one = events[i][events[i]["t"] + later[i] < 700]
         cells_a_pixel = (3 * np.array(grid) - 1) / (np.array([60, 48]) - 1)
-        middle = np.mean([np.percentile(one[c], (2, 98)) for c in "xy"], 1)  # of what the scene shows
+        # of what the scene shows
+        middle = np.mean([np.percentile(one[c], (2, 98)) for c in "xy"], 1)
         in_crop = middle * (np.array(grid) - 1) / (np.array([20, 16]) - 1)
         cells = np.rint(place * cells_a_pixel - in_crop).astype(int)
         assert np.allclose((cells + in_crop) / cells_a_pixel, place)
         settings = {"start_us": 0, "window_us": 1000, "bins": 3, "polarity": "split"}
         small = event_volume(
-            one["t"] + later[i], one["x"], one["y"], one["p"], sensor=config.sensor, grid=config.grid, **settings
+            one["t"] + later[i],
+            one["x"],
+            one["y"],
+            one["p"],
+            sensor=config.sensor,
+            grid=config.grid,
+            **settings,
         ).numpy()
         canvas = np.zeros((6, 5 * grid[1], 5 * grid[0]))
         top, left = grid[1] + cells[1], grid[0] + cells[0]
@@ -88,20 +102,29 @@ def test_a_scene_has_the_volume_of_its_recordings_events_on_the_larger_sensor(gr
 
 def test_scenes_are_drawn_anew_but_the_same_from_the_same_seed():
     maker, (_, windows) = SceneMaker(CONFIG), recordings(40)
-    draws = Augmentation.for_sensor(CONFIG, nothing=0.3).draw(windows, CONFIG, np.random.default_rng(1))
+    draws = Augmentation.for_sensor(CONFIG, nothing=0.3).draw(
+        windows, CONFIG, np.random.default_rng(1)
+    )
     first, same, other = (maker(windows, draws, np.random.default_rng(seed)) for seed in (2, 2, 3))
-    assert first.volumes.tobytes() == same.volumes.tobytes() and (first.position == same.position).all()
+    assert (
+        first.volumes.tobytes() == same.volumes.tobytes()
+        and (first.position == same.position).all()
+    )
     assert first.volumes.tobytes() != other.volumes.tobytes()
     assert len(first.label) < 36  # what shows nothing is no object
     assert (first.position > -2).all() and (first.position < (62, 50)).all()
     for scene in range(len(first.volumes)):
         there = first.position[first.scene == scene]
         away = np.hypot(*(there[:, None] - there[None]).transpose(2, 0, 1))
-        assert away[~np.eye(len(there), dtype=bool)].min(initial=99) > 0.4 * 16 - 1.5  # moved to whole cells since
+        # moved to whole cells since
+        assert away[~np.eye(len(there), dtype=bool)].min(initial=99) > 0.4 * 16 - 1.5
 
 
 def test_volumes_that_are_no_sums_are_refused():
-    for config in (CONFIG.replace(transform="tnt"), CONFIG.replace(representation="time_surface", bins=1)):
+    for config in (
+        CONFIG.replace(transform="tnt"),
+        CONFIG.replace(representation="time_surface", bins=1),
+    ):
         with pytest.raises(ValueError, match="a scene is a sum of volumes"):
             SceneMaker(config)
 
@@ -110,7 +133,9 @@ def test_a_network_that_computes_no_numbers_finds_nothing():
     """Not what an earlier map has left."""
     net = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 1))
     _, windows = recordings(30)
-    scores = SceneScores(CONFIG, Model.from_torch(net, SceneMaker(CONFIG).config, tuple("abc")), windows)
+    scores = SceneScores(
+        CONFIG, Model.from_torch(net, SceneMaker(CONFIG).config, tuple("abc")), windows
+    )
     pipeline = Pipeline(CONFIG, net)
     assert scores.after(pipeline, 1.0).there.sum() > 20
     with torch.no_grad():
@@ -120,12 +145,17 @@ def test_a_network_that_computes_no_numbers_finds_nothing():
 
 
 def test_the_nearest_place_of_a_coarse_map_names_an_object(monkeypatch):
-    """Though it is further away than `REACH` of the recording's shorter side, 2.4 pixels: places are 16 apart."""
+    """Though it is further away than `REACH` of the recording's shorter side, 2.4 pixels: places
+    are 16 apart."""
     coarse = torch.nn.Sequential(torch.nn.Conv2d(CONFIG.channels, 4, 16, 16))
     monkeypatch.setattr(objectives, "build_network", lambda *_: coarse)
     _, windows = recordings(1)
-    objects = objectives.ObjectsInScenes(CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c"))
-    scenes = Scenes(np.zeros((1, 6, 48, 60)), np.array([0]), np.array([2]), np.array([[20.0, 20.0]]))
+    objects = objectives.ObjectsInScenes(
+        CONFIG, windows[:0], TrainSettings(epochs=1), ("a", "b", "c")
+    )
+    scenes = Scenes(
+        np.zeros((1, 6, 48, 60)), np.array([0]), np.array([2]), np.array([[20.0, 20.0]])
+    )
     assert objects._targets(scenes)[0].tolist() == [[[3, 3, 3], [3, 2, 3], [3, 3, 3]]]
 
 
@@ -147,9 +177,9 @@ def test_a_trained_map_model_finds_what_stands_on_a_larger_sensor(finder, capsys
     assert model.config.sensor == (96, 96) and model.places is not None
     found = model.record["validation"]
     assert found["f1"] > 0.8 and found["objects"] > 20
-    assert json.loads(finder.with_suffix(".json").read_text())["history"][-1]["f1"] == pytest.approx(
-        found["f1"], abs=0.05
-    )
+    assert json.loads(finder.with_suffix(".json").read_text())["history"][-1][
+        "f1"
+    ] == pytest.approx(found["f1"], abs=0.05)
     wide = Processor(model.for_sensor((200, 120)))
     parts = []
     for k, (kind, x, y) in enumerate([("upright", 20, 20), ("flat", 150, 10), ("upright", 90, 70)]):
@@ -198,7 +228,11 @@ def test_options_that_do_not_go_with_everywhere(tmp_path, program):
         (("--network", "residual"), "must compute a map"),
         (("--volume", "representation=time_surface"), "a scene is a sum of volumes"),
     ]:
-        code, _, err = program("train", tmp_path / "bars", "--everywhere", "--out", tmp_path / "m.safetensors", *words)
+        code, _, err = program(
+            "train", tmp_path / "bars", "--everywhere", "--out", tmp_path / "m.safetensors", *words
+        )
         assert code == 2 and message in err.splitlines()[-1], err
-    code, _, err = program("train", tmp_path / "bars", "--network", "map", "--out", tmp_path / "m.safetensors")
+    code, _, err = program(
+        "train", tmp_path / "bars", "--network", "map", "--out", tmp_path / "m.safetensors"
+    )
     assert code == 2 and "must compute one logit for each class" in err

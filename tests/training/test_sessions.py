@@ -1,4 +1,5 @@
-"""Sessions: long recordings, and tables of which part shows which class. They are cut as if each part were a file."""
+"""Sessions: long recordings, and tables of which part shows which class. They are cut as if each
+part were a file."""
 
 import json
 
@@ -54,15 +55,23 @@ def sessions(tmp_path):
 
 def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
     data = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3)
-    assert data.classes == ("flat", "upright") and data.record["classes"] == {"flat": 6, "upright": 3}
+    assert data.classes == ("flat", "upright") and data.record["classes"] == {
+        "flat": 6,
+        "upright": 3,
+    }
     recordings = data.training.recordings
     assert "user01_lab.npz[5150000:5230000]" in recordings.names
     r = recordings.names.index("user01_lab.npz[5150000:5230000]")
     assert recordings.offsets[r + 1] - recordings.offsets[r] == len(cut(part("upright", 1, 1)))
     assert data.record["source"] == "recordings of own classes, held out by session"
-    sides = [{recordings.names[r][:10] for r in windows.recording} for windows in (data.training, data.validation)]
+    sides = [
+        {recordings.names[r][:10] for r in windows.recording}
+        for windows in (data.training, data.validation)
+    ]
     assert len(sides[1]) == 1 and not sides[0] & sides[1]
-    by_user = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3, groups=r"user\d+")
+    by_user = dataset_data(
+        sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3, groups=r"user\d+"
+    )
     assert len({recordings.names[r][:6] for r in by_user.validation.recording}) == 1
 
 
@@ -73,24 +82,32 @@ def test_what_is_learned_ends_before_what_is_held_out_in_time(tmp_path):
     rows = [f"{'ab'[k % 2]},{45_000 * k},{45_000 * k + 500_000}\n" for k in range(30)]
     (tmp_path / "s_labels.csv").write_text(HEADER + "".join(rows))
     data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=PixelSelection())
-    begin_us = np.array([int(name[6:].partition(":")[0]) for name in data.training.recordings.names])
+    begin_us = np.array(
+        [int(name[6:].partition(":")[0]) for name in data.training.recordings.names]
+    )
     for label in range(2):
         learned, held_out = (
             (begin_us[some.recording] + some.start_us)[some.labels == label]
             for some in (data.training, data.validation)
         )
-        assert len(learned) > 25 and len(held_out) > 10 and learned.max() + 100_000 <= held_out.min()
+        assert (
+            len(learned) > 25 and len(held_out) > 10 and learned.max() + 100_000 <= held_out.min()
+        )
 
 
 def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_path, program):
     random = random_model(TNTConfig(sensor=(128, 128), window_us=60_000), classes=2, seed=3)
-    model = thesis_model(random.config, random.weights, ("flat", "upright")).save(tmp_path / "m.safetensors")
+    model = thesis_model(random.config, random.weights, ("flat", "upright")).save(
+        tmp_path / "m.safetensors"
+    )
     for s, name in enumerate(("user01_lab", "user02_lab", "user02_led")):
         for k, kind in enumerate(("flat", "upright", "flat")):
             write(tmp_path / "files" / kind / f"{name}{k}.npz", cut(part(kind, 10 * s + k, k)))
     reports = []
     for folder in (sessions, tmp_path / "files"):
-        code, out, err = program("evaluate", model, folder, "--json", "--out", tmp_path / f"{folder.name}.jsonl")
+        code, out, err = program(
+            "evaluate", model, folder, "--json", "--out", tmp_path / f"{folder.name}.jsonl"
+        )
         report = json.loads(out)
         assert code == 0 and report["recordings"] == 9, err
         reports.append(report)
@@ -98,10 +115,13 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
 
 
 def test_the_files_of_dvs128_gesture(tmp_path):
-    """AEDAT 3.1, numbers with names in a table of their own, and lists of the sessions to train and to test on."""
+    """AEDAT 3.1, numbers with names in a table of their own, and lists of the sessions to train and
+    to test on."""
     for seed, name in enumerate(("user01_lab", "user02_lab")):
         numbers = {"flat": 2, "upright": 10}
-        write_session(tmp_path, name, ("flat", "upright"), seed=10 * seed, numbers=numbers, suffix=".aedat")
+        write_session(
+            tmp_path, name, ("flat", "upright"), seed=10 * seed, numbers=numbers, suffix=".aedat"
+        )
     assert list(find_recordings(tmp_path)) == ["2", "10"]
     (tmp_path / "gesture_mapping.csv").write_text("action,label\nhand_clapping,2\nair_guitar,10\n")
     (tmp_path / "trials_to_train.txt").write_text("user01_lab.aedat\n")
@@ -122,7 +142,8 @@ def test_the_files_of_dvs128_gesture(tmp_path):
         find_recordings(tmp_path, "Test")
     (tmp_path / "trials_to_test.txt").write_text("\ufeffuser02_lab.aedat\r\n user 07.aedat \r\n")
     with pytest.raises(
-        ValueError, match=r"trials_to_test.txt names user 07.aedat, which is not there, or has no table"
+        ValueError,
+        match=r"trials_to_test.txt names user 07.aedat, which is not there, or has no table",
     ):
         find_recordings(tmp_path, "Test")
 
@@ -155,10 +176,14 @@ def test_what_a_list_sets_aside_is_not_for_the_other_part(tmp_path, lists, train
     for seed, name in enumerate("abc"):
         write_session(tmp_path, name, ("flat", "upright"), seed=10 * seed)
     for part_name, names in lists.items():
-        (tmp_path / f"trials_to_{part_name}.txt").write_text("\n".join(f"{name}.npz" for name in names.split()))
+        (tmp_path / f"trials_to_{part_name}.txt").write_text(
+            "\n".join(f"{name}.npz" for name in names.split())
+        )
     for part_name, expected in (("Train", train), ("Test", test), (None, "abc")):
         found = find_recordings(tmp_path, part_name)
-        assert {one.path.stem for some in found.values() for one in some} == set(expected), part_name
+        assert {one.path.stem for some in found.values() for one in some} == set(expected), (
+            part_name
+        )
     if not lists or not train or not test:
         return
     data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
@@ -175,7 +200,9 @@ def test_only_texts_and_the_other_part_may_lie_beside_sessions(tmp_path):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "setup.png").touch()
     assert not find_pictures(tmp_path)
-    assert find_recordings(tmp_path) == found and find_recordings(tmp_path, "Test").keys() == {"flat"}
+    assert find_recordings(tmp_path) == found and find_recordings(tmp_path, "Test").keys() == {
+        "flat"
+    }
     (tmp_path / "a.npy").touch()
     with pytest.raises(ValueError, match=r"a\.npy and a\.npz have one table"):
         find_recordings(tmp_path)
@@ -186,26 +213,42 @@ def test_only_texts_and_the_other_part_may_lie_beside_sessions(tmp_path):
     (tmp_path / "b.npz").rename(tmp_path / "c.npz")
     (tmp_path / "b_labels.csv").touch()
     (tmp_path / "c_labels.csv").write_bytes((tmp_path / "a_labels.csv").read_bytes())
-    with pytest.raises(ValueError, match=r"b_labels\.csv has no recording b\.\*, as others have; remove it"):
+    with pytest.raises(
+        ValueError, match=r"b_labels\.csv has no recording b\.\*, as others have; remove it"
+    ):
         find_recordings(tmp_path)
     (tmp_path / "c_labels.csv").unlink()
     (tmp_path / "trials_to_test.txt").touch()  # lists say what is for training and for testing
     assert find_recordings(tmp_path) == found
     write(tmp_path / "flat" / "d.npz", part("flat", 0, 0))
-    with pytest.raises(ValueError, match=r"expected class folders, or sessions .*, got both: flat/d\.npz and a\.npz"):
+    with pytest.raises(
+        ValueError,
+        match=r"expected class folders, or sessions .*, got both: flat/d\.npz and a\.npz",
+    ):
         find_recordings(tmp_path)
     write_session(tmp_path / "flat", "d", ("flat",))
-    with pytest.raises(ValueError, match=r"flat: d\.npz has a table of labels, but lies in a class folder"):
+    with pytest.raises(
+        ValueError, match=r"flat: d\.npz has a table of labels, but lies in a class folder"
+    ):
         find_recordings(tmp_path)
 
 
 def test_tables_that_cannot_be_read_are_named(tmp_path):
     write_session(tmp_path, "a", ("flat",))
     for table, message in (
-        ("class,begin,end\n", "expected a column start or start_us or startTime_usec, got class, begin, end"),
+        (
+            "class,begin,end\n",
+            "expected a column start or start_us or startTime_usec, got class, begin, end",
+        ),
         ("", "expected a column class or label, got none"),
-        (HEADER + "1,5,9\n1,9,5\n", "line 3: expected a class, and whole start < end in us, got 1, 9, 5"),
-        ("class,start,start,end\n1,5,6,9\n", "the column 'start' is there 2 times; leave out all but one"),
+        (
+            HEADER + "1,5,9\n1,9,5\n",
+            "line 3: expected a class, and whole start < end in us, got 1, 9, 5",
+        ),
+        (
+            "class,start,start,end\n1,5,6,9\n",
+            "the column 'start' is there 2 times; leave out all but one",
+        ),
         ("label, start, end\nwave, 1.5, 3\n", "line 2: expected a class, .*, got wave, 1.5, 3"),
     ):
         (tmp_path / "a_labels.csv").write_text(table)

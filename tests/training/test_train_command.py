@@ -27,7 +27,10 @@ def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(
     report = json.loads(trained.with_suffix(".json").read_text())
     assert report["classes"] == ["flat", "upright"] and len(report["history"]) == 3
     confusion = np.array(report["confusion"])
-    assert confusion.sum() == len(report["held_out"]) == 4 and report["accuracy"] == np.trace(confusion) / 4
+    assert (
+        confusion.sum() == len(report["held_out"]) == 4
+        and report["accuracy"] == np.trace(confusion) / 4
+    )
     test = model.record["test"]
     assert report["summary"]["test"] == test and test["recordings"] == 16
     assert test["per_recording"] >= 0.85  # chance: 0.5; 14 of 16 by luck: 1 in 480
@@ -46,12 +49,15 @@ def test_so_many_recordings_of_each_class_are_held_out_as_asked(share, n_held_ou
     assert validation["recordings"] == n_held_out
 
 
-def test_a_run_with_other_options_is_refused_before_recordings_are_read(tmp_path, train, monkeypatch):
+def test_a_run_with_other_options_is_refused_before_recordings_are_read(
+    tmp_path, train, monkeypatch
+):
     folder = write_set(tmp_path / "set", {"upright": 3, "flat": 3})
     write(folder / "flat" / "silent.npz", bar("flat", 0)[:0])
     code, err, _ = train(folder)
     line = "left out: flat/silent.npz: no events"
-    assert code == 0 and err.count(line) == 2 and err.splitlines()[-1].startswith(line)  # when read, and at the end
+    # when read, and at the end
+    assert code == 0 and err.count(line) == 2 and err.splitlines()[-1].startswith(line)
     (folder / "flat" / "silent.npz").unlink()  # the run is the same
     assert train(folder)[0] == 0
     begin = f"async-tnt: {tmp_path / 'runs' / 'm'}: the folder holds a run with other "
@@ -66,17 +72,36 @@ def test_a_run_with_other_options_is_refused_before_recordings_are_read(tmp_path
     write(folder / "upright" / "00.npy", bar("upright", 77)[:100])
     assert refused() == "data"
     with monkeypatch.context() as patch:
-        patch.setattr(data_module, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
-        assert refused("--seed", "1", "--window-us", "5000", "--network", "conv4") == "network, seed, window_us"
+        patch.setattr(
+            data_module,
+            "dataset_data",
+            lambda *given, **more: pytest.fail("the recordings were read"),
+        )
+        assert (
+            refused("--seed", "1", "--window-us", "5000", "--network", "conv4")
+            == "network, seed, window_us"
+        )
     for name, is_ours in (("motions", True), ("pictures", False)):
         (tmp_path / "runs" / "m" / name).mkdir()
-        (tmp_path / "runs" / "m" / name / (f"{name}.json" if is_ours else "cat.png")).write_text("{}")
-    for words in (("nowhere",), (folder, "--groups", "zzz"), (folder, "--network", f"{__file__}:bar")):
-        assert train(*words, "--restart")[0] == 2 and (tmp_path / "runs" / "m" / "checkpoint.pt").exists()
+        (tmp_path / "runs" / "m" / name / (f"{name}.json" if is_ours else "cat.png")).write_text(
+            "{}"
+        )
+    for words in (
+        ("nowhere",),
+        (folder, "--groups", "zzz"),
+        (folder, "--network", f"{__file__}:bar"),
+    ):
+        assert (
+            train(*words, "--restart")[0] == 2
+            and (tmp_path / "runs" / "m" / "checkpoint.pt").exists()
+        )
     code, err, out = train(folder, "--seed", "1", "--restart")
     assert code == 0 and "epoch 1/1" in err
     assert load_model(out).record["command"].endswith("--seed 1")
-    assert not (tmp_path / "runs" / "m" / "motions").exists() and (tmp_path / "runs" / "m" / "pictures").exists()
+    assert (
+        not (tmp_path / "runs" / "m" / "motions").exists()
+        and (tmp_path / "runs" / "m" / "pictures").exists()
+    )
 
 
 def test_a_model_of_another_program_is_not_replaced(gestures, train, tmp_path):
@@ -86,7 +111,9 @@ def test_a_model_of_another_program_is_not_replaced(gestures, train, tmp_path):
     assert (tmp_path / "m.safetensors").read_bytes() == b"weights"
 
 
-def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(gestures, train, tmp_path):
+def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(
+    gestures, train, tmp_path
+):
     run = tmp_path / "runs" / "m"
     with locked_folder(run, "command.lock"):
         code, err, _ = train(gestures)
@@ -130,7 +157,8 @@ REFUSED_EARLY = [
     (("--volume", "remove_flow=yes"), "remove_flow"),
     (
         ("--network", "conv5"),
-        "must be one of thesis, conv4, residual, wide, separable, map, or FILE.py:FUNCTION; got 'conv5'",
+        "must be one of thesis, conv4, residual, wide, separable, map, or FILE.py:FUNCTION; got "
+        "'conv5'",
     ),
     (("--motions", "resynthesized", "--roi", "0,0,9,9"), "--roi must come with --crop"),
     (("--volume", "landmark=line,t_max=2"), "--volume: landmark and t_max need transform=tnt"),
@@ -147,13 +175,18 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(
-    ("words", "message", "is_early"), [*((*row, True) for row in REFUSED_EARLY), *((*row, False) for row in REFUSED)]
+    ("words", "message", "is_early"),
+    [*((*row, True) for row in REFUSED_EARLY), *((*row, False) for row in REFUSED)],
 )
 def test_errors_are_one_line(words, message, is_early, program, tmp_path, monkeypatch):
     """Those of options come before the recordings are read."""
     monkeypatch.chdir(tmp_path)
     if is_early:
-        monkeypatch.setattr(data_module, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
+        monkeypatch.setattr(
+            data_module,
+            "dataset_data",
+            lambda *given, **more: pytest.fail("the recordings were read"),
+        )
     write_set(tmp_path / "set", {"upright": 1, "slanted": 1}, suffixes=(".npz",), side=34)
     words = [word.replace("DATASET", "set") for word in words]
     code, _, err = program("train", "set", *words)
@@ -164,7 +197,11 @@ def test_errors_are_one_line(words, message, is_early, program, tmp_path, monkey
 def test_files_of_others_beside_the_model_stay(tmp_path, train):
     for name, content, lacking in (
         ("m.curves.png", "a picture", "m.json with "),
-        ("m.json", '{"history": [], "summary": {}}', 'm.json with "held_out", "summary", "history"'),
+        (
+            "m.json",
+            '{"history": [], "summary": {}}',
+            'm.json with "held_out", "summary", "history"',
+        ),
         ("runs/m/history.json", "[]", 'history.json with "settings", "history"'),
     ):
         path = tmp_path / name
@@ -180,7 +217,8 @@ def test_files_of_others_beside_the_model_stay(tmp_path, train):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("", ("none", "split", 1, (200, 150), (120, 90), 100_000)),  # as long as the longest recording
+        # as long as the longest recording
+        ("", ("none", "split", 1, (200, 150), (120, 90), 100_000)),
         (
             "--window-us 50000 --grid 20x16 --roi 10,0,128,128 --crop "
             "--volume representation=volume,transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2",
@@ -188,12 +226,21 @@ def test_files_of_others_beside_the_model_stay(tmp_path, train):
         ),
     ],
 )
-def test_the_volume_is_the_plain_one_unless_asked_otherwise(words, expected, tmp_path, program, few_steps):
+def test_the_volume_is_the_plain_one_unless_asked_otherwise(
+    words, expected, tmp_path, program, few_steps
+):
     write_set(tmp_path / "set", {"upright": 2, "flat": 2}, suffixes=(".npy",))
     out = tmp_path / "m.safetensors"
     words = ("--sensor", "200x150", "--out", out, "--epochs", 1, *words.split())
     assert program("train", tmp_path / "set", *words)[0] == 0
     model = load_model(out)
     found = model.config
-    assert (found.transform, found.polarity, found.bins, found.sensor, found.grid, found.window_us) == expected
+    assert (
+        found.transform,
+        found.polarity,
+        found.bins,
+        found.sensor,
+        found.grid,
+        found.window_us,
+    ) == expected
     assert model.record["network"] == "residual" and "--sensor 200x150" in model.record["command"]

@@ -21,8 +21,9 @@ def mask_of(size, pixels):
 
 
 def recorded(seed):
-    """A bar at 64x64, and with two pixels that fire all the time. The file begins with one of their late events:
-    dropping what is older than the first event before the hot pixels are removed would drop half of the bar."""
+    """A bar at 64x64, and with two pixels that fire all the time. The file begins with one of their
+    late events: dropping what is older than the first event before the hot pixels are removed would
+    drop half of the bar."""
     events = bar("upright" if seed % 2 else "flat", seed, side=64, n=600, start_us=5_000)
     events = events[~mask_of(SIZE, HOT)[events["y"], events["x"]]]
     t = np.linspace(1_000, 120_000, 900).astype(int)
@@ -32,16 +33,22 @@ def recorded(seed):
 
 
 def write_sets(folder):
-    """The same recordings without hot pixels, with them, and with them on a larger camera, parts of which move, too."""
+    """The same recordings without hot pixels, with them, and with them on a larger camera, parts of
+    which move, too."""
     for k in range(20):
         events, hot = recorded(k)
         large, around = hot.copy(), hot[::2].copy()
         large["x"] += CORNER[0]
         large["y"] += CORNER[1]
         around["x"] = np.where(np.arange(len(around)) % 2, 2, 119)
-        made = {"clean": (events, SIZE), "hot": (hot, SIZE), "large": (np.concatenate((large, around)), CAMERA)}
+        made = {
+            "clean": (events, SIZE),
+            "hot": (hot, SIZE),
+            "large": (np.concatenate((large, around)), CAMERA),
+        }
         for name, (all_events, sensor) in made.items():
-            file = f"Test/{k % 2}/{k}.npy" if k < 10 else f"Train/{k % 2}/{k}.npz"  # .npy does not state the sensor
+            # .npy does not state the sensor
+            file = f"Test/{k % 2}/{k}.npy" if k < 10 else f"Train/{k % 2}/{k}.npz"
             write(folder / name / file, all_events, sensor=sensor)
 
 
@@ -55,16 +62,28 @@ def test_the_network_sees_recordings_without_these_events(name, region, mask, tm
     pixels = PixelSelection(region, region is not None, PackedMask.of(mask))
     got = dataset_data(tmp_path / name, TNTConfig(), pixels=pixels, test=True)
     clean, disturbed = (
-        dataset_data(tmp_path / which, TNTConfig(), pixels=PixelSelection(), test=True) for which in ("clean", "hot")
+        dataset_data(tmp_path / which, TNTConfig(), pixels=PixelSelection(), test=True)
+        for which in ("clean", "hot")
     )
-    assert got.config == clean.config and got.config.sensor == SIZE and len(got.tests["test"][0]) == 10
-    for part in (lambda data: data.training, lambda data: data.validation, lambda data: data.tests["test"][0]):
+    assert (
+        got.config == clean.config and got.config.sensor == SIZE and len(got.tests["test"][0]) == 10
+    )
+    for part in (
+        lambda data: data.training,
+        lambda data: data.validation,
+        lambda data: data.tests["test"][0],
+    ):
         for name in ("recording", "start_us", "labels"):
             np.testing.assert_array_equal(getattr(part(got), name), getattr(part(clean), name))
         for name in ("t", "x", "y", "p", "offsets"):
-            np.testing.assert_array_equal(getattr(part(got).recordings, name), getattr(part(clean).recordings, name))
+            np.testing.assert_array_equal(
+                getattr(part(got).recordings, name), getattr(part(clean).recordings, name)
+            )
     assert len(disturbed.training.recordings.t) > len(clean.training.recordings.t)
-    assert "events left out of the recordings: " in got.notes[0] and "9,000 of masked pixels" in got.notes[0]
+    assert (
+        "events left out of the recordings: " in got.notes[0]
+        and "9,000 of masked pixels" in got.notes[0]
+    )
     assert "left out" not in "".join(clean.notes)
     if region is not None:
         counts = {"camera": [120, 90], "left_out_outside": 7500, "left_out_masked": 9000}

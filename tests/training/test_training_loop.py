@@ -37,8 +37,14 @@ def bars(n=24, seed=0):
     rng = np.random.default_rng(seed)
     recordings = []
     for k in range(n):
-        t, along, across = np.sort(rng.integers(0, 315_000, 600)), rng.integers(8, 26, 600), rng.integers(15, 19, 600)
-        recordings.append(events_of(t, *((along, across) if k % 2 else (across, along)), rng.integers(0, 2, 600)))
+        t, along, across = (
+            np.sort(rng.integers(0, 315_000, 600)),
+            rng.integers(8, 26, 600),
+            rng.integers(15, 19, 600),
+        )
+        recordings.append(
+            events_of(t, *((along, across) if k % 2 else (across, along)), rng.integers(0, 2, 600))
+        )
     return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
 
 
@@ -61,7 +67,9 @@ def trained(windows, tmp_path_factory):
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_it_learns_what_is_easy(precision, windows, tmp_path):
-    settings = TrainSettings(epochs=4, batch=8, augmentation=Augmentation(rotation_deg=5.0), precision=precision)
+    settings = TrainSettings(
+        epochs=4, batch=8, augmentation=Augmentation(rotation_deg=5.0), precision=precision
+    )
     result = train(CONFIG, windows, bars(8, seed=1), settings, tmp_path)
     assert result.history[-1]["loss"] < 0.5 * result.history[0]["loss"]
     assert result.history[-1]["per_window"] == 1.0
@@ -103,21 +111,36 @@ def test_evaluation_by_hand():
     """Recording 0: two saccades ON, weakly, one OFF, strongly; recording 1: OFF throughout."""
 
     def recording(*saccades):
-        rows = [(105_000 * k + 1_000 * (i + 40), 16, 16, p) for k, (n, p) in enumerate(saccades) for i in range(n)]
+        rows = [
+            (105_000 * k + 1_000 * (i + 40), 16, 16, p)
+            for k, (n, p) in enumerate(saccades)
+            for i in range(n)
+        ]
         return events_of(*np.array(rows).T)
 
-    recordings = Recordings.from_events([recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0])
+    recordings = Recordings.from_events(
+        [recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0]
+    )
     pipeline = Pipeline(TNTConfig(transform="none"), DecidesByTheSum())
-    found = evaluate(pipeline, make_windows(recordings, 105_000), times_ms=(10, 100, 105, 400))  # the end counts once
+    # the end counts once
+    found = evaluate(pipeline, make_windows(recordings, 105_000), times_ms=(10, 100, 105, 400))
     assert found.times_ms == (10, 100, 105)
     assert found.per_window == pytest.approx(5 / 6)
     np.testing.assert_array_equal(found.confusion, [[3, 0], [1, 2]])
     assert (found.to_dict()["windows"], found.to_dict()["recordings"]) == (6, 2)
     assert found.per_recording == 0.5  # mean of .731, .731, .0001 for class 1 is below a half
-    assert found.against_time == {10.0: 0.5, 100.0: pytest.approx(5 / 6), 105.0: pytest.approx(5 / 6)}  # nothing yet: 0
+    # nothing yet: 0
+    assert found.against_time == {
+        10.0: 0.5,
+        100.0: pytest.approx(5 / 6),
+        105.0: pytest.approx(5 / 6),
+    }
     assert found.to_dict()["against_time_ms"] == {"10": 0.5, "100": 0.83333, "105": 0.83333}
-    some = make_windows(recordings, 105_000)[:4]  # three of one class, with a mean loss of 3.2089, one of the other
-    objectives = [ClassOfWindows(CONFIG, some, TrainSettings(balance=balance), 2) for balance in (True, False)]
+    # three of one class, with a mean loss of 3.2089, one of the other
+    some = make_windows(recordings, 105_000)[:4]
+    objectives = [
+        ClassOfWindows(CONFIG, some, TrainSettings(balance=balance), 2) for balance in (True, False)
+    ]
     losses = [objective.validate(pipeline)["validation_loss"] for objective in objectives]
     assert losses == pytest.approx([(3.2089 + 0.0486) / 2, (3 * 3.2089 + 0.0486) / 4], abs=1e-3)
 
@@ -126,9 +149,17 @@ def test_every_parameter_is_trained_and_an_infinite_loss_ends_the_training(windo
     module = torch.nn.BatchNorm1d(2)
     module.scale = torch.nn.Parameter(torch.tensor(1.0))
     groups = _optimizer(module, TrainSettings()).param_groups
-    assert {id(w) for group in groups for w in group["params"]} == {id(w) for w in module.parameters()}
+    assert {id(w) for group in groups for w in group["params"]} == {
+        id(w) for w in module.parameters()
+    }
     with pytest.raises(ValueError, match=r"^the loss of epoch 1 is not finite"):
-        train(CONFIG, windows, windows[:0], TrainSettings(epochs=1, batch=8, learning_rate=1e30), tmp_path)
+        train(
+            CONFIG,
+            windows,
+            windows[:0],
+            TrainSettings(epochs=1, batch=8, learning_rate=1e30),
+            tmp_path,
+        )
 
 
 def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_path):
@@ -140,14 +171,22 @@ def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_p
         np.testing.assert_allclose(on.weights[name], weights, rtol=1e-5, atol=1e-7)
     with pytest.raises(ValueError, match="holds a run with other start"):
         train(CONFIG, windows, windows[:0], still, tmp_path)
-    with pytest.raises(ValueError, match="`start` must have the configuration and classes of this training"):
-        train(CONFIG.replace(t_max=8.0), windows, windows[:0], still, tmp_path / "other", start=first)
+    with pytest.raises(
+        ValueError, match="`start` must have the configuration and classes of this training"
+    ):
+        train(
+            CONFIG.replace(t_max=8.0), windows, windows[:0], still, tmp_path / "other", start=first
+        )
 
 
 @pytest.mark.parametrize("landmark", ["running", "regressor"])
 def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
-    """Bit for bit. 72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the next."""
-    config, settings = CONFIG.replace(landmark=landmark), TrainSettings(epochs=50, iterations=8, batch=32, seed=5)
+    """Bit for bit. 72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the
+    next."""
+    config, settings = (
+        CONFIG.replace(landmark=landmark),
+        TrainSettings(epochs=50, iterations=8, batch=32, seed=5),
+    )
     whole = train(config, windows, windows[:6], settings, tmp_path / "whole")
 
     class InterruptedInEpoch2(Bar):
@@ -157,15 +196,23 @@ def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_pat
                 raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(config, windows, windows[:6], settings, tmp_path / "cut", progress=InterruptedInEpoch2)
+        train(
+            config, windows, windows[:6], settings, tmp_path / "cut", progress=InterruptedInEpoch2
+        )
     steps = []
     resumed = train(
-        config, windows, windows[:6], settings, tmp_path / "cut", report=lambda row: steps.append(row["iterations"])
+        config,
+        windows,
+        windows[:6],
+        settings,
+        tmp_path / "cut",
+        report=lambda row: steps.append(row["iterations"]),
     )
     assert steps == [6, 8] and resumed.history == whole.history
     assert_equal(resumed.model, whole.model)
     if config.needs_regressor:
-        assert np.abs(whole.model.weights["regressor.heatmap.weight"]).max() > 0  # it starts from zero
+        # it starts from zero
+        assert np.abs(whole.model.weights["regressor.heatmap.weight"]).max() > 0
 
 
 def test_dropout_is_drawn_from_the_seed_and_an_epoch_may_end_in_a_single_window(windows, tmp_path):
@@ -176,7 +223,9 @@ def test_dropout_is_drawn_from_the_seed_and_an_epoch_may_end_in_a_single_window(
     one = train(CONFIG, windows[:24], windows[:6], settings, tmp_path / "one")
     assert torch.equal(torch.get_rng_state(), state)
     torch.rand(3)
-    assert_equal(train(CONFIG, windows[:24], windows[:6], settings, tmp_path / "two").model, one.model)
+    assert_equal(
+        train(CONFIG, windows[:24], windows[:6], settings, tmp_path / "two").model, one.model
+    )
 
 
 @pytest.fixture
@@ -213,7 +262,9 @@ def test_measuring_leaves_no_trace_in_a_network_and_drops_nothing_out(own, windo
 
 
 @pytest.mark.parametrize("averaging", [0.0, 0.6])
-def test_what_is_held_out_is_measured_on_the_finished_model_and_changes_no_weight(averaging, own, windows, tmp_path):
+def test_what_is_held_out_is_measured_on_the_finished_model_and_changes_no_weight(
+    averaging, own, windows, tmp_path
+):
     settings = TrainSettings(epochs=2, batch=16, network=own, averaging=averaging, balance=True)
     seen, held_out = windows[:50], windows[50:]
     with_them = train(CONFIG, seen, held_out, settings, tmp_path / "with")
@@ -294,11 +345,17 @@ def test_batch_norms_have_the_average_of_their_statistics(windows, tmp_path):
     means = {}
     for averaging in (0.0, 0.7):
         folder = tmp_path / str(averaging)
-        model = train(CONFIG, windows, windows[:0], replace(settings, averaging=averaging), folder).model
-        (means[averaging],) = (w for name, w in model.weights.items() if name.endswith("running_mean"))
+        model = train(
+            CONFIG, windows, windows[:0], replace(settings, averaging=averaging), folder
+        ).model
+        (means[averaging],) = (
+            w for name, w in model.weights.items() if name.endswith("running_mean")
+        )
     shares = 1 - 0.9 ** np.arange(1, 6)
     assert np.abs(means[0.0]).max() > 0
-    np.testing.assert_allclose(means[0.7], means[0.0] * averages(shares, 0.7) / shares[-1], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(
+        means[0.7], means[0.0] * averages(shares, 0.7) / shares[-1], rtol=1e-5, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.2])
@@ -323,7 +380,12 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
     moved[7] ^= 1
     other = replace(windows, recordings=replace(windows.recordings, x=moved))
     for training, settings, classes, message in (
-        (windows, replace(ONE_EPOCH, batch=8, seed=1), CLASSES, "holds a run with other batch, seed; delete it"),
+        (
+            windows,
+            replace(ONE_EPOCH, batch=8, seed=1),
+            CLASSES,
+            "holds a run with other batch, seed; delete it",
+        ),
         (other, ONE_EPOCH, CLASSES, "holds a run with other data"),
         (windows[:0], ONE_EPOCH, CLASSES, "`training` must hold at least one window"),
         (windows, ONE_EPOCH, ("a",), r"labels must be in \[0, 1\), one for each class, got 1"),
@@ -336,7 +398,9 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
 def test_whatever_differs_in_the_data_is_another_run(column, windows, trained):
     """In one number."""
     columns = {name: getattr(windows, name).copy() for name in ("recording", "start_us")}
-    of_recordings = {name: getattr(windows.recordings, name).copy() for name in ("t", "x", "y", "p", "labels")}
+    of_recordings = {
+        name: getattr(windows.recordings, name).copy() for name in ("t", "x", "y", "p", "labels")
+    }
     (columns | of_recordings)[column][9] ^= 1
     other = replace(windows, **columns, recordings=replace(windows.recordings, **of_recordings))
     with pytest.raises(ValueError, match="holds a run with other data"):
@@ -351,7 +415,9 @@ def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
     at = content.index(torch.ones(500).numpy().tobytes()) + 1_000
     for damage in (content[:-9], content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]):
         path.write_bytes(damage)
-        with pytest.raises(ValueError, match=r"not a readable checkpoint.*remove it to start again"):
+        with pytest.raises(
+            ValueError, match=r"not a readable checkpoint.*remove it to start again"
+        ):
             load_checkpoint(tmp_path, identity)
     for damage in damaged_bytes(content, 100, seed=0):
         path.write_bytes(damage)
@@ -363,26 +429,40 @@ def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
         load_checkpoint(tmp_path, identity)
     path.unlink()
     save_checkpoint(tmp_path, {"identity": identity | {"format": 2}, "history": []})
-    with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
+    with pytest.raises(
+        ValueError,
+        match=r"checkpoint.pt was written by another release .* remove it to start again",
+    ):
         load_checkpoint(tmp_path, identity)
 
 
 def test_the_fewer_windows_the_more_epochs():
-    """4,000 steps, 20 epochs at least; an epoch of few windows shows them often enough for fifty."""
+    """4,000 steps, 20 epochs at least; an epoch of few windows shows them often enough for
+    fifty."""
     assert [settings_for(CONFIG, n).epochs for n in (100_000, 1_000, 9)] == [20, 122, 80]
     assert [settings_for(CONFIG, n).passes for n in (100_000, 1_000, 9)] == [1, 1, 44]
     assert settings_for(CONFIG, 9, epochs=3).epochs == 3
 
 
 @pytest.mark.parametrize(("balance", "expected"), [(True, [36, 36]), (False, [54, 18])])
-def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_own(balance, expected, windows):
+def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_own(
+    balance, expected, windows
+):
     labels = np.array([0] * 18 + [1] * 6)
     windows = replace(windows, recordings=replace(windows.recordings, labels=labels))
     settings = TrainSettings(batch=8, balance=balance)
-    first, again, second = (list(batches_of(CONFIG, windows, settings, epoch)) for epoch in (0, 0, 1))
+    first, again, second = (
+        list(batches_of(CONFIG, windows, settings, epoch)) for epoch in (0, 0, 1)
+    )
     assert np.bincount(np.concatenate([some.labels for some, _ in first])).tolist() == expected
-    orders = [np.concatenate([some.recording for some, _ in epoch]).tolist() for epoch in (first, again, second)]
-    seeds = [np.concatenate([draws.seed for _, draws in epoch]).tolist() for epoch in (first, again, second)]
+    orders = [
+        np.concatenate([some.recording for some, _ in epoch]).tolist()
+        for epoch in (first, again, second)
+    ]
+    seeds = [
+        np.concatenate([draws.seed for _, draws in epoch]).tolist()
+        for epoch in (first, again, second)
+    ]
     assert orders[0] == orders[1] != orders[2] and seeds[0] == seeds[1] != seeds[2]
 
 
@@ -399,8 +479,12 @@ class Master:
 
 def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows):
     """As it was trained, though its student's events may lie between pixels."""
-    images = TNTConfig(sensor=CONFIG.sensor, window_us=CONFIG.window_us, representation="count_time")
-    draws, own = (Augmentation().draw(windows[:4], of, np.random.default_rng(1)) for of in (CONFIG, images))
+    images = TNTConfig(
+        sensor=CONFIG.sensor, window_us=CONFIG.window_us, representation="count_time"
+    )
+    draws, own = (
+        Augmentation().draw(windows[:4], of, np.random.default_rng(1)) for of in (CONFIG, images)
+    )
     objective = ClassOfWindows(CONFIG, windows[:0], ONE_EPOCH, 2)
     objective._masters = [Master(images, [0.0, 0.0]), Master(CONFIG, [0.0, 0.0])]
     objective._targets(windows[:4], draws)
@@ -410,14 +494,19 @@ def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows)
 
 
 def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained, tmp_path):
-    """Where nothing is shown, the target stays; a run with a teacher is another run than without."""
+    """Where nothing is shown, the target stays; a run with a teacher is another run than
+    without."""
     draws = Augmentation(nothing=0.5).draw(windows[:4], CONFIG, np.random.default_rng(1))
     draws.nothing[:] = 0, 1, 0, 2
-    some = windows[np.concatenate([np.flatnonzero(windows.labels == label)[:2] for label in (0, 1)])]
+    some = windows[
+        np.concatenate([np.flatnonzero(windows.labels == label)[:2] for label in (0, 1)])
+    ]
     objective = ClassOfWindows(CONFIG, windows[:0], ONE_EPOCH, 2)
     objective._masters = [Master(CONFIG, [0.0, 0.0]), Master(CONFIG, [np.log(3), 0.0])]
     found = objective._targets(some, draws)
-    np.testing.assert_allclose(found, [[0.8125, 0.1875], [0.5, 0.5], [0.3125, 0.6875], [0.5, 0.5]], atol=1e-6)
+    np.testing.assert_allclose(
+        found, [[0.8125, 0.1875], [0.5, 0.5], [0.3125, 0.6875], [0.5, 0.5]], atol=1e-6
+    )
     model = trained[0].model
     taught = train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, teachers=[model]).model
     with pytest.raises(AssertionError):
@@ -426,19 +515,25 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
         with pytest.raises(ValueError, match="other teachers; delete it"):
             train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, teachers=teachers)
     with pytest.raises(
-        ValueError, match=r"each `teacher` must have the sensor \(34, 34\) and the classes across, down, got"
+        ValueError,
+        match=r"each `teacher` must have the sensor \(34, 34\) and the classes across, down, got",
     ):
         other = replace(model, classes=("a", "b"))
         train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path / "other", teachers=[other])
 
 
 def test_the_model_has_the_average_of_the_weights_of_all_steps(windows, tmp_path):
-    """w <- a w + (1 - a) w', also of a batch norm's statistics, and the same after an interruption."""
+    """w <- a w + (1 - a) w', also of a batch norm's statistics, and the same after an
+    interruption."""
     settings = replace(ONE_EPOCH, averaging=0.9, epochs=2, network="conv4")
     whole = train(CONFIG, windows, windows[:0], settings, tmp_path / "whole").model
-    last = train(CONFIG, windows, windows[:0], replace(settings, averaging=0.0), tmp_path / "last").model
+    last = train(
+        CONFIG, windows, windows[:0], replace(settings, averaging=0.0), tmp_path / "last"
+    ).model
     steps = settings.n_iterations(len(windows))
-    assert steps > 4 and any(not np.array_equal(w, last.weights[name]) for name, w in whole.weights.items())
+    assert steps > 4 and any(
+        not np.array_equal(w, last.weights[name]) for name, w in whole.weights.items()
+    )
 
     def stop(row):
         raise KeyboardInterrupt

@@ -28,7 +28,8 @@ SETTINGS = MotionSettings(variations=2)
 
 
 def windows_of(seed, n):
-    """Two windows of each recording, moving right in the first and down in the second; the last holds noise only."""
+    """Two windows of each recording, moving right in the first and down in the second; the last
+    holds noise only."""
     rng = np.random.default_rng(seed)
     events = []
     for k in range(n + 1):
@@ -37,7 +38,9 @@ def windows_of(seed, n):
             t, *rest = recorded(scene, straight(net), rng) if k < n else noise(rng, 600)
             parts.append(structured((t + start_us, *rest)))
         events.append(np.concatenate(parts))
-    return make_windows(Recordings.from_events(events, np.arange(n + 1) % 2), WINDOW_US, duration_us=2 * WINDOW_US)
+    return make_windows(
+        Recordings.from_events(events, np.arange(n + 1) % 2), WINDOW_US, duration_us=2 * WINDOW_US
+    )
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +58,8 @@ def made(windows, tmp_path_factory):
 
 
 def test_a_damaged_description_of_the_motions_is_named(windows, made, tmp_path):
-    """Whatever is in it: a value of another type, or one that nobody writes. What is read can be used."""
+    """Whatever is in it: a value of another type, or one that nobody writes. What is read can be
+    used."""
     shutil.copytree(made[1], folder := tmp_path / "motions")
     manifest = folder / "motions.json"
     good = json.loads(manifest.read_text())
@@ -68,8 +72,14 @@ def test_a_damaged_description_of_the_motions_is_named(windows, made, tmp_path):
             n_refused += 1
             assert str(folder) in str(error) and "\n" not in str(error) and len(str(error)) < 800
         else:
-            assert side_by_side(motions.record["match"]) and unlike(motions.record["match"]) is not None
-            SimulatedPixels(MeasuredPixels(**motions.record["pixels"]["measured"]), motions.record["pixels"]["scale"])
+            assert (
+                side_by_side(motions.record["match"])
+                and unlike(motions.record["match"]) is not None
+            )
+            SimulatedPixels(
+                MeasuredPixels(**motions.record["pixels"]["measured"]),
+                motions.record["pixels"]["scale"],
+            )
     assert n_refused > 150
     manifest.unlink()
     os.mkfifo(manifest)
@@ -94,7 +104,8 @@ def test_every_window_but_noise_has_other_motions(windows, made):
 
 
 def test_only_windows_of_the_set_are_neighbours(windows):
-    """What stands beside a window but is not trained on, or is held out, tells nothing of its motion."""
+    """What stands beside a window but is not trained on, or is held out, tells nothing of its
+    motion."""
     every = windows[0]
     first, second = (np.flatnonzero(every.start_us == start_us)[:4] for start_us in (0, WINDOW_US))
     both = every[np.concatenate([first, second])]
@@ -103,7 +114,9 @@ def test_only_windows_of_the_set_are_neighbours(windows):
     assert len(every.events(0, WINDOW_US, (0, WINDOW_US))[0]) > len(every.events(0, WINDOW_US)[0])
 
 
-def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(windows, made, tmp_path, monkeypatch):
+def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(
+    windows, made, tmp_path, monkeypatch
+):
     """Here three of five files by two workers, after one worker has made all."""
     _, folder = made
     shutil.copytree(folder, tmp_path / "cut")
@@ -112,12 +125,15 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(wind
     resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "cut", workers=2)
     assert contents(tmp_path / "cut") == contents(folder)
     monkeypatch.setattr("async_tnt.training.resynthesis.run_counted", lambda *_: None)
-    monkeypatch.setattr("async_tnt.training.resynthesis.calibrate", lambda *_: pytest.fail("made again"))
+    monkeypatch.setattr(
+        "async_tnt.training.resynthesis.calibrate", lambda *_: pytest.fail("made again")
+    )
     resynthesize(*windows, CONFIG, SETTINGS, folder)
 
 
 def test_what_an_epoch_shows(windows, made):
-    """A window or its variation, a quarter as recorded; those without a path always as recorded; epochs take turns."""
+    """A window or its variation, a quarter as recorded; those without a path always as recorded;
+    epochs take turns."""
     motions, folder = made
     order = np.random.default_rng(0).permutation(np.repeat(np.arange(14), 200))
     for epoch, variation in ((0, 0), (1, 1), (2, 0)):
@@ -130,13 +146,20 @@ def test_what_an_epoch_shows(windows, made):
             events, as_recorded = shown.events(i, WINDOW_US), windows[0].events(7, WINDOW_US)
             is_recorded.append(np.array_equal(events[0], as_recorded[0]))
             if is_recorded[-1]:  # augmentation begins some of them .6 later
-                later = [part.events(k, 8 * WINDOW_US // 5)[0] for part, k in ((shown, i), (windows[0], 7))]
+                later = [
+                    part.events(k, 8 * WINDOW_US // 5)[0]
+                    for part, k in ((shown, i), (windows[0], 7))
+                ]
                 np.testing.assert_array_equal(*later)
             if not is_recorded[-1]:
-                np.testing.assert_array_equal(events, [getattr(moved, name)[of_7] for name in "txyp"])
+                np.testing.assert_array_equal(
+                    events, [getattr(moved, name)[of_7] for name in "txyp"]
+                )
         assert 0.15 < np.mean(is_recorded) < 0.35
         for i in np.flatnonzero(order >= 12)[::10]:
-            np.testing.assert_array_equal(shown.events(i, WINDOW_US)[0], windows[0].events(order[i], WINDOW_US)[0])
+            np.testing.assert_array_equal(
+                shown.events(i, WINDOW_US)[0], windows[0].events(order[i], WINDOW_US)[0]
+            )
 
 
 @pytest.mark.parametrize(("at_least", "is_told"), [(4, True), (5, False)])
@@ -146,9 +169,14 @@ def test_training_is_validated_on_other_motions_if_they_are_many(
     motions, _ = made
     monkeypatch.setattr("async_tnt.training.loop.MIN_MOVED", at_least)
     settings = TrainSettings(epochs=3, batch=8, balance=True)
-    result = train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"), motions=motions)
+    result = train(
+        CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"), motions=motions
+    )
     row = result.history[-1]
-    assert "per_window" in row and ({"motions_per_window", "motions_validation_loss"} <= set(row)) == is_told
+    assert (
+        "per_window" in row
+        and ({"motions_per_window", "motions_validation_loss"} <= set(row)) == is_told
+    )
     with pytest.raises(ValueError, match="motions"):
         train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"))
 
@@ -156,10 +184,15 @@ def test_training_is_validated_on_other_motions_if_they_are_many(
 def test_masked_pixels_stay_silent(windows, tmp_path):
     masked = np.zeros((34, 34), bool)
     masked[10:20, 12] = True
-    motions = resynthesize(windows[0][:6], windows[1][:0], CONFIG, MotionSettings(2), tmp_path / "m", masked=masked)
+    motions = resynthesize(
+        windows[0][:6], windows[1][:0], CONFIG, MotionSettings(2), tmp_path / "m", masked=masked
+    )
     recordings = motions.show(0, np.arange(6), np.random.default_rng(0)).recordings
     moved = slice(int(recordings.offsets[-7]), None)
-    assert not masked[recordings.y[moved], recordings.x[moved]].any() and len(recordings.t[moved]) > 1_000
+    assert (
+        not masked[recordings.y[moved], recordings.x[moved]].any()
+        and len(recordings.t[moved]) > 1_000
+    )
 
 
 def test_other_and_damaged_folders_are_refused(windows, made, tmp_path):
@@ -175,7 +208,11 @@ def test_other_and_damaged_folders_are_refused(windows, made, tmp_path):
     refused(r"other motions \(mask\)", masked=np.eye(34, dtype=bool))
     path = tmp_path / "torn" / "held-out_000000.npz"
     arrays, content = dict(np.load(path)), path.read_bytes()
-    for damage in (content[:-3], content[:2_000] + bytes([content[2_000] ^ 1]) + content[2_001:], b""):
+    for damage in (
+        content[:-3],
+        content[:2_000] + bytes([content[2_000] ^ 1]) + content[2_001:],
+        b"",
+    ):
         path.write_bytes(damage)
         refused(r"held-out_000000.npz: damaged .*Remove it and give the same command")
     for name, value in (("x", 34), ("p", 3), ("t", -1), ("t", 1)):
@@ -196,12 +233,23 @@ def test_the_command(tmp_path, program, few_steps):
         path = tmp_path / "data" / "ab"[k % 2] / f"{k}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez(path, events=structured(recorded(blobs(rng), straight((6.0, 1.0)), rng)))
-    words = ["--sensor", "34x34", "--epochs", 2, "--motions", "resynthesized", "--out", tmp_path / "m.safetensors"]
+    words = [
+        "--sensor",
+        "34x34",
+        "--epochs",
+        2,
+        "--motions",
+        "resynthesized",
+        "--out",
+        tmp_path / "m.safetensors",
+    ]
     code, printed, err = program("train", tmp_path / "data", *words, "--json")
     assert code == 0 and "motion found in 10 of 10 windows" in err and "events per window" in err
     summary = json.loads(printed)
-    assert summary["motions"]["with_path"] == 10 and "validation_motions" not in summary  # of two windows
-    assert load_model(tmp_path / "m.safetensors").record["motions"]["variations"] == 2  # no more than epochs
+    # of two windows
+    assert summary["motions"]["with_path"] == 10 and "validation_motions" not in summary
+    # no more than epochs
+    assert load_model(tmp_path / "m.safetensors").record["motions"]["variations"] == 2
     assert (tmp_path / "runs" / "m" / "motions" / "motions.png").read_bytes().startswith(b"\x89PNG")
     words += ["--teacher", tmp_path / "m.safetensors", "--out", tmp_path / "taught.safetensors"]
     for _ in range(2):  # what is finished is not done again

@@ -1,4 +1,5 @@
-"""Class folders of pictures: recorded by simulated cameras, split, mixed with recordings, kept and refused."""
+"""Class folders of pictures: recorded by simulated cameras, split, mixed with recordings, kept and
+refused."""
 
 import json
 import os
@@ -16,7 +17,12 @@ from async_tnt.training import settings, simulated_pictures
 from async_tnt.training.data import dataset_data
 from async_tnt.training.recordings import RecordingsWriter
 from async_tnt.training.settings import default_config, settings_for
-from async_tnt.training.simulated_pictures import LabelledPicture, find_pictures, measure_camera, simulate_pictures
+from async_tnt.training.simulated_pictures import (
+    LabelledPicture,
+    find_pictures,
+    measure_camera,
+    simulate_pictures,
+)
 
 SENSOR = (24, 20)
 
@@ -29,20 +35,29 @@ def few(monkeypatch):
 
 def data_of(folder, **options):
     pixels = PixelSelection(sensor=SENSOR)
-    return dataset_data(folder, default_config(sensor=SENSOR), pixels=pixels, fitted={"grid"}, **options)
+    return dataset_data(
+        folder, default_config(sensor=SENSOR), pixels=pixels, fitted={"grid"}, **options
+    )
 
 
 def test_each_picture_is_recorded_and_on_one_side(tmp_path):
     data = data_of(write_pictures(tmp_path / "p"), store=tmp_path)
     assert data.classes == ("bar", "disc") and data.config.sensor == SENSOR
     names = data.training.recordings.names
-    learned, held_out = ({names[r].partition(",")[0] for r in w.recording} for w in (data.training, data.validation))
-    assert len(learned) == 8 and held_out == {"bar/bar04.png", "disc/disc04.png"} == set(data.held_out)
+    learned, held_out = (
+        {names[r].partition(",")[0] for r in w.recording} for w in (data.training, data.validation)
+    )
+    assert len(learned) == 8 and held_out == {"bar/bar04.png", "disc/disc04.png"} == set(
+        data.held_out
+    )
     assert not learned & held_out
     assert 38 <= len(data.training) <= 40 and len(data.validation) == 8  # few without an event
-    given = data_of(tmp_path / "p", store=tmp_path, classes=("bar", "disc", "star"))  # by a teacher, perhaps
+    # by a teacher, perhaps
+    given = data_of(tmp_path / "p", store=tmp_path, classes=("bar", "disc", "star"))
     assert given.classes == ("bar", "disc", "star") and len(given.training) == len(data.training)
-    assert data.record["pictures"]["takes"] == 5 and any("recorded 5 times each" in note for note in data.notes)
+    assert data.record["pictures"]["takes"] == 5 and any(
+        "recorded 5 times each" in note for note in data.notes
+    )
 
 
 def test_bad_pictures_are_named_and_left_out(tmp_path):
@@ -59,7 +74,10 @@ def test_bad_pictures_are_named_and_left_out(tmp_path):
     assert len(data.left_out) == 2 and data.left_out[0].startswith("bar/bar07.jpg: not a picture")
     assert "bar/gone.png: [Errno 2] No such file" in data.left_out[1]
     (tmp_path / "p/bar/gone.png").unlink()
-    for name, match in (("bar", "bar/zzz.png: the same picture as bar/bar00.png"), ("disc", "in two classes")):
+    for name, match in (
+        ("bar", "bar/zzz.png: the same picture as bar/bar00.png"),
+        ("disc", "in two classes"),
+    ):
         copy = tmp_path / "p" / name / "zzz.png"
         copy.write_bytes((tmp_path / "p/bar/bar00.png").read_bytes())
         if name == "bar":
@@ -75,7 +93,9 @@ def test_bad_pictures_are_named_and_left_out(tmp_path):
 
 
 @pytest.mark.parametrize("of_all, takes", [(40, 15), (1, 2)])
-def test_a_single_picture_is_not_on_both_sides_and_recorded_so_often(tmp_path, monkeypatch, of_all, takes):
+def test_a_single_picture_is_not_on_both_sides_and_recorded_so_often(
+    tmp_path, monkeypatch, of_all, takes
+):
     monkeypatch.setattr(simulated_pictures, "RECORDINGS", {"training": of_all, "held-out": 8})
     monkeypatch.setattr(simulated_pictures, "MOST_TAKES", 15)  # of 40 / 2
     data = data_of(write_pictures(tmp_path / "p", n=1))
@@ -94,15 +114,31 @@ def test_pictures_and_recordings_mix(tmp_path):
             np.savez(tmp_path / "p" / name / f"{name}{90 + i}.npz", t=t, x=x, y=y, p=p)
     data = data_of(tmp_path / "p")
     of_class = {name: (data.training.labels == k).sum() for k, name in enumerate(data.classes)}
-    assert list(of_class) == ["bar", "disc", "wave"] and of_class["wave"] == 3 and of_class["bar"] > of_class["wave"]
-    assert {file.name for file in find_pictures(tmp_path / "p")["bar"]} == {f"bar{i:02}.png" for i in range(5)}
-    assert set(data.held_out) == {"bar/bar04.png", "bar/bar93.npz", "disc/disc04.png", "wave/wave93.npz"}
+    assert (
+        list(of_class) == ["bar", "disc", "wave"]
+        and of_class["wave"] == 3
+        and of_class["bar"] > of_class["wave"]
+    )
+    assert {file.name for file in find_pictures(tmp_path / "p")["bar"]} == {
+        f"bar{i:02}.png" for i in range(5)
+    }
+    assert set(data.held_out) == {
+        "bar/bar04.png",
+        "bar/bar93.npz",
+        "disc/disc04.png",
+        "wave/wave93.npz",
+    }
 
 
 def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
-    """Any number of processes gives the same; what is there is not made again; other settings are refused."""
+    """Any number of processes gives the same; what is there is not made again; other settings are
+    refused."""
     folder = write_pictures(tmp_path / "p")
-    pictures = [LabelledPicture(path, k) for k, some in enumerate(find_pictures(folder).values()) for path in some]
+    pictures = [
+        LabelledPicture(path, k)
+        for k, some in enumerate(find_pictures(folder).values())
+        for path in some
+    ]
     scene = SceneSettings(SENSOR, 50_000)
 
     def simulated(store, settings=scene, **options):
@@ -125,7 +161,9 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
             np.testing.assert_array_equal(simulated(tmp_path / "a").t, first.t)
         except ValueError as error:
             errors.append(str(error))
-    assert len(errors) > 50 and all(str(tmp_path / "a") in error and "\n" not in error for error in errors)
+    assert len(errors) > 50 and all(
+        str(tmp_path / "a") in error and "\n" not in error for error in errors
+    )
     manifest.write_text(good)
     with pytest.raises(ValueError, match=r"pictures \(settings\)"):
         simulated(tmp_path / "a", SceneSettings(SENSOR, 40_000))
@@ -143,14 +181,19 @@ def test_recordings_repeat_and_are_kept(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"pictures.json: damaged .*; remove"):
         simulated(tmp_path / "a")
     manifest.unlink()
-    with pytest.raises(ValueError, match=r"a: recordings of pictures without their pictures.json; remove this folder"):
+    with pytest.raises(
+        ValueError,
+        match=r"a: recordings of pictures without their pictures.json; remove this folder",
+    ):
         simulated(tmp_path / "a")
 
 
 def test_a_file_of_a_large_sensor_has_fewer_recordings(tmp_path):
     picture = LabelledPicture(find_pictures(write_pictures(tmp_path / "p"))["bar"][0], 0)
     with RecordingsWriter() as writer:
-        simulate_pictures(writer, "training", [picture], SceneSettings((256, 192), 20_000), tmp_path)
+        simulate_pictures(
+            writer, "training", [picture], SceneSettings((256, 192), 20_000), tmp_path
+        )
     assert sorted(path.name for path in tmp_path.glob("*.npz"))[1] == "training_000004.npz"
 
 
@@ -158,21 +201,29 @@ def test_without_a_sensor_or_pictures(tmp_path, program, monkeypatch):
     write_pictures(tmp_path / "p")
     code, _, err = program("train", tmp_path / "p", "--out", tmp_path / "m.safetensors")
     assert code == 2 and "pictures have no sensor; give --sensor" in err
-    code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--motions", "resynthesized")
+    code, _, err = program(
+        "train", tmp_path / "p", "--sensor", "24x20", "--motions", "resynthesized"
+    )
     assert code == 2 and "--motions resynthesized is for recordings" in err
     code, _, err = program("train", tmp_path / "q", "--sensor", "24x20", "--size", "0.2-0.4")
     assert code == 2 and f"no folder {tmp_path / 'q'}" in err
     np.savez(tmp_path / "p/day.npz", t=[1], x=[1], y=[1], p=[1])
     (tmp_path / "p/day_labels.csv").write_text("class,start,end\nbar,0,5\n")
-    code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors")
+    code, _, err = program(
+        "train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors"
+    )
     assert code == 2 and "expected pictures or sessions, got both: bar/bar00.png and day.npz" in err
     (tmp_path / "p/day.npz").unlink()
     (tmp_path / "p/day_labels.csv").unlink()
     monkeypatch.setattr(simulated_pictures, "record_picture", lambda *_: np.zeros(0, EVENT_DTYPE))
-    with pytest.raises(ValueError, match="no window of class bar, disc has an event; `window_us` = 105000"):
+    with pytest.raises(
+        ValueError, match="no window of class bar, disc has an event; `window_us` = 105000"
+    ):
         data_of(tmp_path / "p")
     (tmp_path / "p/none").mkdir()
-    code, _, err = program("train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors")
+    code, _, err = program(
+        "train", tmp_path / "p", "--sensor", "24x20", "--out", tmp_path / "m.safetensors"
+    )
     assert code == 2 and "no recordings in the class folder none" in err
 
 
@@ -192,32 +243,81 @@ def test_a_camera_is_measured(tmp_path):
     camera = measure_camera(tmp_path / "a.npz", 100_000, SENSOR)
     assert camera.step_on / camera.step_off == pytest.approx(0.5, rel=0.05)
     # noise alone, before and after an hour
-    t = np.concatenate([np.sort(rng.integers(start, start + 10_000_000, 500)) for start in (0, 3_600_000_000)])
-    np.savez(tmp_path / "b.npz", t=t, x=rng.integers(0, 24, 1000), y=rng.integers(0, 20, 1000), p=np.arange(1000) % 2)
+    t = np.concatenate(
+        [np.sort(rng.integers(start, start + 10_000_000, 500)) for start in (0, 3_600_000_000)]
+    )
+    np.savez(
+        tmp_path / "b.npz",
+        t=t,
+        x=rng.integers(0, 24, 1000),
+        y=rng.integers(0, 20, 1000),
+        p=np.arange(1000) % 2,
+    )
     noisy = measure_camera(tmp_path / "b.npz", 100_000, SENSOR)
-    assert (noisy.step_on, noisy.step_off) == (1, 1) and noisy.noise_hz == pytest.approx(1000 / 480 / 20, rel=0.2)
+    assert (noisy.step_on, noisy.step_off) == (1, 1) and noisy.noise_hz == pytest.approx(
+        1000 / 480 / 20, rel=0.2
+    )
     with pytest.raises(ValueError, match=f"no longer than a window of {t[-1]} us"):
         measure_camera(tmp_path / "b.npz", int(t[-1]), SENSOR)
 
 
 def test_trained_on_pictures_alone(tmp_path, program, monkeypatch):
-    """The whole command: its model tells bars from discs that it was not shown; the record says what it is from."""
+    """The whole command: its model tells bars from discs that it was not shown; the record says
+    what it is from."""
     write_pictures(tmp_path / "p", n=8)
     asked = []
-    monkeypatch.setattr(settings, "settings_for", lambda *a, **k: asked.append(k) or settings_for(*a, **k))
+    monkeypatch.setattr(
+        settings, "settings_for", lambda *a, **k: asked.append(k) or settings_for(*a, **k)
+    )
     out = tmp_path / "m.safetensors"
     code, printed, err = program(
-        "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--json"
+        "train",
+        tmp_path / "p",
+        "--sensor",
+        "24x20",
+        "--epochs",
+        2,
+        "--network",
+        "thesis",
+        "--out",
+        out,
+        "--json",
     )
     assert code == 0, err
     assert (tmp_path / "runs/m/pictures/pictures.png").stat().st_size > 10_000
-    assert all(settings.OF_PICTURES.items() <= one["augmentation"].items() for one in asked) and asked
+    assert (
+        all(settings.OF_PICTURES.items() <= one["augmentation"].items() for one in asked) and asked
+    )
     record = json.loads(printed)
-    assert record["data"]["pictures"]["pictures"] == 16 and record["data"]["pictures"]["settings"]["size"] == [0.4, 0.8]
-    repeated = program("train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out)
+    assert record["data"]["pictures"]["pictures"] == 16 and record["data"]["pictures"]["settings"][
+        "size"
+    ] == [0.4, 0.8]
+    repeated = program(
+        "train",
+        tmp_path / "p",
+        "--sensor",
+        "24x20",
+        "--epochs",
+        2,
+        "--network",
+        "thesis",
+        "--out",
+        out,
+    )
     assert repeated[0] == 0, repeated[2]  # what is finished is not done again
     assert "recordings (simulated ones: of 4 pictures) right" in repeated[1]
     again, _, err = program(
-        "train", tmp_path / "p", "--sensor", "24x20", "--epochs", 2, "--network", "thesis", "--out", out, "--size", ".5"
+        "train",
+        tmp_path / "p",
+        "--sensor",
+        "24x20",
+        "--epochs",
+        2,
+        "--network",
+        "thesis",
+        "--out",
+        out,
+        "--size",
+        ".5",
     )
     assert again == 2 and "a run with other pictures (settings)" in err

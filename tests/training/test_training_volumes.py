@@ -1,4 +1,5 @@
-"""Volumes of a batch of windows are those of `TNTVolume`, and augmentation changes them as stated."""
+"""Volumes of a batch of windows are those of `TNTVolume`, and augmentation changes them as
+stated."""
 
 import numpy as np
 import pytest
@@ -16,8 +17,12 @@ RNG = np.random.default_rng
 
 
 def random_windows(config, n=3, n_events=700, **settings):
-    events = [random_events(n_events, seed=k, duration_us=330_000, sensor=config.sensor) for k in range(n)]
-    return make_windows(Recordings.from_events(events, range(n)), config.window_us, duration_us=315_000, **settings)
+    events = [
+        random_events(n_events, seed=k, duration_us=330_000, sensor=config.sensor) for k in range(n)
+    ]
+    return make_windows(
+        Recordings.from_events(events, range(n)), config.window_us, duration_us=315_000, **settings
+    )
 
 
 def streamed(config, windows, k, until_us):
@@ -25,7 +30,9 @@ def streamed(config, windows, k, until_us):
     r, start = windows.recordings, int(windows.start_us[k])
     own = slice(*r.offsets[windows.recording[k] :][:2])
     inside = (r.t[own] >= start) & (r.t[own] < start + until_us)
-    return opened(config, [getattr(r, name)[own][inside].astype(np.int64) for name in "txyp"], start).array
+    return opened(
+        config, [getattr(r, name)[own][inside].astype(np.int64) for name in "txyp"], start
+    ).array
 
 
 @pytest.mark.parametrize(
@@ -38,7 +45,12 @@ def streamed(config, windows, k, until_us):
         {"landmark": "window", "sensor": (67, 41)},
         {"transform": "none", "sensor": (64, 40)},
         {"representation": "count", "landmark": "line"},
-        {"representation": "count_time", "transform": "none", "polarity": "split", "sensor": (64, 40)},
+        {
+            "representation": "count_time",
+            "transform": "none",
+            "polarity": "split",
+            "sensor": (64, 40),
+        },
         {"representation": "mean_time", "transform": "none", "polarity": "unsigned"},
         {"representation": "time_surface", "transform": "none"},
     ],
@@ -46,7 +58,8 @@ def streamed(config, windows, k, until_us):
 )
 def test_a_batch_equals_the_streamed_volumes(changes):
     config = TNTConfig(**changes)
-    for first_event, until_us in ((False, 200_000), (True, 40_000)):  # as a teacher of shorter windows may be asked
+    # as a teacher of shorter windows may be asked
+    for first_event, until_us in ((False, 200_000), (True, 40_000)):
         windows = random_windows(config, first_event=first_event)
         draws = unchanged(len(windows), config)
         draws.until_us[:] = until_us
@@ -57,14 +70,22 @@ def test_a_batch_equals_the_streamed_volumes(changes):
 
 
 def test_windows_of_events_are_refused():
-    with pytest.raises(ValueError, match="windows of a duration can be trained on, but not of 50 events"):
+    with pytest.raises(
+        ValueError, match="windows of a duration can be trained on, but not of 50 events"
+    ):
         BatchVolumes(TNTConfig(window_events=50))
 
 
 def test_an_event_at_a_windows_end_belongs_to_the_next():
-    """It has no weight in the volume itself, but it would move the centroid that all others are normalized about."""
+    """It has no weight in the volume itself, but it would move the centroid that all others are
+    normalized about."""
     config = TNTConfig(landmark="window", t_max=2.0)
-    events = events_of([0, 60_000, 90_000, 105_000, 120_000], [3, 12, 20, 33, 5], [4, 9, 20, 33, 6], [1, 0, 1, 1, 0])
+    events = events_of(
+        [0, 60_000, 90_000, 105_000, 120_000],
+        [3, 12, 20, 33, 5],
+        [4, 9, 20, 33, 6],
+        [1, 0, 1, 1, 0],
+    )
     windows = make_windows(Recordings.from_events([events], [0]), config.window_us)
     batch = BatchVolumes(config)(windows)
     for k in range(2):
@@ -78,7 +99,8 @@ def test_a_moved_start_takes_in_the_neighbouring_windows_events():
     draws.start_us[:] = -4_000, 5_000, 2_345
     moved = BatchVolumes(config)(windows, draws).copy()
     windows.start_us[:] += draws.start_us
-    np.testing.assert_allclose(BatchVolumes(config)(windows), moved, atol=1e-5)  # another sensor: rounding
+    # another sensor: rounding
+    np.testing.assert_allclose(BatchVolumes(config)(windows), moved, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -92,12 +114,14 @@ def test_a_moved_start_takes_in_the_neighbouring_windows_events():
         ({"shear": 0.5}, (16.75, 10.0)),
         ({"mirror": True, "shift_px": 2.0}, (33 - 20 + 2.0, 12.0)),
         ({"mirror": True, "rotation_deg": 90.0}, (23.0, 33 - 20.0)),
-        ({"scale": 0.5, "rotation_deg": 90.0, "shear": 0.5}, (26.25, 16.875)),  # (3.5, -6.5), (.25, -6.5), (6.5, .25)
+        # (3.5, -6.5), (.25, -6.5), (6.5, .25)
+        ({"scale": 0.5, "rotation_deg": 90.0, "shear": 0.5}, (26.25, 16.875)),
     ],
     ids=str,
 )
 def test_the_largest_changes_by_hand(changes, place):
-    """An event at (20, 10), that is (3.5, -6.5) from the middle of its recording's events, (16.5, 16.5)."""
+    """An event at (20, 10), that is (3.5, -6.5) from the middle of its recording's events, (16.5,
+    16.5)."""
 
     class Largest:
         """Draws the upper end of every range."""
@@ -112,17 +136,23 @@ def test_the_largest_changes_by_hand(changes, place):
             return np.full(n, 0.4)
 
     config = TNTConfig(transform="none")
-    events = events_of([50_000, 200_000], [20, 13], [10, 23], [1, 1])  # the second one in another window
+    # the second one in another window
+    events = events_of([50_000, 200_000], [20, 13], [10, 23], [1, 1])
     windows = make_windows(Recordings.from_events([events], [0]), config.window_us)[:1]
     augmentation = Augmentation(**{name: 0 for name in vars(NOTHING)} | changes)
     volume = BatchVolumes(config)(windows, augmentation.draw(windows, config, Largest()))[0]
     ys, xs = np.mgrid[:34, :34]
     assert volume.sum() == pytest.approx(1.0)
-    assert ((volume.sum(0) * xs).sum(), (volume.sum(0) * ys).sum()) == pytest.approx(place, abs=0.5 / FINE)
+    assert ((volume.sum(0) * xs).sum(), (volume.sum(0) * ys).sum()) == pytest.approx(
+        place, abs=0.5 / FINE
+    )
 
 
 def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
-    config, augmentation = TNTConfig(), Augmentation(partial=0.25, translate_px=4, mirror=True, nothing=0.1)
+    config, augmentation = (
+        TNTConfig(),
+        Augmentation(partial=0.25, translate_px=4, mirror=True, nothing=0.1),
+    )
     windows = random_windows(config, 1, 100)[np.zeros(4_000, int)]
     draws, again, other = (augmentation.draw(windows, config, RNG(seed)) for seed in (1, 1, 2))
     for name in ("start_us", "until_us", "matrix", "keep", "seed", "nothing", "place"):
@@ -134,10 +164,16 @@ def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
     assert np.mean(shares, axis=1) == pytest.approx([0.25, 0.1, 0.5], abs=0.03)
     late = Augmentation(late_start=0.25).draw(windows, config, RNG(1)).start_us
     assert (late > 5_000).mean() == pytest.approx(0.23, abs=0.03) and 60_000 < late.max() < 68_000
-    times = TNTConfig(representation="mean_time")  # an event between pixels would count for all of them
+    # an event between pixels would count for all of them
+    times = TNTConfig(representation="mean_time")
     assert NOTHING.draw(windows, times, RNG(1)).sensor == (34, 34)
     scaled = Augmentation.for_sensor(TNTConfig(sensor=(100, 67), window_us=210_000), drop=0.5)
-    assert (scaled.start_ms, scaled.shift_px, scaled.partial_from_ms, scaled.drop) == (10.0, 3.0, 30.0, 0.5)
+    assert (scaled.start_ms, scaled.shift_px, scaled.partial_from_ms, scaled.drop) == (
+        10.0,
+        3.0,
+        30.0,
+        0.5,
+    )
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)
 
@@ -147,24 +183,34 @@ def test_thinning_keeps_the_drawn_share_and_scattered_events_are_anywhere_and_ot
     windows = random_windows(config, 1, 60_000)
     windows.recordings.x[:] = 20
     windows.recordings.y[:] = 10
-    all_of_it, draws = BatchVolumes(config)(windows).sum((2, 3), dtype=np.float64), unchanged(3, config)
+    all_of_it, draws = (
+        BatchVolumes(config)(windows).sum((2, 3), dtype=np.float64),
+        unchanged(3, config),
+    )
     draws.keep[:] = 0.25, 1.0, 1.0
     draws.seed[:] = 1, 2, 3
     draws = of_nothing(draws, np.array([SHOWN, SCATTERED, SCATTERED]), RNG(0))
     thinned, first, second = BatchVolumes(config)(windows, draws).astype(np.float64)
-    assert thinned.sum() / all_of_it[0].sum() == pytest.approx(0.25, abs=0.015)  # 4 sd of 19,000 events
+    # 4 sd of 19,000 events
+    assert thinned.sum() / all_of_it[0].sum() == pytest.approx(0.25, abs=0.015)
     assert np.count_nonzero(thinned.sum(0)) <= 4 and not np.array_equal(first, second)
     np.testing.assert_allclose(first.sum((1, 2)), all_of_it[1], rtol=1e-4)  # in time and polarity
     for along in (first.sum((0, 1)), first.sum((0, 2))):
-        np.testing.assert_allclose(along[1:-1] / along[1:-1].mean(), 1, atol=0.2)  # as many everywhere
+        # as many everywhere
+        np.testing.assert_allclose(along[1:-1] / along[1:-1].mean(), 1, atol=0.2)
 
 
 @pytest.mark.parametrize("kind", [SHOWN, SCATTERED, HOT_PIXELS])
 def test_what_is_drawn_for_a_window_is_the_same_whatever_else_the_data_set_holds(kind):
     config = TNTConfig(transform="none")
-    own, other = (random_events(n, seed=n, duration_us=330_000, sensor=config.sensor) for n in (600, 501))
+    own, other = (
+        random_events(n, seed=n, duration_us=330_000, sensor=config.sensor) for n in (600, 501)
+    )
     sets = [own], [other, own[own["t"] > 99_000]]  # of the last recording, the second window
-    found = [make_windows(Recordings.from_events(some, [0] * len(some)), config.window_us) for some in sets]
+    found = [
+        make_windows(Recordings.from_events(some, [0] * len(some)), config.window_us)
+        for some in sets
+    ]
     alone, behind = (w[(w.recording == w.recording.max()) & (w.start_us == 105_000)] for w in found)
     draws = unchanged(1, config)
     draws.keep[:], draws.seed[:] = 0.5, 7
@@ -181,7 +227,8 @@ def test_what_stands_in_the_place_of_a_recording(kind):
     windows = random_windows(config, 1, 30_000)[np.zeros(40, int)]
     n_events = BatchVolumes(config)(windows).sum() / 40
     draws, n_hot = of_nothing(unchanged(40, config), np.full(40, kind), RNG(0)), set()
-    assert kind != EDGE or 10 < np.isin(draws.place[:, 7], (0, 1)).sum() < 30  # often of one polarity
+    # often of one polarity
+    assert kind != EDGE or 10 < np.isin(draws.place[:, 7], (0, 1)).sum() < 30
     for volume in BatchVolumes(config)(windows, draws).astype(np.float64):
         of_pixels, of_polarity = volume.sum(0), volume.sum((1, 2)).reshape(2, 2).sum(1)
         y, x = np.nonzero(of_pixels)
@@ -192,10 +239,16 @@ def test_what_stands_in_the_place_of_a_recording(kind):
         elif kind == HOT_PIXELS:
             n_hot.add(len(x))
         elif kind == PATCH:
-            assert np.ptp(x) < 26 and np.ptp(y) < 21 and len(x) > 0.8 * (np.ptp(x) + 1) * (np.ptp(y) + 1)
+            assert (
+                np.ptp(x) < 26
+                and np.ptp(y) < 21
+                and len(x) > 0.8 * (np.ptp(x) + 1) * (np.ptp(y) + 1)
+            )
         else:  # what is there in the second half lies beside what was there in the first
             halves = [volume[k] + volume[2 + k] for k in range(2)]
-            first, second = (np.mgrid[:40, :50].reshape(2, -1) @ half.ravel() / half.sum() for half in halves)
+            first, second = (
+                np.mgrid[:40, :50].reshape(2, -1) @ half.ravel() / half.sum() for half in halves
+            )
             assert np.hypot(*(second - first)) > 0.5 and volume.sum() > 0.02 * n_events
     assert n_hot == ({1, 2, 3} if kind == HOT_PIXELS else set())
 
@@ -235,7 +288,9 @@ def test_a_folder_is_a_data_set_of_volumes_for_torch(tmp_path):
     assert [label for _, label in known] == [1] * 6 + [2] * 6
     with pytest.raises(FileNotFoundError, match="has neither a folder Test nor lists"):
         VolumeDataset(tmp_path, config, part="Test")
-    with pytest.raises(IndexError, match=r"^`index` must be below 12, the number of windows, got 12$"):
+    with pytest.raises(
+        IndexError, match=r"^`index` must be below 12, the number of windows, got 12$"
+    ):
         data[12]
     with pytest.raises(ValueError, match="landmark 'regressor' needs a network"):
         VolumeDataset(tmp_path, TNTConfig(landmark="regressor"))

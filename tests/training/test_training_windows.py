@@ -15,7 +15,8 @@ def test_windows_from_zero_and_from_the_first_event():
     times = [[2_000, 104_999, 105_000, 316_000], [], [212_000]]
     recordings = Recordings.from_events(map(recording, times), [1, 2, 3])
     from_zero = make_windows(recordings, 105_000, duration_us=315_000)
-    np.testing.assert_array_equal(from_zero.recording, [0, 0, 2])  # none of 0's between 210 and 315 ms
+    # none of 0's between 210 and 315 ms
+    np.testing.assert_array_equal(from_zero.recording, [0, 0, 2])
     np.testing.assert_array_equal(from_zero.start_us, [0, 105_000, 210_000])
     np.testing.assert_array_equal(from_zero.labels, [1, 1, 3])
     from_first = make_windows(recordings, 105_000, first_event=True, duration_us=315_000)

@@ -38,7 +38,10 @@ class Rrd:
                 assert all(ns.value % 1000 == 0 for ns in batch.column("time"))
             columns = [batch.column(name).to_pylist() for name in names]
             rows = self.rows.setdefault(part.entity_path.lstrip("/"), [])
-            rows += [(t, dict(zip(names, values, strict=True))) for t, *values in zip(times, *columns, strict=True)]
+            rows += [
+                (t, dict(zip(names, values, strict=True)))
+                for t, *values in zip(times, *columns, strict=True)
+            ]
         about = self.rows.pop("__properties", [])
         names = [row["RecordingInfo:name"] for _, row in about if "RecordingInfo:name" in row]
         self.name: str | None = names[-1][0] if names else None
@@ -46,7 +49,9 @@ class Rrd:
         for part in reader.stream(store=reader.blueprints()[0]):
             batch = part.to_record_batch()
             if "ViewBlueprint:space_origin" in batch.schema.names:
-                kinds, origins = (batch.column(f"ViewBlueprint:{n}") for n in ("class_identifier", "space_origin"))
+                kinds, origins = (
+                    batch.column(f"ViewBlueprint:{n}") for n in ("class_identifier", "space_origin")
+                )
                 self.views[origins[-1].as_py()[0].lstrip("/")] = kinds[-1].as_py()[0]
         for rows in self.rows.values():
             rows.sort(key=lambda row: -1 if row[0] is None else row[0])
@@ -56,13 +61,21 @@ class Rrd:
 
     def series(self, entity: str, component: str) -> list[tuple[int, Any]]:
         """(microseconds, value) of a component that changes."""
-        return [(t, row[component]) for t, row in self.rows.get(entity, []) if t is not None and component in row]
+        return [
+            (t, row[component])
+            for t, row in self.rows.get(entity, [])
+            if t is not None and component in row
+        ]
 
     def images(self, entity: str, archetype: str = "Image") -> list[tuple[int, np.ndarray]]:
         """(microseconds, uint8 of shape (height, width) or (height, width, 3))."""
         found = []
         formats = self.series(entity, f"{archetype}:format")
-        for (t, (pixels,)), (_, (form,)) in zip(self.series(entity, f"{archetype}:buffer"), formats, strict=True):
-            image = np.frombuffer(bytes(pixels), np.uint8).reshape(form["height"], form["width"], -1)
+        for (t, (pixels,)), (_, (form,)) in zip(
+            self.series(entity, f"{archetype}:buffer"), formats, strict=True
+        ):
+            image = np.frombuffer(bytes(pixels), np.uint8).reshape(
+                form["height"], form["width"], -1
+            )
             found.append((t, image if image.shape[2] > 1 else image[:, :, 0]))
         return found

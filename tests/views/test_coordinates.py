@@ -1,4 +1,5 @@
-"""The place of each event in the figures: the reference's, and those that the streamed volume is made of."""
+"""The place of each event in the figures: the reference's, and those that the streamed volume is
+made of."""
 
 import numpy as np
 import pytest
@@ -26,7 +27,9 @@ EVENTS = random_events(3 * BLOCK + 5, start_us=START_US)
 
 def window_of(events, config):
     """Their window, from START_US on."""
-    return Subject("made", events, config, MODEL if config.needs_regressor else None, "made", START_US).window(1)
+    return Subject(
+        "made", events, config, MODEL if config.needs_regressor else None, "made", START_US
+    ).window(1)
 
 
 def streamed(events, config):
@@ -58,15 +61,24 @@ def test_coordinates_equal_the_reference_and_drawn_volumes_the_stream(config):
     found = equal_reference(EVENTS, config)
     assert 0 < found.kept.sum() == volume.counts.kept < found.kept.size
     raw, tnt = window.volumes()
-    without_transform = window.subject.config.replace(transform="none", landmark="center", remove_flow=False)
+    without_transform = window.subject.config.replace(
+        transform="none", landmark="center", remove_flow=False
+    )
     np.testing.assert_array_equal(tnt, volume.array)
     np.testing.assert_array_equal(raw, streamed(EVENTS, without_transform).array)
     np.testing.assert_array_equal(EVENTS, before)
 
 
-@given(st.data(), st.sampled_from([CONFIGS[name] for name in ("center", "running", "line, flow removed", "window")]))
+@given(
+    st.data(),
+    st.sampled_from(
+        [CONFIGS[name] for name in ("center", "running", "line, flow removed", "window")]
+    ),
+)
 def test_coordinates_equal_the_reference_on_nasty_streams(data, config):
-    equal_reference(data.draw(nasty_streams(config.sensor, config.window_us, START_US).filter(len)), config)
+    equal_reference(
+        data.draw(nasty_streams(config.sensor, config.window_us, START_US).filter(len)), config
+    )
 
 
 def test_one_event_by_hand():

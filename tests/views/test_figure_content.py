@@ -23,7 +23,9 @@ def sample(digit=3):
 
 def subject(digit=3, **changes):
     """A bundled recording as the bundled model sees it, or with a changed configuration."""
-    return Subject(f"{digit}.bin", sample(digit), DIGITS.config.replace(**changes), DIGITS, "digits")
+    return Subject(
+        f"{digit}.bin", sample(digit), DIGITS.config.replace(**changes), DIGITS, "digits"
+    )
 
 
 def dots(axes):
@@ -31,10 +33,15 @@ def dots(axes):
     from matplotlib.colors import to_rgba
 
     (cloud,) = axes.collections
-    columns = cloud._offsets3d if hasattr(cloud, "_offsets3d") else np.asarray(cloud.get_offsets()).T
-    colours = np.array(cloud._facecolors)  # in the order of the dots; the getter's is that of the last drawing
+    columns = (
+        cloud._offsets3d if hasattr(cloud, "_offsets3d") else np.asarray(cloud.get_offsets()).T
+    )
+    # in the order of the dots; the getter's is that of the last drawing
+    colours = np.array(cloud._facecolors)
     assert {tuple(colour) for colour in colours} == {to_rgba(ON), to_rgba(OFF)}
-    return *(np.asarray(column, np.float64) for column in columns), (colours == to_rgba(ON)).all(axis=1)
+    return *(np.asarray(column, np.float64) for column in columns), (colours == to_rgba(ON)).all(
+        axis=1
+    )
 
 
 def pictures(axes):
@@ -51,7 +58,9 @@ def test_resynthesis_shows_counts_the_image_and_paths():
     one = events_of([0, 1, 2], [1, 1, 4], [2, 2, 0], [1, 1, 0])
     image = np.arange(15.0).reshape(3, 5)
     right, down = (np.linspace(0, 2, 5)[:, None] * np.array(way) for way in ((1, 0), (0, 1)))
-    window = figure_resynthesis.ResynthesizedWindow("cup", one, image, one[:1], [right, down], [one[2:]])
+    window = figure_resynthesis.ResynthesizedWindow(
+        "cup", one, image, one[:1], [right, down], [one[2:]]
+    )
     refused = figure_resynthesis.RefusedWindow("pen", one, "several objects")
     figure = figure_resynthesis.draw_resynthesis([window, window], [refused])
     axes = figure.axes
@@ -108,7 +117,8 @@ def test_probabilities_are_those_of_the_streams_decisions():
         (line,) = [line for line in axes.lines if line.get_gid() == f"class {k}"]
         drawn = ~np.isnan(line.get_ydata())
         assert_equal(
-            (line.get_xdata()[drawn], line.get_ydata()[drawn], np.flatnonzero(~drawn)),  # a line ends with its window
+            # a line ends with its window
+            (line.get_xdata()[drawn], line.get_ydata()[drawn], np.flatnonzero(~drawn)),
             (
                 [(d.time_us - shown.first_us) / 1e3 for d in decisions],
                 [d.probabilities[k] for d in decisions],
@@ -126,10 +136,15 @@ def test_a_recording_of_one_event_is_drawn(tmp_path):
 def test_windows_are_those_of_the_stream():
     shown = subject(6)
     windows = [shown.window(number) for number in (1, 2, 3)]
-    assert [w.start_us for w in windows] == [d.window_start_us for d in async_tnt.stream([sample(6)], "digits")]
+    assert [w.start_us for w in windows] == [
+        d.window_start_us for d in async_tnt.stream([sample(6)], "digits")
+    ]
     assert sum(w.events.size for w in windows) == shown.events.size
-    late = events_of([0, 330_000, 10, 210_000], [1] * 4, [1] * 4, [1] * 4)  # the last two: their windows are closed
+    # the last two: their windows are closed
+    late = events_of([0, 330_000, 10, 210_000], [1] * 4, [1] * 4, [1] * 4)
     shown = Subject("late", late, shown.config)
     assert shown.window(1).events.size == 1 and shown.window(4).events.size == 1
-    with pytest.raises(ValueError, match="late: no events in window 2, from 105000 us on; the recording ends in"):
+    with pytest.raises(
+        ValueError, match="late: no events in window 2, from 105000 us on; the recording ends in"
+    ):
         shown.window(2)

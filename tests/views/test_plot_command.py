@@ -32,20 +32,28 @@ def text_of(svg):
 
 
 def test_a_page_as_png_and_svg(plot):
-    """The picture of README is what the command draws, up to the dots that one matplotlib puts elsewhere than the next.
-    When this fails: draw it again."""
+    """The picture of README is what the command draws, up to the dots that one matplotlib puts
+    elsewhere than the next. When this fails: draw it again."""
     import matplotlib
 
     settings = dict(matplotlib.rcParams)
     code, printed, _ = plot()
     assert dict(matplotlib.rcParams) == settings
     assert (code, printed) == (0, f"3.png ({Path('3.png').stat().st_size / 1e3:.0f} kB)\n")
-    kept, again = in_squares(image.imread(IMAGES / "what_happens.png")), in_squares(image.imread("3.png"))
+    kept, again = (
+        in_squares(image.imread(IMAGES / "what_happens.png")),
+        in_squares(image.imread("3.png")),
+    )
     assert kept.shape == again.shape
     assert np.abs(kept - again).max() < 0.2  # another landmark makes 0.35, another recording 0.6
     random_regressor_model().save("r.safetensors")
     assert plot("--model", "r.safetensors", "--out", "a.svg")[0] == 0
-    labels = ["3.bin: “", "after TNT (regressor, t_max 8)", "event volume of window 1", "every 2.5 ms"]
+    labels = [
+        "3.bin: “",
+        "after TNT (regressor, t_max 8)",
+        "event volume of window 1",
+        "every 2.5 ms",
+    ]
     labels += ["class probability", "time in the recording (ms)"]
     assert not [label for label in labels if label not in text_of("a.svg")]
     assert Path("a.svg").stat().st_size < 1_000_000  # a cloud of dots is one picture
@@ -53,11 +61,16 @@ def test_a_page_as_png_and_svg(plot):
     assert plot()[0] == 0  # once more
     Path("3.png").write_bytes(b"a photograph")
     code, _, err = plot()
-    assert (code, Path("3.png").read_bytes()) == (2, b"a photograph") and "3.png is of another program" in err
+    assert (code, Path("3.png").read_bytes()) == (
+        2,
+        b"a photograph",
+    ) and "3.png is of another program" in err
     assert plot("--out", "3.png")[0] == 0
 
 
-@pytest.mark.parametrize("name, begin", [("a.pdf", b"%PDF"), ("a.svg", b"<?xml"), ("a.png", b"\x89PNG")])
+@pytest.mark.parametrize(
+    "name, begin", [("a.pdf", b"%PDF"), ("a.svg", b"<?xml"), ("a.png", b"\x89PNG")]
+)
 def test_the_same_figure_gives_the_same_bytes(name, begin):
     written = []
     for _ in range(2):
@@ -77,7 +90,9 @@ def in_squares(pixels, side=20):
 
 
 def test_options_reach_the_picture(plot):
-    volume = "--volume landmark=line,remove_flow=yes,t_max=2,polarity=unsigned,bins=5 --window-us 50000"
+    volume = (
+        "--volume landmark=line,remove_flow=yes,t_max=2,polarity=unsigned,bins=5 --window-us 50000"
+    )
     words = "--window 2 --out s.svg"
     assert plot(5, *volume.split(), *words.split())[0] == 0
     text = text_of("s.svg")
@@ -94,7 +109,12 @@ def test_options_reach_the_picture(plot):
 def test_a_models_flow_removal_goes_with_its_line(plot):
     random_model(TNTConfig(landmark="line", remove_flow=True, t_max=2.0)).save("m.safetensors")
     for landmark, words in (("line", "line, flow removed, t_max 2"), ("center", "center, t_max 2")):
-        assert plot(5, "--model", "m.safetensors", "--volume", f"landmark={landmark}", "--out", "s.svg")[0] == 0
+        assert (
+            plot(
+                5, "--model", "m.safetensors", "--volume", f"landmark={landmark}", "--out", "s.svg"
+            )[0]
+            == 0
+        )
         assert f"after TNT ({words})" in text_of("s.svg")
     code, _, err = plot(5, "--volume", "landmark=center,remove_flow=yes")
     assert (code, err.count("\n")) == (2, 1) and "remove_flow" in err
@@ -106,10 +126,15 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     np.savez("camera.npz", events=events, sensor=np.array([120, 80]))
     code, _, err = plot("camera.npz")
     assert code == 0
-    assert err == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
+    assert (
+        err
+        == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
+    )
     np.save("camera.npy", events)
     code, _, err = plot("camera.npy")
-    assert code == 2 and "; the file states none, --sensor, the model or another recording does" in err
+    assert (
+        code == 2 and "; the file states none, --sensor, the model or another recording does" in err
+    )
     assert plot("camera.npy", "--sensor", "120x80")[0] == 0
     code, _, err = plot("camera.npz", "--volume", "transform=none")
     assert code == 2 and "the volume without the transform is drawn anyway" in err
@@ -121,13 +146,28 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ("missing.bin", "missing.bin: No such file"),
         ("empty.bin", "empty.bin: no events to draw"),
         ("--out figure.jpg", "figure.jpg: its name must end in .png, .svg, .pdf"),
-        ("--window 4", "3.bin: no events in window 4, from 318075 us on; the recording ends in window 3"),
+        (
+            "--window 4",
+            "3.bin: no events in window 4, from 318075 us on; the recording ends in window 3",
+        ),
         ("h.npz --model digits", "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),
         ("h.npz --sensor 50x50", "h.npz: a sensor of 40x40 pixels, but --sensor says 50x50"),
-        ("--volume landmark=regressor", "needs a model with a landmark network, but model digits has none"),
-        ("3 --model times.safetensors", "event volumes and counts can be drawn, but not mean_time (--model, --volume)"),
-        ("--volume representation=count_time", "event volumes and counts can be drawn, but not count_time"),
-        ("3 --model of_events.safetensors", "windows of a duration can be drawn, but not of 500 events"),
+        (
+            "--volume landmark=regressor",
+            "needs a model with a landmark network, but model digits has none",
+        ),
+        (
+            "3 --model times.safetensors",
+            "event volumes and counts can be drawn, but not mean_time (--model, --volume)",
+        ),
+        (
+            "--volume representation=count_time",
+            "event volumes and counts can be drawn, but not count_time",
+        ),
+        (
+            "3 --model of_events.safetensors",
+            "windows of a duration can be drawn, but not of 500 events",
+        ),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(words, message, plot):

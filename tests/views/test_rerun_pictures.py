@@ -1,4 +1,5 @@
-"""What a view draws, without a viewer: images of events and of volumes, colours of classes, moments, text."""
+"""What a view draws, without a viewer: images of events and of volumes, colours of classes,
+moments, text."""
 
 import numpy as np
 from hypothesis import given
@@ -13,7 +14,10 @@ from async_tnt.views.rerun_view import next_moment
 def test_an_event_image_has_the_newest_polarity_of_each_pixel():
     nothing, off, on = log.NOTHING, log.OFF, log.ON
     events = events_of([1, 2, 3, 4, 5], [0, 3, 3, 1, 1], [0, 1, 1, 0, 0], [1, 1, 0, 0, 1])
-    assert log.event_image(events, (4, 2)).tolist() == [[on, on, nothing, nothing], [nothing] * 3 + [off]]
+    assert log.event_image(events, (4, 2)).tolist() == [
+        [on, on, nothing, nothing],
+        [nothing] * 3 + [off],
+    ]
     assert not log.event_image(events[:0], (4, 2)).any()
 
 
@@ -23,10 +27,15 @@ def test_a_sheet_has_the_bins_row_by_row():
     sheet = bin_sheet(volume)
     assert sheet.shape == (2 * 3 - 1, 3 * 4 - 1, 3) and sheet.dtype == np.uint8
     assert tuple(sheet[0, 0]) == ON_COLOUR and tuple(sheet[1, 4 + 2]) == OFF_COLOUR
-    half = np.array(NOTHING_COLOUR) + 0.5 * (np.array(ON_COLOUR) - np.array(NOTHING_COLOUR))  # the root of a quarter
+    # the root of a quarter
+    half = np.array(NOTHING_COLOUR) + 0.5 * (np.array(ON_COLOUR) - np.array(NOTHING_COLOUR))
     assert np.abs(sheet[3, 4 + 1] - half).max() <= 1
     assert tuple(sheet[1, 1]) == NOTHING_COLOUR
-    assert (sheet[2] == GAP_COLOUR).all() and (sheet[:, 3] == GAP_COLOUR).all() and (sheet[3:, 8:] == GAP_COLOUR).all()
+    assert (
+        (sheet[2] == GAP_COLOUR).all()
+        and (sheet[:, 3] == GAP_COLOUR).all()
+        and (sheet[3:, 8:] == GAP_COLOUR).all()
+    )
     assert (bin_sheet(np.zeros((1, 4, 4), np.float32)) == NOTHING_COLOUR).all()
 
 

@@ -7,7 +7,9 @@ from made import events_of, random_events, random_model
 from async_tnt import Processor, TNTConfig, TNTVolume, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
-rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
+rrd_files = pytest.importorskip(
+    "views.rrd_files", reason="rerun-sdk is not installed (extra `view`)"
+)
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_log as log  # noqa: E402
 from async_tnt.views.rerun_view import RerunView, next_moment  # noqa: E402
@@ -15,18 +17,23 @@ from async_tnt.views.rerun_view import RerunView, next_moment  # noqa: E402
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
 MODEL = random_model(CONFIG)
 EVENTS = random_events(3000, duration_us=170_000, sensor=(40, 30), start_us=7_000)
-LATE = EVENTS[np.argsort(EVENTS["t"] + np.random.default_rng(3).integers(0, 30_000, 3000), kind="stable")]
+LATE = EVENTS[
+    np.argsort(EVENTS["t"] + np.random.default_rng(3).integers(0, 30_000, 3000), kind="stable")
+]
 
 
 def view_of(folder, packets, model=MODEL, **settings):
     """Packets as a view, read back; with the decisions that came."""
     with RerunView(model, out=folder / "a.rrd", **settings) as view:
-        decisions = [decision for packet in packets for decision in view.push(packet)] + view.finish()
+        decisions = [
+            decision for packet in packets for decision in view.push(packet)
+        ] + view.finish()
     return Rrd(folder / "a.rrd"), decisions
 
 
 def truth_at(model, events, at_us, **settings):
-    """A processor that saw the events before a moment, its decision, and the raw volume of its window."""
+    """A processor that saw the events before a moment, its decision, and the raw volume of its
+    window."""
     processor = Processor(model, **settings)
     before = events[np.maximum.accumulate(events["t"]) < at_us]
     processor.push(before)
@@ -62,7 +69,9 @@ def test_every_picture_shows_what_the_processor_has(tmp_path, landmark, events, 
     else:
         rrd, decisions = view_of(tmp_path, packets, model, picture_us=9_000, **settings)
     processor = Processor(model, **settings)
-    assert summary(decisions) == summary([d for p in packets for d in processor.push(p)] + processor.finish())
+    assert summary(decisions) == summary(
+        [d for p in packets for d in processor.push(p)] + processor.finish()
+    )
     raws, tnts = rrd.images(log.RAW), rrd.images(log.TNT)
     landmarks = rrd.series(log.LANDMARK, "Points2D:positions")
     assert len(raws) > 18 and any(len(np.unique(sheet)) > 10 for _, sheet in tnts)
@@ -140,7 +149,10 @@ def test_after_an_error_the_file_holds_what_came_before(tmp_path):
             return [0.0]
         raise RuntimeError("no answer")
 
-    with pytest.raises(OSError, match="unplugged"), RerunView(MODEL, out=tmp_path / "a.rrd") as view:
+    with (
+        pytest.raises(OSError, match="unplugged"),
+        RerunView(MODEL, out=tmp_path / "a.rrd") as view,
+    ):
         view.push(EVENTS)
         raise OSError("unplugged")
     assert len(Rrd(tmp_path / "a.rrd").times(log.RAW)) > 8

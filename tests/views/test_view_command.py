@@ -21,7 +21,8 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SAMPLE = sample_recordings()[7]
 EVENTS = open_recording(SAMPLE).read()
-# `rerun` reports how it is used, but not where this is set, and then writes nothing into the user's folders either
+# `rerun` reports how it is used, but not where this is set, and then writes nothing into the user's
+# folders either
 SILENT = os.environ | {"CI": "1"}
 
 
@@ -32,7 +33,9 @@ def test_without_rerun_the_error_says_what_to_install(monkeypatch, program, tmp_
     assert err.startswith("async-tnt: views need rerun-sdk: pip install 'async_tnt[view]' (")
 
 
-rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
+rrd_files = pytest.importorskip(
+    "views.rrd_files", reason="rerun-sdk is not installed (extra `view`)"
+)
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_log as log  # noqa: E402
 
@@ -44,13 +47,17 @@ def own_lines(err):
 def test_a_recording_becomes_a_file(tmp_path, program, monkeypatch):
     out = tmp_path / "a.rrd"
     speeds = []
-    monkeypatch.setattr("async_tnt.cli.view.replay", lambda packets, speed: speeds.append(speed) or packets)
+    monkeypatch.setattr(
+        "async_tnt.cli.view.replay", lambda packets, speed: speeds.append(speed) or packets
+    )
     words = "--every-us", 50000, "--every-ms", 30, "--speed", 2
     code, printed, err = program("view", SAMPLE, "--out", out, *words)
     rrd = Rrd(out)
     n_events, n_pictures = len(EVENTS), len(rrd.times(log.EVENTS))
     assert (code, err, set(speeds)) == (0, "", {2.0})
-    assert printed == f"{out}: {n_events:,} events, {n_pictures} pictures; open it with: rerun {out}\n"
+    assert (
+        printed == f"{out}: {n_events:,} events, {n_pictures} pictures; open it with: rerun {out}\n"
+    )
     assert rrd.name == "7.bin" and np.diff(rrd.times(log.EVENTS))[:8].max() == 30_000
     processor = Processor(load_model("digits"), every_us=50_000)
     expected = [decision.label for decision in processor.push(EVENTS) + processor.finish()]
@@ -58,7 +65,9 @@ def test_a_recording_becomes_a_file(tmp_path, program, monkeypatch):
     assert [line.split()[0] for line in lines] == expected
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
     if rerun := rerun_program():
-        subprocess.run([rerun, "rrd", "verify", out], capture_output=True, timeout=600, env=SILENT, check=True)
+        subprocess.run(
+            [rerun, "rrd", "verify", out], capture_output=True, timeout=600, env=SILENT, check=True
+        )
 
 
 def test_windows_begin_at_the_start_that_is_given(tmp_path, program):
@@ -69,7 +78,10 @@ def test_windows_begin_at_the_start_that_is_given(tmp_path, program):
         assert program("view", SAMPLE, "--out", tmp_path / f"{start_us}.rrd", *words)[0] == 0
         processor = Processor(load_model("digits"), start_us=start_us)
         expected = [decision.time_us for decision in processor.push(EVENTS) + processor.finish()]
-        starts[start_us] = [time for time, _ in Rrd(tmp_path / f"{start_us}.rrd").series(log.DECISIONS, "TextLog:text")]
+        starts[start_us] = [
+            time
+            for time, _ in Rrd(tmp_path / f"{start_us}.rrd").series(log.DECISIONS, "TextLog:text")
+        ]
         assert starts[start_us] == expected
     assert starts[None] != starts[first_us + 100_000]
 
@@ -79,7 +91,10 @@ def test_windows_begin_at_the_start_that_is_given(tmp_path, program):
     [
         (["samples", "--out", "a.png"], "a.png: its name must end in .rrd"),
         (["missing.bin", "--out", "a.rrd"], "missing.bin: No such file or directory"),
-        (["large.npz", "--out", "a.rrd"], "large.npz: a sensor of 64x48 pixels, but the model is for 34x34"),
+        (
+            ["large.npz", "--out", "a.rrd"],
+            "large.npz: a sensor of 64x48 pixels, but the model is for 34x34",
+        ),
         (["empty.npy", "--out", "a.rrd"], "empty.npy: no events, nothing to show"),
         (
             ["samples", "--connect", "127.0.0.1:9876"],
@@ -111,13 +126,15 @@ def test_a_disk_that_fills_up_ends_it_and_keeps_what_was_written(tmp_path, progr
     assert out.read_bytes() == b"before" and sorted(os.listdir(tmp_path)) == ["a.rrd", "a.rrd.part"]
 
 
-# -- live ----------------------------------------------------------------------------------------------------
+# -- live ------------------------------------------------------------------------------------------
 
 
 def test_events_of_the_network(tmp_path, program):
     out = tmp_path / "a.rrd"
     with sent(EVENTS) as port:
-        code, printed, err = program("view", f"udp://127.0.0.1:{port}?timeout_s=0.5", "--out", out, "--keep-up", 60_000)
+        code, printed, err = program(
+            "view", f"udp://127.0.0.1:{port}?timeout_s=0.5", "--out", out, "--keep-up", 60_000
+        )
     assert code == 0 and f"{len(EVENTS):,} events (" in err
     assert printed.startswith(f"{out}: {len(EVENTS):,} events, ")
     processor = Processor(load_model("digits"))
@@ -142,9 +159,13 @@ def test_ctrl_c_completes_the_file_and_exits_with_130(tmp_path, live, after, mon
     monkeypatch.setattr(RerunView, "push", interrupted)
     out = tmp_path / "a.rrd"
     with sent(EVENTS) if live else contextlib.nullcontext() as port:
-        code, said, err = program("view", f"udp://127.0.0.1:{port}" if live else SAMPLE, "--out", out)
+        code, said, err = program(
+            "view", f"udp://127.0.0.1:{port}" if live else SAMPLE, "--out", out
+        )
     assert code == 130 and len(own_lines(err)) == (2 if live else 1)
-    assert os.listdir(tmp_path) == (["a.rrd"] if after else []) and said.startswith(f"{out}: ") == (live and after > 0)
+    assert os.listdir(tmp_path) == (["a.rrd"] if after else []) and said.startswith(f"{out}: ") == (
+        live and after > 0
+    )
     assert not after or len(Rrd(out).times(log.TNT)) >= 2
 
 
@@ -160,7 +181,8 @@ def is_open(port):
 
 @contextlib.contextmanager
 def viewer_that_writes(out):
-    """In place of a window it writes what it receives. Yields the process, which leads a group, and its URL."""
+    """In place of a window it writes what it receives. Yields the process, which leads a group, and
+    its URL."""
     if (rerun := rerun_program()) is None:
         pytest.skip("no program `rerun` beside this Python")
     port = free_port(socket.SOCK_STREAM)
@@ -201,9 +223,15 @@ def test_a_viewer_that_is_closed_ends_the_program(tmp_path):
     with viewer_that_writes(got) as (serving, url):
         words = [str(SAMPLE), "--connect", url, "--speed", "0.01"]  # 30 s
         command = [sys.executable, "-m", "async_tnt", "view", *words]
-        showing = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        showing = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
         try:
-            until(lambda: (got.exists() and got.stat().st_size >= 50_000) or showing.poll() is not None)
+            until(
+                lambda: (
+                    (got.exists() and got.stat().st_size >= 50_000) or showing.poll() is not None
+                )
+            )
             os.killpg(serving.pid, signal.SIGKILL)
             _, err = showing.communicate(timeout=600)
         finally:
@@ -218,4 +246,8 @@ def test_without_a_display_no_viewer_is_started(monkeypatch, program):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.delenv("DISPLAY", raising=False)
     code, _, err = program("view", SAMPLE)
-    assert code == 2 and err.startswith("async-tnt: no display to open the Rerun viewer on") and err.count("\n") == 1
+    assert (
+        code == 2
+        and err.startswith("async-tnt: no display to open the Rerun viewer on")
+        and err.count("\n") == 1
+    )

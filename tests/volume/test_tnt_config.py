@@ -11,9 +11,7 @@ import pytest
 from async_tnt import TNTConfig
 from async_tnt.config import LANDMARKS, POLARITIES
 
-CELLS = (
-    "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.config.MAX_CELLS)"
-)
+CELLS = "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.config.MAX_CELLS)"
 WRONG = [
     *[
         ({"sensor": v}, TypeError, f"`sensor` must be two whole numbers (width, height), got {v!r}")
@@ -25,7 +23,12 @@ WRONG = [
     ],
     *[
         ({name: v}, TypeError, f"`{name}` must be a whole number, got {v!r}")
-        for name, v in (("bins", 9.0), ("bins", True), ("bins", np.array([9, 9])), ("window_events", 9.0))
+        for name, v in (
+            ("bins", 9.0),
+            ("bins", True),
+            ("bins", np.array([9, 9])),
+            ("window_events", 9.0),
+        )
     ],
     *[
         ({name: v}, ValueError, f"`{name}` must be in [1, {most}], got {v}")
@@ -35,7 +38,8 @@ WRONG = [
     (
         {"representation": "count_time", "bins": 9},
         ValueError,
-        "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), got "
+        "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), "
+        "got "
         "representation='count_time', bins=9",
     ),
     *[
@@ -50,16 +54,27 @@ WRONG = [
     *[({"t_max": v}, TypeError, f"`t_max` must be a number, got {v!r}") for v in ("8", True)],
     *[
         ({"t_max": value}, ValueError, f"`t_max` must be in [1e-6, 1e6], got {got}")
-        for value, got in ((0, 0.0), (1e-7, 1e-7), (1e6 + 1, 1e6 + 1), (math.nan, math.nan), (10**400, math.inf))
+        for value, got in (
+            (0, 0.0),
+            (1e-7, 1e-7),
+            (1e6 + 1, 1e6 + 1),
+            (math.nan, math.nan),
+            (10**400, math.inf),
+        )
     ],
-    ({"landmark": "CENTER"}, ValueError, f"`landmark` must be one of {', '.join(LANDMARKS)}, got 'CENTER'"),
+    (
+        {"landmark": "CENTER"},
+        ValueError,
+        f"`landmark` must be one of {', '.join(LANDMARKS)}, got 'CENTER'",
+    ),
     ({"polarity": 0}, ValueError, f"`polarity` must be one of {', '.join(POLARITIES)}, got 0"),
     ({"remove_flow": 1}, TypeError, "`remove_flow` must be True or False, got 1"),
     *[
         (
             {"remove_flow": True, "landmark": landmark, "transform": transform},
             ValueError,
-            f'`remove_flow` needs landmark="line" and transform="tnt", got {landmark=}, {transform=}',
+            f'`remove_flow` needs landmark="line" and transform="tnt", got {landmark=}, '
+            f"{transform=}",
         )
         for landmark, transform in (("center", "tnt"), ("line", "none"))
     ],
@@ -86,11 +101,23 @@ def test_the_limits_themselves_are_allowed_and_a_program_may_raise_that_of_cells
 
 def test_defaults_that_depend_on_the_representation_and_the_windows():
     image = TNTConfig(representation="count_time")
-    assert (image.bins, image.polarity, image.transform, image.shape) == (2, "split", "none", (4, 34, 34))
-    assert TNTConfig(bins=5, polarity="unsigned").replace(representation="mean_time").shape == (2, 34, 34)
+    assert (image.bins, image.polarity, image.transform, image.shape) == (
+        2,
+        "split",
+        "none",
+        (4, 34, 34),
+    )
+    assert TNTConfig(bins=5, polarity="unsigned").replace(representation="mean_time").shape == (
+        2,
+        34,
+        34,
+    )
     assert image.replace(representation="volume") == TNTConfig()
     by_events = TNTConfig(window_us=20_000).replace(window_events=9)
-    assert by_events == TNTConfig(window_events=9) and by_events.replace(window_events=None) == TNTConfig()
+    assert (
+        by_events == TNTConfig(window_events=9)
+        and by_events.replace(window_events=None) == TNTConfig()
+    )
     fifty = by_events.replace(window_us=50).replace(window_events=7)
     assert fifty == TNTConfig().replace(window_events=7, window_us=50) and fifty.window_us == 50
 
@@ -98,11 +125,16 @@ def test_defaults_that_depend_on_the_representation_and_the_windows():
 @pytest.mark.parametrize("number", [np.int8, np.uint64, np.array])
 def test_a_configuration_is_a_value_of_pythons_own_numbers(number):
     made = TNTConfig(
-        sensor=(number(50), number(40)), grid=[number(20), number(30)], bins=number(7), t_max=np.float32(2)
+        sensor=(number(50), number(40)),
+        grid=[number(20), number(30)],
+        bins=number(7),
+        t_max=np.float32(2),
     )
     same = TNTConfig(sensor=(50, 40), grid=(20, 30), bins=7, t_max=2.0)
     assert made == same == made.replace() != made.replace(bins=5) and hash(made) == hash(same)
-    assert {type(value) for value in (*made.sensor, *made.grid, made.bins)} == {int} and type(made.t_max) is float
+    assert {type(value) for value in (*made.sensor, *made.grid, made.bins)} == {int} and type(
+        made.t_max
+    ) is float
     with pytest.raises(FrozenInstanceError):
         made.bins = 5
     with pytest.raises(TypeError, match="nonsense"):
@@ -113,8 +145,18 @@ def test_a_configuration_is_a_value_of_pythons_own_numbers(number):
     "config",
     [
         TNTConfig(),
-        TNTConfig(sensor=(200, 2), grid=(3, 4), bins=5, window_us=1, t_max=0.1, landmark="line", remove_flow=True),
-        TNTConfig(window_events=1 << 30, polarity="unsigned", transform="none", landmark="regressor"),
+        TNTConfig(
+            sensor=(200, 2),
+            grid=(3, 4),
+            bins=5,
+            window_us=1,
+            t_max=0.1,
+            landmark="line",
+            remove_flow=True,
+        ),
+        TNTConfig(
+            window_events=1 << 30, polarity="unsigned", transform="none", landmark="regressor"
+        ),
         TNTConfig(window_events=7, window_us=3_600_000_000, representation="count_time"),
     ],
     ids=str,
@@ -129,9 +171,17 @@ def test_a_configuration_survives_json(config):
 @pytest.mark.parametrize(
     ("values", "error", "message"),
     [
-        ({"z": 9, "bins": 9, 1: 1}, ValueError, "unknown configuration 1, z; known: bins, grid, landmark, polarity, "),
+        (
+            {"z": 9, "bins": 9, 1: 1},
+            ValueError,
+            "unknown configuration 1, z; known: bins, grid, landmark, polarity, ",
+        ),
         (["bins"], TypeError, "a configuration must be a mapping of names to values, got ['bins']"),
-        ({"sensor": [34]}, TypeError, "`sensor` must be two whole numbers (width, height), got (34,)"),
+        (
+            {"sensor": [34]},
+            TypeError,
+            "`sensor` must be two whole numbers (width, height), got (34,)",
+        ),
     ],
 )
 def test_from_dict_refuses(values, error, message):

@@ -6,7 +6,8 @@ import pytest
 from async_tnt import TNTConfig, TNTVolume
 
 RAW = TNTConfig(transform="none", window_us=800, bins=9)
-TNT = TNTConfig(landmark="center", window_us=800, bins=9, t_max=8.0)  # dt = 100 us: one bin, TNT time 1
+# dt = 100 us: one bin, TNT time 1
+TNT = TNTConfig(landmark="center", window_us=800, bins=9, t_max=8.0)
 
 
 def volume_of(config, *events, start_us=0):
@@ -26,10 +27,16 @@ def cells(b, y, x, value=0.25):
 
 
 TWO = [(100, 10, 16, 1), (200, 14, 16, 1)]
-BY_HAND = {  # configuration, events after the window's start, cells; kept, dropped outside, dropped at TNT time zero
+# configuration, events after the window's start, cells; kept, dropped outside, dropped at TNT time
+# zero
+BY_HAND = {
     "the first event of a raw window is in bin 0": (RAW, [(0, 5, 7, 1)], {(0, 7, 5): 1.0}),
     "polarity -1 is OFF": (RAW, [(0, 3, 4, -1)], {(0, 4, 3): -1.0}),
-    "between two bins by its distance": (RAW, [(225, 5, 7, 0)], {(2, 7, 5): -0.75, (3, 7, 5): -0.25}),
+    "between two bins by its distance": (
+        RAW,
+        [(225, 5, 7, 0)],
+        {(2, 7, 5): -0.75, (3, 7, 5): -0.25},
+    ),
     "OFF bins follow all ON bins": (
         RAW.replace(polarity="split"),
         [(100, 3, 4, 1), (225, 5, 7, 0)],
@@ -47,7 +54,12 @@ BY_HAND = {  # configuration, events after the window's start, cells; kept, drop
         {(2, 14, 18): 9 / 16, (2, 14, 19): 3 / 16, (2, 15, 18): 3 / 16, (2, 15, 19): 1 / 16},
     ),
     # tau = 1: u = x; x = 33 lies on the border u = W - 1. A microsecond earlier it is past it.
-    "the border itself is inside": (TNT, [(100, 33, 0, 1), (99, 33, 16, 1)], {(1, 0, 33): 1.0}, (1, 1, 0)),
+    "the border itself is inside": (
+        TNT,
+        [(100, 33, 0, 1), (99, 33, 16, 1)],
+        {(1, 0, 33): 1.0},
+        (1, 1, 0),
+    ),
     "TNT time zero is dropped": (TNT, [(0, 16, 16, 1)], {}, (0, 0, 1)),
     # Event 1 on itself: the centre. Event 2 (tau 2): centroid 12, u = (14 - 12) / 2 + 16.5 = 17.5.
     "running centres each event on the centroid so far": (
@@ -69,15 +81,21 @@ BY_HAND = {  # configuration, events after the window's start, cells; kept, drop
 def test_cells(name, start_us):
     """The same ones whenever the window starts: no microsecond is lost."""
     config, events, expected, *counted = BY_HAND[name]
-    volume = volume_of(config, *((start_us + t, x, y, p) for t, x, y, p in events), start_us=start_us)
+    volume = volume_of(
+        config, *((start_us + t, x, y, p) for t, x, y, p in events), start_us=start_us
+    )
     assert nonzero(volume.array) == expected
     counts = volume.counts
-    assert (counts.kept, counts.dropped_outside, counts.dropped_tau_zero) == (counted or [(len(events), 0, 0)])[0]
+    assert (counts.kept, counts.dropped_outside, counts.dropped_tau_zero) == (
+        counted or [(len(events), 0, 0)]
+    )[0]
 
 
 def test_last_microsecond_goes_almost_whole_to_the_last_bin():
     array = volume_of(RAW, (799, 33, 33, 1)).array
-    assert array[8, 33, 33] == np.float32(0.99) and array[7, 33, 33] == pytest.approx(0.01, abs=1e-7)
+    assert array[8, 33, 33] == np.float32(0.99) and array[7, 33, 33] == pytest.approx(
+        0.01, abs=1e-7
+    )
 
 
 def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
@@ -87,7 +105,9 @@ def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
     assert volume_of(config, (100_000_000, 33, 16, 1)).counts.kept == 1
 
 
-@pytest.mark.parametrize(("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"])
+@pytest.mark.parametrize(
+    ("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"]
+)
 def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
     """A pixel at the side of four is 1.5 from the centre. k microseconds before tau = 1 it is at
     1.5 / (1 - k / T), 4.17e-10 k past the border. In packets and one by one."""
@@ -100,7 +120,8 @@ def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
 
 
 def test_rounding_leaves_no_trace_at_the_border_nor_on_the_next_cell():
-    """At tau = 13 / 13 the first column is at -3.6e-15; pixel 49 of 50 is 1.1e-16 before the second column of two."""
+    """At tau = 13 / 13 the first column is at -3.6e-15; pixel 49 of 50 is 1.1e-16 before the second
+    column of two."""
     assert volume_of(TNT.replace(window_us=104), (13, 0, 33, 1)).counts.kept == 1
     times = TNTConfig(sensor=(50, 2), grid=(2, 2), window_us=40, representation="count_time")
     assert volume_of(times, (10, 49, 0, 1)).array[:2, 0].tolist() == [[0, 1], [0, 0.25]]
@@ -124,9 +145,11 @@ def test_remove_flow_displaces_an_event_from_the_line_itself():
 
 
 def test_times_in_a_window_of_events_are_scaled_by_the_newest():
-    """At TNT time 1 an event stays where it is, at 2 it is at half its distance from the centre; the last bin is the
-    newest event's."""
-    volume = TNTVolume(TNTConfig(sensor=(5, 3), grid=(5, 3), bins=3, t_max=2.0, landmark="center", window_events=3))
+    """At TNT time 1 an event stays where it is, at 2 it is at half its distance from the centre;
+    the last bin is the newest event's."""
+    volume = TNTVolume(
+        TNTConfig(sensor=(5, 3), grid=(5, 3), bins=3, t_max=2.0, landmark="center", window_events=3)
+    )
     volume.update(([100, 150], [4, 4], [1, 1], [1, 1]))
     expected = np.zeros((3, 3, 5))
     expected[2, 1, 3] = 1  # tau = 2; the first event, at tau = 0, is dropped
@@ -143,14 +166,18 @@ def test_times_in_a_window_of_events_are_scaled_by_the_newest():
 
 def test_no_duration_puts_the_newest_event_beyond_the_last_bin():  # the first OFF bin
     for bins, newest_us in [(4, 187), (16, 29), (24, 21), (24, 22)]:
-        volume = TNTVolume(TNTConfig(bins=bins, polarity="split", window_events=3, transform="none"))
+        volume = TNTVolume(
+            TNTConfig(bins=bins, polarity="split", window_events=3, transform="none")
+        )
         volume.update(([0, newest_us], [3, 4], [5, 6], [1, 1]))
         assert volume.array[:bins].sum() == 2 and not volume.array[bins:].any()
 
 
 def test_a_regressors_landmark_is_the_centre():
     """bins 5, t_max 2, window 1000: t = 500 has tau 1 and bin 2; t = 750 has tau 1.5 and bin 3."""
-    config = TNTConfig(sensor=(67, 34), grid=(34, 34), bins=5, window_us=1000, t_max=2.0, landmark="regressor")
+    config = TNTConfig(
+        sensor=(67, 34), grid=(34, 34), bins=5, window_us=1000, t_max=2.0, landmark="regressor"
+    )
     volume = TNTVolume(config, regressor=lambda raw: (10.5, 8.5))
     volume.open(0)
     volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))  # in grid pixels (10.5, 9), (13.5, 10)
@@ -161,7 +188,7 @@ def test_a_regressors_landmark_is_the_centre():
     assert (volume.counts.received, volume.counts.kept) == (2, 2)
 
 
-# -- images: a window of 40 us from 10 us on ----------------------------------------------------------------------
+# -- images: a window of 40 us from 10 us on -------------------------------------------------------
 
 
 def image_of(events, **settings):
@@ -177,8 +204,12 @@ def test_the_images_of_a_configuration_by_hand():
     n_on, t_on, n_off, t_off = image_of(events, representation="count_time", **settings)
     assert np.array_equal(n_on, on) and np.array_equal(n_off, off)
     assert t_on.tolist() == [[0, 0, 0], [0, 0, 0.5]] and t_off.tolist() == [[0, 0, 0.75], [0, 0, 0]]
-    assert image_of(events, representation="mean_time", **settings)[1].tolist() == [[0, 0, 0.5], [0, 0, 0]]
-    on, off = image_of(events, representation="time_surface", **settings)  # ages: 1, half and a quarter of the window
+    assert image_of(events, representation="mean_time", **settings)[1].tolist() == [
+        [0, 0, 0.5],
+        [0, 0, 0],
+    ]
+    # ages: 1, half and a quarter of the window
+    on, off = image_of(events, representation="time_surface", **settings)
     newest_on, newest_off = np.exp([-2.0, -1.0]), np.exp(-0.5)
     np.testing.assert_allclose(on, [[0, 0, 0], [newest_on[0], 0, newest_on[1]]], rtol=1e-6)
     np.testing.assert_allclose(off, [[0, 0, newest_off], [0, 0, 0]], rtol=1e-6)
@@ -190,4 +221,9 @@ def test_on_a_larger_grid_an_event_is_shared_by_the_cells_around_it():
     settings = {"grid": (4, 2)}
     n_on, t_on, *_ = image_of(events, representation="count_time", **settings)
     assert n_on[0].tolist() == [1, 0.5, 0.5, 0] and t_on[0].tolist() == [0.5, 0.25, 0.25, 0]
-    assert image_of(events, representation="mean_time", **settings)[0, 0].tolist() == [0.5, 0.25, 0.25, 0]
+    assert image_of(events, representation="mean_time", **settings)[0, 0].tolist() == [
+        0.5,
+        0.25,
+        0.25,
+        0,
+    ]

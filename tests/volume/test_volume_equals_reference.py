@@ -40,7 +40,9 @@ def reference_kept(events, config, start_us, landmark):
     return tnt_reference.tnt_coordinates(
         *(events[field] for field in "txy"),
         start_us=start_us,
-        window_us=tnt_reference.until_newest(events["t"], start_us) if config.window_events else config.window_us,
+        window_us=tnt_reference.until_newest(events["t"], start_us)
+        if config.window_events
+        else config.window_us,
         sensor=config.sensor,
         grid=config.grid,
         t_max=config.t_max,
@@ -65,7 +67,9 @@ def assert_equals_reference(volume, events, config, start_us, landmark=None):
 @given(st.data())
 def test_update_equals_batch_at_every_prefix(data):
     sensor, grid, bins, window_us, t_max = data.draw(st.sampled_from(SHAPES))
-    config = data.draw(st.sampled_from(CONFIGS)).replace(sensor=sensor, grid=grid, window_us=window_us, t_max=t_max)
+    config = data.draw(st.sampled_from(CONFIGS)).replace(
+        sensor=sensor, grid=grid, window_us=window_us, t_max=t_max
+    )
     if config.representation == "volume":
         config = config.replace(bins=bins)
     config = config.replace(window_events=data.draw(st.sampled_from([None, 25])))
@@ -80,7 +84,9 @@ def test_update_equals_batch_at_every_prefix(data):
 
 MODELS = [
     random_regressor_model(
-        TNTConfig(sensor=sensor, grid=grid, bins=bins, window_us=window_us, t_max=t_max, polarity=polarity),
+        TNTConfig(
+            sensor=sensor, grid=grid, bins=bins, window_us=window_us, t_max=t_max, polarity=polarity
+        ),
         regressor_widths=widths,
         sharpness=20.0,
     )
@@ -107,7 +113,9 @@ def test_with_a_landmark_network_it_equals_batch_about_the_landmark_of_torch(mod
 
 
 @pytest.mark.parametrize(
-    "config", CONFIGS, ids=lambda c: f"{c.representation}-{c.landmark}-{c.polarity}-{c.transform}-{c.remove_flow}"
+    "config",
+    CONFIGS,
+    ids=lambda c: f"{c.representation}-{c.landmark}-{c.polarity}-{c.transform}-{c.remove_flow}",
 )
 def test_a_long_packet_equals_batch_and_its_cells_sum_to_the_events_kept(config):
     events = random_events(1500, seed=1)
@@ -118,7 +126,8 @@ def test_a_long_packet_equals_batch_and_its_cells_sum_to_the_events_kept(config)
 
 
 def test_opposite_events_cancel_without_a_trace():
-    """float32 sums would be off by their rounding here: 1000 ON events, then 999 OFF events, at one place."""
+    """float32 sums would be off by their rounding here: 1000 ON events, then 999 OFF events, at one
+    place."""
     n = 1000
     events = random_events(2 * n - 1, seed=2, duration_us=90_000)
     events["x"], events["y"] = 20, 21

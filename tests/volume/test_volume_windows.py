@@ -31,7 +31,9 @@ def test_window_is_half_open(landmark):
 
 
 @pytest.mark.parametrize("landmark", ["center", "window"])
-@pytest.mark.parametrize("update", [TNTVolume.update, lambda volume, events: volume.update_one(*events[0].tolist())])
+@pytest.mark.parametrize(
+    "update", [TNTVolume.update, lambda volume, events: volume.update_one(*events[0].tolist())]
+)
 def test_a_window_without_events_is_not_closed_but_left(update, landmark):
     volume = opened(CONFIG.replace(landmark=landmark))
     first, second = events_of([5_000], [3], [3], [1]), events_of([7_000], [3], [3], [1])
@@ -59,7 +61,9 @@ def test_what_is_refused():
         TNTVolume(CONFIG).open(-1)
     with pytest.raises(TypeError, match=r"`start_us` must be a whole number, got 0\.5"):
         TNTVolume(CONFIG).open(0.5)
-    with pytest.raises(ValueError, match=r"`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"):
+    with pytest.raises(
+        ValueError, match=r"`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"
+    ):
         _ = TNTVolume(CONFIG).flow
 
 
@@ -76,15 +80,21 @@ def test_the_replay_buffer_grows_and_loses_nothing():
 
 def test_a_clock_that_stands_still_is_not_stored_without_end(monkeypatch):
     monkeypatch.setattr("async_tnt.volume_state.MAX_STORED", 5_000)
-    volume, packet = opened(CONFIG.replace(landmark="window")), random_events(3_000, seed=10, duration_us=1000)
+    volume, packet = (
+        opened(CONFIG.replace(landmark="window")),
+        random_events(3_000, seed=10, duration_us=1000),
+    )
     volume.update(packet)
     before = volume.array.tobytes(), volume.counts
-    with pytest.raises(ValueError, match=r"a window must have at most 5000 events .*, got 6000: shorten `window_us`"):
+    with pytest.raises(
+        ValueError,
+        match=r"a window must have at most 5000 events .*, got 6000: shorten `window_us`",
+    ):
         volume.update(packet)
     assert (volume.array.tobytes(), volume.counts) == before
 
 
-# -- a regressor that is missing, out of place, fails, or returns what cannot be a landmark ----------------------
+# -- a regressor that is missing, out of place, fails, or returns what cannot be a landmark --------
 
 
 @pytest.mark.parametrize(
@@ -97,14 +107,24 @@ def test_a_clock_that_stands_still_is_not_stored_without_end(monkeypatch):
             "`regressor` is missing: landmark='regressor', transform='tnt' needs a callable",
         ),
         (OF_REGRESSOR, (16.5, 16.5), TypeError, "`regressor` must be callable, got tuple"),
-        (TNTConfig(), brightest, ValueError, '`regressor` needs landmark="regressor" and transform="tnt", got'),
+        (
+            TNTConfig(),
+            brightest,
+            ValueError,
+            '`regressor` needs landmark="regressor" and transform="tnt", got',
+        ),
     ],
 )
 def test_regressor_and_landmark_go_together(config, regressor, error, message):
-    for make in (TNTVolume, lambda config, **settings: Processor(config, classifier=total_and_size, **settings)):
+    for make in (
+        TNTVolume,
+        lambda config, **settings: Processor(config, classifier=total_and_size, **settings),
+    ):
         with pytest.raises(error, match=f"^{re.escape(message)}"):
             make(config, regressor=regressor)
-    with pytest.raises(ValueError, match=r'^the model has no regressor: that needs landmark="regressor" and trans'):
+    with pytest.raises(
+        ValueError, match=r'^the model has no regressor: that needs landmark="regressor" and trans'
+    ):
         CompiledRegressor(random_model())
 
 
@@ -112,9 +132,21 @@ def test_regressor_and_landmark_go_together(config, regressor, error, message):
     ("answer", "error", "message"),
     [
         (None, ValueError, "`regressor` must return two numbers (x, y) in grid pixels, got None"),
-        (np.zeros((2, 2)), ValueError, "`regressor` must return two numbers (x, y) in grid pixels, got array([[0."),
-        ((10**400, 1), ValueError, "`regressor` must return two numbers (x, y) in grid pixels, got (1000"),
-        ((float("nan"), 1), ValueError, "`regressor` must return a finite landmark, got (nan, 1.0)"),
+        (
+            np.zeros((2, 2)),
+            ValueError,
+            "`regressor` must return two numbers (x, y) in grid pixels, got array([[0.",
+        ),
+        (
+            (10**400, 1),
+            ValueError,
+            "`regressor` must return two numbers (x, y) in grid pixels, got (1000",
+        ),
+        (
+            (float("nan"), 1),
+            ValueError,
+            "`regressor` must return a finite landmark, got (nan, 1.0)",
+        ),
         (RuntimeError("no memory"), RuntimeError, "no memory"),
     ],
     ids=lambda value: str(value)[:20],
@@ -142,7 +174,9 @@ def test_without_a_landmark_the_window_stays_as_it_was(answer, error, message):
     fails = False
     assert volume.array.tobytes() == untroubled.array.tobytes()
     volume.update(events[25:]), untroubled.update(events[25:])
-    assert volume.array.tobytes() == untroubled.array.tobytes() and volume.counts == untroubled.counts
+    assert (
+        volume.array.tobytes() == untroubled.array.tobytes() and volume.counts == untroubled.counts
+    )
     fails = True
     volume.reset()  # works without a landmark
     assert volume.n_events == 0 and not volume.array.any()

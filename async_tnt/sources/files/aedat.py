@@ -1,21 +1,26 @@
 """AEDAT files (`.aedat`) of jAER, version 2.0, and of cAER, version 3.1; `aedat4` reads version 4.
 
-All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that begin with `#`, each ended by \\r\\n.
+All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that begin with `#`, each
+ended by \\r\\n.
 
-2.0   events, big-endian: an address and a time, in microseconds, of 32 bits each. What an address means depends on the
-      camera, which `# AEChip:` names; a file that names none is of a DVS128, or of some part of one.
+2.0   events, big-endian: an address and a time, in microseconds, of 32 bits each. What an address
+      means depends on the camera, which `# AEChip:` names; a file that names none is of a DVS128,
+      or of some part of one.
 
           DVS128   bit 0: 0 is ON; 1-7: x; 8-14: y; 15: not a pixel
           DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
 
-      Addresses count x from the right and y from the bottom (jAER, DavisBaseCamera and DVS128): both are turned round.
-      Of a file that names no camera they are x and y; if the caller states the size of a DAVIS, it is of one, such as
-      v2e writes. The clock wraps after 71.6 minutes; times are unwrapped.
-3.1   up to `#!END-HEADER`, with a line `#Source 1: DVS128`; then packets, little-endian, of 28 bytes of header (16 bits
-      each: type, source; 32 bits each: size of an event, place of the time in it, overflows of the clock, capacity,
-      events, valid events) and their events. Those of type 1 are of pixels:
+      Addresses count x from the right and y from the bottom (jAER, DavisBaseCamera and DVS128):
+      both are turned round. Of a file that names no camera they are x and y; if the caller states
+      the size of a DAVIS, it is of one, such as v2e writes. The clock wraps after 71.6 minutes;
+      times are unwrapped.
+3.1   up to `#!END-HEADER`, with a line `#Source 1: DVS128`; then packets, little-endian, of 28
+      bytes of header (16 bits each: type, source; 32 bits each: size of an event, place of the time
+      in it, overflows of the clock, capacity, events, valid events) and their events. Those of type
+      1 are of pixels:
 
-          bit 0: valid; 1: polarity; 2-16: y; 17-31: x; then the time, 31 bits, to which each overflow adds 2**31 us
+          bit 0: valid; 1: polarity; 2-16: y; 17-31: x; then the time, 31 bits, to which each
+          overflow adds 2**31 us
 
 References
 ----------
@@ -33,7 +38,14 @@ from typing import BinaryIO
 import numpy as np
 
 from async_tnt.kernels.evt import unwrap_times
-from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, ReadOptions, Source, is_text, valid_events
+from async_tnt.sources.files.source import (
+    BLOCK_EVENTS,
+    CorruptData,
+    ReadOptions,
+    Source,
+    is_text,
+    valid_events,
+)
 from async_tnt.sources.sensor import Sensor
 
 SENSORS: dict[str, Sensor] = {
@@ -46,7 +58,11 @@ SENSORS: dict[str, Sensor] = {
     "DAVIS640": (640, 480),
 }
 """Name of a camera, in capitals, without the letter of a version -> its pixels."""
-DAVIS_SIZES = {size: name for name, size in SENSORS.items() if name.startswith("DAVIS") and size != SENSORS["DVS128"]}
+DAVIS_SIZES = {
+    size: name
+    for name, size in SENSORS.items()
+    if name.startswith("DAVIS") and size != SENSORS["DVS128"]
+}
 """(width, height) -> the DAVIS that has as many pixels; 128x128 are a DVS128's."""
 EVENT_BYTES = 8
 MAX_LINE, MAX_LINES = 1 << 16, 4096
@@ -65,8 +81,10 @@ class Aedat2Source(Source):
         if not camera:
             camera = DAVIS_SIZES.get(options.sensor, "") if options.sensor else ""
             self.sensor_hint = (
-                f"addresses are read as those of a {camera or 'DVS128'}, as the header names no other camera; if it is "
-                "of a DAVIS, a header line such as `# AEChip: DAVIS346` or its size as `sensor` says so"
+                f"addresses are read as those of a {camera or 'DVS128'}, as the header names no "
+                "other camera; if it is "
+                "of a DAVIS, a header line such as `# AEChip: DAVIS346` or its size as `sensor` "
+                "says so"
             )
         self._davis: Sensor | None = SENSORS[camera] if camera.startswith("DAVIS") else None
 
@@ -75,17 +93,25 @@ class Aedat2Source(Source):
         with self.path.open("rb") as file:
             file.seek(self._start)
             while data := file.read(BLOCK_EVENTS * EVENT_BYTES):
-                words = np.frombuffer(data, ">u4", len(data) // EVENT_BYTES * 2).astype(np.int64).reshape(-1, 2)
+                words = (
+                    np.frombuffer(data, ">u4", len(data) // EVENT_BYTES * 2)
+                    .astype(np.int64)
+                    .reshape(-1, 2)
+                )
                 address, t = words[:, 0], np.ascontiguousarray(words[:, 1])
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(PERIOD_US)))
                 x, y, p, is_pixel = self._pixels(address)
-                events, _ = valid_events(t[is_pixel], x[is_pixel], y[is_pixel], p[is_pixel])  # valid but for pixels
+                # valid but for pixels
+                events, _ = valid_events(t[is_pixel], x[is_pixel], y[is_pixel], p[is_pixel])
                 yield events
                 if n_left := len(data) % EVENT_BYTES:
-                    raise CorruptData(f"the file ends {n_left} bytes into an event, which has {EVENT_BYTES}")
+                    raise CorruptData(
+                        f"the file ends {n_left} bytes into an event, which has {EVENT_BYTES}"
+                    )
 
     def _pixels(self, address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """x, y, p, and whether the event is a pixel's; x or y is below 0 in an address of another camera."""
+        """x, y, p, and whether the event is a pixel's; x or y is below 0 in an address of another
+        camera."""
         if self._davis is not None:
             width, height = self._davis
             x = width - 1 - (address >> 12 & 0x3FF)
@@ -114,12 +140,17 @@ class Aedat3Source(Source):
                 if not (head := file.read(28)):
                     return
                 if len(head) < 28:
-                    raise CorruptData(f"the file ends {len(head)} bytes into the header of a packet, which has 28")
+                    raise CorruptData(
+                        f"the file ends {len(head)} bytes into the header of a packet, which has 28"
+                    )
                 kind, _, size, time_at, n_overflows, _, n_events, _ = struct.unpack("<2h6i", head)
                 is_pixels = kind == 1
-                if min(kind, size, n_overflows, n_events) < 0 or (is_pixels and (size, time_at) != (EVENT_BYTES, 4)):
+                if min(kind, size, n_overflows, n_events) < 0 or (
+                    is_pixels and (size, time_at) != (EVENT_BYTES, 4)
+                ):
                     raise CorruptData(
-                        f"the packet at byte {place} has no valid header: type {kind}, {n_events} events of {size} "
+                        f"the packet at byte {place} has no valid header: type {kind}, {n_events} "
+                        f"events of {size} "
                         f"bytes, time at byte {time_at}, {n_overflows} overflows"
                     )
                 if is_pixels:
@@ -127,7 +158,9 @@ class Aedat3Source(Source):
                 else:
                     start, n_bytes, end = file.tell(), n_events * size, file.seek(0, 2)
                     if start + n_bytes > end:
-                        raise CorruptData(f"the file ends {end - start} bytes into a packet, which has {n_bytes}")
+                        raise CorruptData(
+                            f"the file ends {end - start} bytes into a packet, which has {n_bytes}"
+                        )
                     file.seek(start + n_bytes)
 
 
@@ -135,7 +168,9 @@ def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterato
     while n_events:
         place, n = file.tell(), min(n_events, BLOCK_EVENTS)
         data = file.read(n * EVENT_BYTES)
-        words = np.frombuffer(data, "<u4", len(data) // EVENT_BYTES * 2).astype(np.int64).reshape(-1, 2)
+        words = (
+            np.frombuffer(data, "<u4", len(data) // EVENT_BYTES * 2).astype(np.int64).reshape(-1, 2)
+        )
         words = words[words[:, 0] & 1 == 1]
         what, t = words.T
         t = np.where(t >> 31 == 0, t + (n_overflows << 31), -1)  # a negative time is not valid
@@ -150,14 +185,17 @@ def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterato
 
 
 def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str, int]:
-    """The camera that the header names ("": none) and its length: up to the line `end`, or while lines begin with #."""
+    """The camera that the header names ("": none) and its length: up to the line `end`, or while
+    lines begin with #."""
     names: list[str] = []
     with path.open("rb") as file:
         for _ in range(MAX_LINES):
             place = file.tell()
             line = file.readline(MAX_LINE)
             # events follow without a mark, and their first byte may be a #
-            is_comment = line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
+            is_comment = (
+                line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
+            )
             if end is None and not is_comment:
                 return _camera(path, names), place
             if found := re.match(camera_line, line):
@@ -166,12 +204,20 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
                 return _camera(path, names), file.tell()
             if end is not None and not line.endswith(b"\n"):
                 break
-    raise ValueError(f"{path}: the header must end within {MAX_LINES} lines{f' by {end.decode()}' if end else ''}")
+    raise ValueError(
+        f"{path}: the header must end within {MAX_LINES} "
+        f"lines{f' by {end.decode()}' if end else ''}"
+    )
 
 
 def _camera(path: Path, names: list[str]) -> str:
-    """The first of the named cameras that is known; such a name is `eu.seebetter.ini.chips.davis.DAVIS240C`, too."""
-    known = [camera for name in names for camera in SENSORS if camera in name.rpartition(".")[2].upper()]
+    """The first of the named cameras that is known; such a name is
+    `eu.seebetter.ini.chips.davis.DAVIS240C`, too."""
+    known = [
+        camera for name in names for camera in SENSORS if camera in name.rpartition(".")[2].upper()
+    ]
     if names and not known:
-        raise ValueError(f"{path}: the camera must be one of {', '.join(SENSORS)}, got {', '.join(names)[:80]!r}")
+        raise ValueError(
+            f"{path}: the camera must be one of {', '.join(SENSORS)}, got {', '.join(names)[:80]!r}"
+        )
     return known[0] if known else ""

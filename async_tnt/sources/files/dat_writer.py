@@ -13,11 +13,17 @@ from typing import Self
 import numpy as np
 
 from async_tnt.files import naming
-from async_tnt.sources.files.prophesee import DAT_EVENT_BYTES, DAT_PERIOD_US, dat_header, dat_records
+from async_tnt.sources.files.prophesee import (
+    DAT_EVENT_BYTES,
+    DAT_PERIOD_US,
+    dat_header,
+    dat_records,
+)
 from async_tnt.sources.sensor import Sensor
 
 LONGEST_STEP_US = DAT_PERIOD_US // 2 - 1
-"""Microseconds from an event to the next, forward or back: readers take more for a wrap of the clock."""
+"""Microseconds from an event to the next, forward or back: readers take more for a wrap of the
+clock."""
 
 
 @dataclass
@@ -108,7 +114,9 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
             return 0
         since_first = t_us - self._about.first_us
         step = np.diff(t_us, prepend=self._previous_us)
-        is_odd = (since_first < 0) | (since_first >= DAT_PERIOD_US) | (np.abs(step) > LONGEST_STEP_US)
+        is_odd = (
+            (since_first < 0) | (since_first >= DAT_PERIOD_US) | (np.abs(step) > LONGEST_STEP_US)
+        )
         return int(is_odd.argmax()) if is_odd.any() else len(t_us)
 
     def _begin(self, t_us: np.ndarray) -> None:

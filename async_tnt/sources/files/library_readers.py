@@ -1,23 +1,27 @@
-"""AEDAT4 and ES files, read by faery, and HDF5 files, read by h5py, all in a worker process (`worker_source.py`).
+"""AEDAT4 and ES files, read by faery, and HDF5 files, read by h5py, all in a worker process
+(`worker_source.py`).
 
-This module is what the worker imports: nothing that takes time. (`ros_reader.py` is another.) A reader is a function
-of a path. It yields the sensor, (width, height) or None, then blocks of events, each as a list of four columns of
-integers: t, x, y, p. It raises an exception where the file cannot be read on.
+This module is what the worker imports: nothing that takes time. (`ros_reader.py` is another.) A
+reader is a function of a path. It yields the sensor, (width, height) or None, then blocks of
+events, each as a list of four columns of integers: t, x, y, p. It raises an exception where the
+file cannot be read on.
 
 HDF5 files of three layouts are read:
 
-DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add to t. `ms_to_idx` is not needed here.
+DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add to t. `ms_to_idx` is
+             not needed here.
 RVT, eTraM   the same without t_offset; events/width, height: the sensor.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
 
-HDF5 does not include the filters that compress two of these: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's
-by ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
+HDF5 does not include the filters that compress two of these: DSEC's by Blosc (`pip install
+hdf5plugin`), Metavision's by ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to
+name).
 
 References
 ----------
-Gehrig, Aarents, Gehrig, Scaramuzza 2021, DSEC: A Stereo Event Camera Dataset for Driving Scenarios, RA-L.
-Gehrig, Scaramuzza 2023, Recurrent Vision Transformers for Object Detection with Event Cameras, CVPR: its data sets.
-Prophesee, Metavision documentation: HDF5 event file format.
+Gehrig, Aarents, Gehrig, Scaramuzza 2021, DSEC: A Stereo Event Camera Dataset for Driving Scenarios,
+RA-L. Gehrig, Scaramuzza 2023, Recurrent Vision Transformers for Object Detection with Event
+Cameras, CVPR: its data sets. Prophesee, Metavision documentation: HDF5 event file format.
 """
 
 from __future__ import annotations
@@ -31,9 +35,11 @@ from typing import Any
 
 import numpy as np
 
-MAX_BYTES = 4 << 30  # of addresses; a block takes megabytes, but a damaged file may ask for anything
+# of addresses; a block takes megabytes, but a damaged file may ask for anything
+MAX_BYTES = 4 << 30
 BLOCK_EVENTS = 1 << 16
-CACHE_BYTES = 1 << 26  # of each data set: a chunk that does not fit is decompressed again for every block
+# of each data set: a chunk that does not fit is decompressed again for every block
+CACHE_BYTES = 1 << 26
 COLUMNS = ("t", "x", "y", "p")
 ES_SENSOR_AT = 16  # the byte of a file's header where width and height begin, 16 bits each
 MAX_SIDE = 1 << 16
@@ -48,7 +54,8 @@ _blocks: Iterator[Any] = iter(())  # of the file that this process reads
 
 
 def start(read: Reader, path: str) -> Any:
-    """Start to read a file, and return what comes first, its sensor; `next_block` then returns its events."""
+    """Start to read a file, and return what comes first, its sensor; `next_block` then returns its
+    events."""
     global _blocks
     _limit_memory()
     _blocks = read(path)
@@ -79,7 +86,7 @@ def _limit_memory() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
 
 
-# -- readers ---------------------------------------------------------------------------------------------
+# -- readers ---------------------------------------------------------------------------------------
 
 
 def read_aedat4(path: str) -> Iterator[Any]:
@@ -99,9 +106,11 @@ def read_aedat4(path: str) -> Iterator[Any]:
 
 
 def read_es(path: str) -> Iterator[Any]:
-    """Event Stream files (`.es`): DVS events, or ATIS events; of the latter, those of changing light.
+    """Event Stream files (`.es`): DVS events, or ATIS events; of the latter, those of changing
+    light.
 
-    faery drops the packet in which it finds damage, and says nothing of a file that ends within an event.
+    faery drops the packet in which it finds damage, and says nothing of a file that ends within an
+    event.
     """
     from faery.extension import es
 
@@ -133,7 +142,8 @@ def _es_columns(packet: np.ndarray, event_type: str, height: int) -> list[np.nda
 def _es_off_sensor(es: Any, path: str, n_read: int, height: int) -> Iterator[Any]:
     """The columns after the first `n_read` events of a file with events off its sensor.
 
-    faery reads such a file up to the first of them only. It reads a copy whose header states the largest sensor.
+    faery reads such a file up to the first of them only. It reads a copy whose header states the
+    largest sensor.
     """
     import shutil
     from tempfile import TemporaryDirectory
@@ -167,7 +177,8 @@ def read_hdf5(path: str) -> Iterator[Any]:
                 columns = [columns[0][name] for name in COLUMNS]
             if offset_us:
                 t = columns[0].astype(np.int64)
-                if columns[0].dtype.kind == "u":  # beyond int64: with the offset, too, it must stay negative
+                # beyond int64: with the offset, too, it must stay negative
+                if columns[0].dtype.kind == "u":
                     t[t < 0] = -1 - abs(offset_us)
                 columns[0] = t + offset_us
             yield columns
@@ -182,12 +193,21 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     else:
         what, sets = "CD/events", [_find(h5py, file, "CD/events")]
     if None in sets:
-        raise ValueError(f"expected events/t, x, y, p (DSEC, RVT) or CD/events (Metavision), got {sorted(file)[:8]}")
+        raise ValueError(
+            f"expected events/t, x, y, p (DSEC, RVT) or CD/events (Metavision), got "
+            f"{sorted(file)[:8]}"
+        )
     for data in [*sets, *([] if offset is None else [offset])]:
         if not isinstance(data, h5py.Dataset):
-            raise ValueError(f"{what} and `t_offset` must be data sets, but {data.name} is a {type(data).__name__}")
+            raise ValueError(
+                f"{what} and `t_offset` must be data sets, but {data.name} is a "
+                f"{type(data).__name__}"
+            )
         if data.is_virtual or data.id.get_create_plist().get_external_count():
-            raise ValueError(f"{data.name} must be stored in the file itself, but its values are kept in other files")
+            raise ValueError(
+                f"{data.name} must be stored in the file itself, but its values are kept in other "
+                "files"
+            )
     offset_us = 0 if offset is None else _offset_us(offset)
     shapes = {data.shape for data in sets}
     if len(shapes) != 1 or any(len(shape) != 1 for shape in shapes):
@@ -197,7 +217,10 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
         if not set(COLUMNS) <= set(types[0].names or ()):
             raise ValueError(f"CD/events must be records of t, x, y, p, got {types[0]}")
         types = [types[0][name] for name in COLUMNS]
-    if not all(dtype.kind in ("iub" if name == "p" else "iu") for name, dtype in zip(COLUMNS, types, strict=True)):
+    if not all(
+        dtype.kind in ("iub" if name == "p" else "iu")
+        for name, dtype in zip(COLUMNS, types, strict=True)
+    ):
         raise ValueError(f"{what} must be whole numbers, got {', '.join(map(str, types))}")
     for data in sets:
         _check_filters(h5py, data)
@@ -237,18 +260,26 @@ def _check_filters(h5py: Any, data: Any) -> None:
             import_module("hdf5plugin")  # registers its filters
         if not h5py.h5z.filter_avail(code):
             name = name.decode("ascii", "backslashreplace").split(";")[0] or "a filter"
-            hint = ECF_HINT if code == ECF else f"{name} (filter {code}), which is missing: {PLUGIN_HINT}"
+            hint = (
+                ECF_HINT
+                if code == ECF
+                else f"{name} (filter {code}), which is missing: {PLUGIN_HINT}"
+            )
             raise ValueError(f"its events are compressed by {hint}")
 
 
 def _check_complete(data: Any) -> None:
-    """Refuse a data set that was not all written: HDF5 would read zeros there, as many as the header claims."""
+    """Refuse a data set that was not all written: HDF5 would read zeros there, as many as the
+    header claims."""
     if data.chunks is None:
         needed, have, what = data.size * data.dtype.itemsize, data.id.get_storage_size(), "bytes"
     else:
         needed, have, what = -(-data.size // data.chunks[0]), data.id.get_num_chunks(), "chunks"
     if have < needed:
-        raise ValueError(f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} {what}")
+        raise ValueError(
+            f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} "
+            f"{what}"
+        )
 
 
 def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
@@ -261,7 +292,9 @@ def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
             raise ValueError(f"{side.name} must be one whole number, got {side}")
     width, height = (int(side[()].item()) for side in sides)
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ValueError(f"events/width and height must be in [1, {MAX_SIDE}], got {width} and {height}")
+        raise ValueError(
+            f"events/width and height must be in [1, {MAX_SIDE}], got {width} and {height}"
+        )
     return width, height
 
 
@@ -269,5 +302,9 @@ def _geometry(file: Any) -> tuple[int, int] | None:
     geometry = file.attrs.get("geometry")
     if isinstance(geometry, bytes):
         geometry = geometry.decode("ascii", "replace")
-    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", geometry) if isinstance(geometry, str) else None
+    match = (
+        re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", geometry)
+        if isinstance(geometry, str)
+        else None
+    )
     return (int(match[1]), int(match[2])) if match else None

@@ -6,15 +6,16 @@
     byte 3   bits 15-8 of the time
     byte 4   bits 7-0 of the time, in microseconds
 
-Events are in order of time. At each overflow row the camera's timer had lost 2^13 us: this row and every
-later one is that much later than stored. N-Caltech101 uses the same layout on a larger sensor.
+Events are in order of time. At each overflow row the camera's timer had lost 2^13 us: this row and
+every later one is that much later than stored. N-Caltech101 uses the same layout on a larger
+sensor.
 
 References
 ----------
-Orchard, Jayawant, Cohen, Thakor 2015, Converting Static Image Datasets to Spiking Neuromorphic Datasets
-Using Saccades, Frontiers in Neuroscience 9:437. The overflow rule is the one of the Python readers in use
-for the data set: the timer in the camera's own event words has 13 bits, and the marking row carries on from
-there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
+Orchard, Jayawant, Cohen, Thakor 2015, Converting Static Image Datasets to Spiking Neuromorphic
+Datasets Using Saccades, Frontiers in Neuroscience 9:437. The overflow rule is the one of the Python
+readers in use for the data set: the timer in the camera's own event words has 13 bits, and the
+marking row carries on from there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ OVERFLOW_US = 1 << 13
 def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
     """Read one recording in N-MNIST's format.
 
-    The format has no checksum. Damage that can be recognised: a file that ends inside an event, and a time earlier than
-    the one before it.
+    The format has no checksum. Damage that can be recognised: a file that ends inside an event, and
+    a time earlier than the one before it.
 
     Parameters
     ----------
@@ -46,8 +47,8 @@ def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
 
     Returns
     -------
-    Structured array of `EVENT_DTYPE`, in order of time, with any pixel up to 255: `open_recording` leaves out those off
-    the sensor. Overflow rows are already applied and removed.
+    Structured array of `EVENT_DTYPE`, in order of time, with any pixel up to 255: `open_recording`
+    leaves out those off the sensor. Overflow rows are already applied and removed.
 
     Raises
     ------
@@ -74,12 +75,16 @@ def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
     if len(backwards):
         bad = int(backwards[0]) + 1
         problem = (
-            f"event {bad}: `t` must never decrease, got {events['t'][bad]} us after {events['t'][bad - 1]} us "
+            f"event {bad}: `t` must never decrease, got {events['t'][bad]} us after "
+            f"{events['t'][bad - 1]} us "
             f"(byte {event_rows[bad] * BYTES_PER_EVENT})"
         )
     else:
         problem = (
-            f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got {len(raw)}: "
+            f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got "
+            f"{len(raw)}: "
             f"the file ends {n_left} bytes into row {n_rows}"
         )
-    raise ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. Fetch the file again.")
+    raise ValueError(
+        f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. Fetch the file again."
+    )

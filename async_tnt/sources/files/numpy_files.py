@@ -1,13 +1,15 @@
 """Recordings as NumPy files: `.npy` and `.npz`.
 
-`.npy`   a structured array with the fields t, x, y, p in any order (or other names of `event_forms`), or an (N, 4)
-         integer array of columns t, x, y, p. Memory-mapped, and read block by block.
-`.npz`   one such array under the name `events` (or the only array in the file), or four arrays t, x, y, p; optionally
-         `sensor` = (width, height). Read and checked as a whole; other arrays are not read.
+`.npy`   a structured array with the fields t, x, y, p in any order (or other names of
+         `event_forms`), or an (N, 4) integer array of columns t, x, y, p. Memory-mapped, and read
+         block by block.
+`.npz`   one such array under the name `events` (or the only array in the file), or four arrays t,
+         x, y, p; optionally `sensor` = (width, height). Read and checked as a whole; other arrays are not read.
 
-Times are integer microseconds; polarity is bool, 0/1 or -1/+1. Nothing is unpickled. An array is accepted only if its
-header fits the bytes that follow it: NumPy's own reader allocates the memory that a header claims, and reports a
-damaged one in several lines, some of which advise unpickling the file.
+Times are integer microseconds; polarity is bool, 0/1 or -1/+1. Nothing is unpickled. An array is
+accepted only if its header fits the bytes that follow it: NumPy's own reader allocates the memory
+that a header claims, and reports a damaged one in several lines, some of which advise unpickling
+the file.
 """
 
 from __future__ import annotations
@@ -47,12 +49,13 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
     Returns
     -------
-    An array of the type and shape that the header claims, which takes no memory, and whether it is in Fortran's order.
+    An array of the type and shape that the header claims, which takes no memory, and whether it is
+    in Fortran's order.
 
     Raises
     ------
-    ValueError : no header, one of Python objects, or of an array that does not fill the rest of the file. One line,
-        without the file's name.
+    ValueError : no header, one of Python objects, or of an array that does not fill the rest of the
+        file. One line, without the file's name.
     """
     start = file.read(8)
     if len(start) < 8 or not start.startswith(MAGIC):
@@ -61,24 +64,33 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
         with warnings.catch_warnings():  # Python's compiler has some for damaged literals
             warnings.simplefilter("ignore")
             is_v1 = start[6] == 1
-            read = np.lib.format.read_array_header_1_0 if is_v1 else np.lib.format.read_array_header_2_0
+            read = (
+                np.lib.format.read_array_header_1_0
+                if is_v1
+                else np.lib.format.read_array_header_2_0
+            )
             length = file.read(2 if is_v1 else 4)
             header = file.read(min(int.from_bytes(length, "little"), MAX_HEADER_BYTES))
             shape, is_fortran, dtype = read(BytesIO(length + header))
         claimed = np.broadcast_to(np.empty((), dtype), shape)
-    except Exception:  # NumPy evaluates it as a Python literal: SyntaxError, TokenError, RecursionError, ...
+    # NumPy evaluates it as a Python literal: SyntaxError, TokenError, RecursionError, ...
+    except Exception:
         raise ValueError("its header does not describe an array") from None
     if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are not unpickled; save it as an array of numbers")
+        raise ValueError(
+            "it holds Python objects, which are not unpickled; save it as an array of numbers"
+        )
     if math.prod(shape) * dtype.itemsize != size - file.tell() or dtype.subdtype is not None:
         raise ValueError(
-            f"its header claims an array of {str(dtype)[:200]} in shape {shape}, but {size - file.tell()} bytes follow"
+            f"its header claims an array of {str(dtype)[:200]} in shape {shape}, but "
+            f"{size - file.tell()} bytes follow"
         )
     return claimed, is_fortran
 
 
 def map_npy(path: str | os.PathLike[str]) -> np.memmap:
-    """Map the array of a `.npy` file, read-only; a ValueError if it is damaged or a pointer of Git LFS."""
+    """Map the array of a `.npy` file, read-only; a ValueError if it is damaged or a pointer of Git
+    LFS."""
     path = user_path(path)
     refuse_git_lfs(path)
     with open_regular(path) as file:
@@ -86,7 +98,9 @@ def map_npy(path: str | os.PathLike[str]) -> np.memmap:
             claimed, is_fortran = read_npy_header(file, os.fstat(file.fileno()).st_size)
         except ValueError as error:
             raise ValueError(f"{path}: not a readable NumPy file: {error}") from None
-        return np.memmap(file, claimed.dtype, "r", file.tell(), claimed.shape, "F" if is_fortran else "C")
+        return np.memmap(
+            file, claimed.dtype, "r", file.tell(), claimed.shape, "F" if is_fortran else "C"
+        )
 
 
 class NpySource(Source):
@@ -121,10 +135,14 @@ def open_npz(path: Path, options: ReadOptions) -> Source:
         with zipfile.ZipFile(path) as archive:
             members = _members(archive)
             sensor = _sensor(_read(archive, members.pop("sensor"))) if "sensor" in members else None
-            columns = _columns(options.columns, *(_read(archive, info) for info in _event_members(members)))
+            columns = _columns(
+                options.columns, *(_read(archive, info) for info in _event_members(members))
+            )
         sizes = [len(column) for column in columns]
         if len(set(sizes)) != 1:
-            raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}")
+            raise ValueError(
+                f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}"
+            )
         (events,) = valid_blocks([columns])
     except Exception as error:  # a damaged archive raises exceptions of any type
         raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
@@ -132,12 +150,15 @@ def open_npz(path: Path, options: ReadOptions) -> Source:
 
 
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """The files of an archive by their names without `.npy`; a ValueError where two have the same name."""
+    """The files of an archive by their names without `.npy`; a ValueError where two have the same
+    name."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in archive.infolist():
         name = info.filename.removesuffix(".npy")
         if name in members:
-            raise ValueError(f"it holds the array {short(name)} more than once; leave out all but one")
+            raise ValueError(
+                f"it holds the array {short(name)} more than once; leave out all but one"
+            )
         members[name] = info
     return members
 
@@ -146,7 +167,10 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     """An array in an archive."""
     name, size = info.filename, info.file_size
     if size > MAX_NPZ_BYTES:
-        raise ValueError(f"{name} takes {size:,} bytes; more than {MAX_NPZ_BYTES:,} can be read from a .npy file only")
+        raise ValueError(
+            f"{name} takes {size:,} bytes; more than {MAX_NPZ_BYTES:,} can be read from a .npy "
+            "file only"
+        )
     with archive.open(info) as file:
         try:
             claimed, is_fortran = read_npy_header(file, size)
@@ -155,7 +179,9 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
         data = file.read(claimed.nbytes)
     if len(data) != claimed.nbytes:
         raise ValueError(f"{name} ends before its array does")
-    return np.frombuffer(data, claimed.dtype).reshape(claimed.shape, order="F" if is_fortran else "C")
+    return np.frombuffer(data, claimed.dtype).reshape(
+        claimed.shape, order="F" if is_fortran else "C"
+    )
 
 
 def _event_members(members: dict[str, zipfile.ZipInfo]) -> list[zipfile.ZipInfo]:
@@ -173,12 +199,15 @@ def _sensor(array: np.ndarray) -> Sensor:
     sides = array.tolist() if array.shape == (2,) and array.dtype.kind in "iu" else None
     if sides is None or not 1 <= min(sides) <= max(sides) <= max(ANY_SENSOR):
         got = sides or f"shape {array.shape} of {array.dtype}"
-        raise ValueError(f"`sensor` must be two integers (width, height) in [1, {max(ANY_SENSOR)}], got {got}")
+        raise ValueError(
+            f"`sensor` must be two integers (width, height) in [1, {max(ANY_SENSOR)}], got {got}"
+        )
     return sides[0], sides[1]
 
 
 def _columns(order: str | None, *arrays: np.ndarray) -> Four:
-    """The columns t, x, y, p of one array of events, or of four arrays; whole numbers, of unchecked values.
+    """The columns t, x, y, p of one array of events, or of four arrays; whole numbers, of unchecked
+    values.
 
     Parameters
     ----------
@@ -188,23 +217,28 @@ def _columns(order: str | None, *arrays: np.ndarray) -> Four:
     if len(arrays) == 1 and (array.dtype.names is None or array.ndim == 0):
         if array.ndim != 2 or array.shape[1] != 4:
             raise ValueError(
-                "expected a structured array with fields t, x, y, p or an (N, 4) array of those columns, "
+                "expected a structured array with fields t, x, y, p or an (N, 4) array of those "
+                "columns, "
                 f"got shape {array.shape} of {array.dtype}"
             )
         arrays = _in_order(array, order) if array.dtype.kind in "iu" else tuple(array.T)
     columns = named_columns(arrays if len(arrays) > 1 else array) or (np.empty(0, np.int64),) * 4
-    if not all(c.ndim == 1 and c.dtype.kind in ("iub" if i == 3 else "iu") for i, c in enumerate(columns)):
+    if not all(
+        c.ndim == 1 and c.dtype.kind in ("iub" if i == 3 else "iu") for i, c in enumerate(columns)
+    ):
         t, x, y, p = (column[:0] if column.ndim == 1 else column for column in columns)
         checked_columns(t, x, y, p, ANY_SENSOR)  # raises an error that names what is wrong
     return columns
 
 
 def _in_order(table: np.ndarray, order: str | None) -> Four:
-    """The columns t, x, y, p of a table; a ValueError if they are seen to be in another order than stated."""
+    """The columns t, x, y, p of a table; a ValueError if they are seen to be in another order than
+    stated."""
     usual = "txyp"
     if order is None and (likely := likely_order(table, usual)) != usual:
         raise ValueError(
-            f"the columns are not {usual!r}; they look like {likely!r}: state their order with `columns`, or save a "
+            f"the columns are not {usual!r}; they look like {likely!r}: state their order with "
+            "`columns`, or save a "
             "structured array"
         )
     return event_columns(table, order or usual)

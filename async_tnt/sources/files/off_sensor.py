@@ -1,10 +1,11 @@
-"""Events off the sensor: left out and counted, unless there are so many that the recording is of another sensor.
+"""Events off the sensor: left out and counted, unless there are so many that the recording is of
+another sensor.
 
-A flipped bit on a cable, or a lost word of a stream, gives an event a pixel that the sensor does not have. Such an
-event says nothing, but those around it are good. Many of them mean something else: the recording is of another sensor
-than the one that is stated or given. They are many if there are more than FEW of them and more than SHARE of all
-events, or more than half of all. Where no sensor is known, only what no sensor can have is left out: pixels below 0 or
-beyond 65535.
+A flipped bit on a cable, or a lost word of a stream, gives an event a pixel that the sensor does
+not have. Such an event says nothing, but those around it are good. Many of them mean something
+else: the recording is of another sensor than the one that is stated or given. They are many if
+there are more than FEW of them and more than SHARE of all events, or more than half of all. Where
+no sensor is known, only what no sensor can have is left out: pixels below 0 or beyond 65535.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ class SensorCheck:
         self._first_off = ""
 
     def off(self, events: np.ndarray) -> np.ndarray:
-        """Count these next events, of `EVENT_DTYPE` or `WIDE_DTYPE`. Returns which of them lie off the sensor: bool."""
+        """Count these next events, of `EVENT_DTYPE` or `WIDE_DTYPE`. Returns which of them lie off
+        the sensor: bool."""
         width, height = self._sensor or ANY_SENSOR
         x = events["x"]
         y = events["y"]
@@ -62,7 +64,8 @@ class SensorCheck:
 
     @property
     def is_another_sensor(self) -> bool:
-        """Whether so many of the events seen so far are off the sensor that it cannot be the recording's."""
+        """Whether so many of the events seen so far are off the sensor that it cannot be the
+        recording's."""
         many = self.n_off > FEW and self.n_off > SHARE * self.n_events
         return many or 2 * self.n_off > self.n_events
 
@@ -74,14 +77,16 @@ class SensorCheck:
             where = f"off the {self._sensor[0]} x {self._sensor[1]} sensor"
         lie = "lies" if self.n_off == 1 else "lie"
         first = "it is" if self.n_off == 1 else "the first is"
-        return f"{self.n_off:,} of {self.n_events:,} events {lie} {where}; {first} {self._first_off}"
+        return (
+            f"{self.n_off:,} of {self.n_events:,} events {lie} {where}; {first} {self._first_off}"
+        )
 
 
 def likely_side(counts: np.ndarray) -> int:
     """The side of a sensor, in pixels, from the number of events at each of its columns (or rows).
 
-    It is the largest column that has an event, plus 1, but for strays: columns that lie beyond twice all others, and
-    have no more than SHARE of all events.
+    It is the largest column that has an event, plus 1, but for strays: columns that lie beyond
+    twice all others, and have no more than SHARE of all events.
 
     Examples
     --------

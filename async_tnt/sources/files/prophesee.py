@@ -1,10 +1,13 @@
-"""Prophesee's files: RAW (`.raw`) in EVT2, EVT2.1 and EVT3, and DAT (`.dat`), with the header they share.
+"""Prophesee's files: RAW (`.raw`) in EVT2, EVT2.1 and EVT3, and DAT (`.dat`), with the header they
+share.
 
-The header is lines that begin with `% `. After it, a RAW file has words, which `kernels.evt` decodes; a DAT file has
+The header is lines that begin with `% `. After it, a RAW file has words, which `kernels.evt`
+decodes; a DAT file has
 
     two bytes              type of events (0x00 and 0x0C: pixels), size of one: 8
     then, little-endian    t: 32 bits of microseconds
-                           version 2: x: 14 bits, y: 14, p: 4;  version 1: x: 9, y: 8, p: 1, unused: 14
+                           version 2: x: 14 bits, y: 14, p: 4;  version 1: x: 9, y: 8, p: 1, unused:
+                                                                14
 
 DAT's clock of 32 bits wraps after 71.6 minutes; times are unwrapped.
 """
@@ -19,13 +22,28 @@ from typing import Any
 import numpy as np
 
 from async_tnt.events import empty_columns, structured
-from async_tnt.kernels.evt import INITIAL, UNPLACED, decode_evt2, decode_evt3, decode_evt21, unwrap_times
-from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, ReadOptions, Source, is_text, valid_events
+from async_tnt.kernels.evt import (
+    INITIAL,
+    UNPLACED,
+    decode_evt2,
+    decode_evt3,
+    decode_evt21,
+    unwrap_times,
+)
+from async_tnt.sources.files.source import (
+    BLOCK_EVENTS,
+    CorruptData,
+    ReadOptions,
+    Source,
+    is_text,
+    valid_events,
+)
 from async_tnt.sources.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
 CHUNK_BYTES = 1 << 18
-EVT_VERSIONS: dict[str, tuple[Any, np.dtype, int]] = {  # kernel, type of its words, bytes that belong together
+# kernel, type of its words, bytes that belong together
+EVT_VERSIONS: dict[str, tuple[Any, np.dtype, int]] = {
     "2": (decode_evt2, np.dtype("<u4"), 4),
     "2.1": (decode_evt21, np.dtype("<u4"), 8),
     "3": (decode_evt3, np.dtype("<u2"), 2),
@@ -36,7 +54,8 @@ DAT_PERIOD_US = 1 << 32
 DAT_SIDE = 1 << 14
 """Pixels of the longest side that version 2 can say."""
 DAT_PIXEL_EVENTS = (0x00, 0x0C)
-DAT_FIELDS = {"2": ((0, 14), (14, 14), (28, 4)), "1": ((0, 9), (9, 8), (17, 1))}  # x, y, p: first bit, bits
+# x, y, p: first bit, bits
+DAT_FIELDS = {"2": ((0, 14), (14, 14), (28, 4)), "1": ((0, 9), (9, 8), (17, 1))}
 _SIDE = re.compile(r"\d{1,5}")
 
 
@@ -65,7 +84,8 @@ class Header:
             if end < 0:
                 if len(data) < MAX_HEADER_BYTES:
                     raise ValueError(
-                        f"{path}: the file ends inside its header, in {line.decode(errors='replace')[:80]!r}"
+                        f"{path}: the file ends inside its header, in "
+                        f"{line.decode(errors='replace')[:80]!r}"
                     )
                 break
             self.length = end + 1
@@ -80,7 +100,8 @@ class Header:
 
     @property
     def t0_us(self) -> int:
-        """What faery subtracted from the times when it wrote the file; 0 if the header does not state it."""
+        """What faery subtracted from the times when it wrote the file; 0 if the header does not
+        state it."""
         t0 = self.fields.get("t0", "0")
         if not t0.isdecimal() or len(t0) > 18:
             raise ValueError(f"{self.path}: `% t0` must be whole microseconds, got {t0[:40]!r}")
@@ -90,12 +111,24 @@ class Header:
         if "geometry" in self.fields:
             sides = self.fields["geometry"].lower().split("x")
         else:
-            found = next((where for where in (self.options, self.fields) if {"width", "height"} <= where.keys()), None)
+            found = next(
+                (
+                    where
+                    for where in (self.options, self.fields)
+                    if {"width", "height"} <= where.keys()
+                ),
+                None,
+            )
             if found is None:
                 return None
             sides = [found["width"], found["height"]]
-        if len(sides) != 2 or not all(_SIDE.fullmatch(side) and 1 <= int(side) <= 1 << 16 for side in sides):
-            raise ValueError(f"{self.path}: the header's sensor must be two sizes in pixels, got {'x'.join(sides)!r}")
+        if len(sides) != 2 or not all(
+            _SIDE.fullmatch(side) and 1 <= int(side) <= 1 << 16 for side in sides
+        ):
+            raise ValueError(
+                f"{self.path}: the header's sensor must be two sizes in pixels, got "
+                f"{'x'.join(sides)!r}"
+            )
         return int(sides[0]), int(sides[1])
 
 
@@ -107,7 +140,8 @@ class EvtSource(Source):
         version = EVT_NAMES.get(header.format) or header.fields.get("evt", "").removesuffix(".0")
         if version not in EVT_VERSIONS:
             raise ValueError(
-                f"{path}: the header must say `% evt` 2.0, 2.1 or 3.0, or `% format` EVT2, EVT21 or EVT3; "
+                f"{path}: the header must say `% evt` 2.0, 2.1 or 3.0, or `% format` EVT2, EVT21 "
+                "or EVT3; "
                 f"got {header.fields.get('format') or header.fields.get('evt')!r}"
             )
         self.path = path
@@ -140,7 +174,10 @@ class EvtSource(Source):
                     yield events
                 place += len(chunk)
                 if len(chunk) % size:
-                    raise CorruptData(f"the file ends at byte {place}, {len(chunk) % size} bytes into a word of {size}")
+                    raise CorruptData(
+                        f"the file ends at byte {place}, {len(chunk) % size} bytes into a word of "
+                        f"{size}"
+                    )
         refuse_unplaced(state, n_events)
 
 
@@ -168,14 +205,19 @@ def decoded_words(
 def refuse_unplaced(state: np.ndarray, n_events: int) -> None:
     """A `CorruptData` if words had events, but none of these had a time and a row."""
     if state[UNPLACED] and n_events == 0:
-        raise CorruptData(f"{state[UNPLACED]} words of events have no time or no row: no TIME_HIGH or ADDR_Y before")
+        raise CorruptData(
+            f"{state[UNPLACED]} words of events have no time or no row: no TIME_HIGH or ADDR_Y "
+            "before"
+        )
 
 
 def dat_header(sensor: Sensor) -> bytes:
     """The first bytes of a DAT file of version 2, up to its first event."""
     width, height = sensor
     lines = ("Data file containing CD events", "Version 2", f"Height {height}", f"Width {width}")
-    return "".join(f"% {line}\n" for line in lines).encode() + bytes((DAT_PIXEL_EVENTS[-1], DAT_EVENT_BYTES))
+    return "".join(f"% {line}\n" for line in lines).encode() + bytes(
+        (DAT_PIXEL_EVENTS[-1], DAT_EVENT_BYTES)
+    )
 
 
 def dat_records(events: np.ndarray, t0_us: int) -> bytes:
@@ -195,7 +237,9 @@ def dat_records(events: np.ndarray, t0_us: int) -> bytes:
     if is_outside.any():
         i = int(is_outside.argmax())
         end_us = t0_us + DAT_PERIOD_US
-        raise ValueError(f"`t` must be in [{t0_us}, {end_us}) for a DAT file, got {t[i] + t0_us} at event {i}")
+        raise ValueError(
+            f"`t` must be in [{t0_us}, {end_us}) for a DAT file, got {t[i] + t0_us} at event {i}"
+        )
     words = np.empty((len(events), 2), "<u4")
     words[:, 0] = t
     x, y, p = (events[name].astype(np.uint32) for name in "xyp")
@@ -218,7 +262,8 @@ class DatSource(Source):
             kind = file.read(2)
         if len(kind) < 2 or kind[0] not in DAT_PIXEL_EVENTS or kind[1] != DAT_EVENT_BYTES:
             raise ValueError(
-                f"{path}: after the header there must be a type of events, 0 or 12, and their size, 8; got {list(kind)}"
+                f"{path}: after the header there must be a type of events, 0 or 12, and their "
+                f"size, 8; got {list(kind)}"
             )
         self.path = path
         self.sensor = header.sensor
@@ -232,7 +277,9 @@ class DatSource(Source):
         with self.path.open("rb") as file:
             file.seek(self._start)
             while chunk := file.read(BLOCK_EVENTS * DAT_EVENT_BYTES):
-                words = np.frombuffer(chunk, "<u4", len(chunk) // DAT_EVENT_BYTES * 2).reshape(-1, 2)
+                words = np.frombuffer(chunk, "<u4", len(chunk) // DAT_EVENT_BYTES * 2).reshape(
+                    -1, 2
+                )
                 t = words[:, 0].astype(np.int64)
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(DAT_PERIOD_US)))
                 x, y, p = (words[:, 1] >> first & (1 << bits) - 1 for first, bits in self._fields)
@@ -240,6 +287,11 @@ class DatSource(Source):
                 yield events
                 n_read += len(events)
                 if problem:
-                    raise CorruptData(f"event {n_read} (byte {self._start + n_read * DAT_EVENT_BYTES}): {problem}")
+                    raise CorruptData(
+                        f"event {n_read} (byte {self._start + n_read * DAT_EVENT_BYTES}): {problem}"
+                    )
                 if n_left := len(chunk) % DAT_EVENT_BYTES:
-                    raise CorruptData(f"the file ends {n_left} bytes into event {n_read}, which has {DAT_EVENT_BYTES}")
+                    raise CorruptData(
+                        f"the file ends {n_left} bytes into event {n_read}, which has "
+                        f"{DAT_EVENT_BYTES}"
+                    )

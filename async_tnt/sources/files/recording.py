@@ -1,7 +1,8 @@
 """A recording of any known format, as packets of events.
 
-Its reader is found by its suffix, and by its first bytes where a suffix can mean several formats. A further format is
-one more entry in `READERS`: its suffix, and a function of a path and `ReadOptions` that returns a `Source`.
+Its reader is found by its suffix, and by its first bytes where a suffix can mean several formats. A
+further format is one more entry in `READERS`: its suffix, and a function of a path and
+`ReadOptions` that returns a `Source`.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ BY_FIRST_BYTES: dict[bytes, Reader] = {
 
 
 def _open_by_content(path: Path, options: ReadOptions) -> Source:
-    """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it is."""
+    """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it
+    is."""
     with path.open("rb") as file:
         start = file.read(4096)
     for magic, open_it in BY_FIRST_BYTES.items():
@@ -67,13 +69,16 @@ def _open_by_content(path: Path, options: ReadOptions) -> Source:
     if header.startswith(b"%") and path.suffix.lower() == ".dat":
         return DatSource(path, options)
     raise ValueError(
-        f"{path}: its first bytes are not those of a known format: expected a header of EVT (with a line `% evt 3.0` "
-        f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 or 4, ES or HDF5; got {start[:16]!r}"
+        f"{path}: its first bytes are not those of a known format: expected a header of EVT (with "
+        "a line `% evt 3.0` "
+        f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 or 4, ES or HDF5; "
+        f"got {start[:16]!r}"
     )
 
 
 def _open_nmnist(path: Path, options: ReadOptions) -> Source:
-    """N-MNIST's format, of its 34 x 34 pixels or of the stated sensor, which the file does not state."""
+    """N-MNIST's format, of its 34 x 34 pixels or of the stated sensor, which the file does not
+    state."""
     is_other = options.sensor not in (None, NMNIST_SENSOR)
     source = ArraySource(read_nmnist(path), None if is_other else NMNIST_SENSOR, NMNIST)
     if not is_other:
@@ -119,18 +124,21 @@ class _Totals:
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
-    Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` and `.npz`
-    are read block by block, so that memory does not grow with the file.
-    `counts`, `n_events`, `earliest_us`, `duration_us` and `len` take a pass over the file, unless one was made before.
+    Each iteration reads the file again and yields packets that the caller may change. All formats
+    but `.bin` and `.npz` are read block by block, so that memory does not grow with the file.
+    `counts`, `n_events`, `earliest_us`, `duration_us` and `len` take a pass over the file, unless
+    one was made before.
 
     Parameters
     ----------
     source : reads the file's events, block by block.
-    path, sensor, packet_events, strict, between_us, off_sensor : see `open_recording`; attributes, too.
+    path, sensor, packet_events, strict, between_us, off_sensor : see `open_recording`; attributes,
+        too.
 
     Attributes
     ----------
-    stated_sensor : (width, height) as the file or its format states it; `sensor` may come from the caller.
+    stated_sensor : (width, height) as the file or its format states it; `sensor` may come from the
+        caller.
     format : the name of the file's format.
     """
 
@@ -165,7 +173,8 @@ class Recording:
 
     @property
     def duration_us(self) -> int:
-        """Time from the earliest to the latest event, in microseconds; 0 for fewer than two events."""
+        """Time from the earliest to the latest event, in microseconds; 0 for fewer than two
+        events."""
         totals = self._counted()
         return totals.newest_us - totals.earliest_us
 
@@ -195,7 +204,9 @@ class Recording:
 
     def __repr__(self) -> str:
         # without counts, which may take a pass over gigabytes
-        return f"Recording({str(self.path)!r}, sensor {self.sensor}, packets of {self.packet_events})"
+        return (
+            f"Recording({str(self.path)!r}, sensor {self.sensor}, packets of {self.packet_events})"
+        )
 
     def _counted(self) -> _Totals:
         if self._totals is None:
@@ -242,7 +253,8 @@ class Recording:
                 raise CorruptData(f"{check}, where before it there were few")
             if check.is_another_sensor:
                 raise ValueError(
-                    f"{self.path}: {check}: the recording is of another sensor, or damaged{self._sensor_hint()}"
+                    f"{self.path}: {check}: the recording is of another sensor, or "
+                    f"damaged{self._sensor_hint()}"
                 )
             yield events[~off].astype(EVENT_DTYPE) if off.any() else events
 
@@ -291,28 +303,34 @@ def open_recording(
     topic: str | None = None,
     off_sensor: OffSensor | None = None,
 ) -> Recording:
-    """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it may mean several.
+    """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it
+    may mean several.
 
     Parameters
     ----------
     path : file to read; `~` is the home folder.
     packet_events : events per packet when iterating; the last packet has what is left.
-    strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises a
-        ValueError when reading gets there. Either way, a file that cannot be understood at all, a damaged `.bin` or
-        `.npz`, and a `.npy` of the wrong size are refused here, with a ValueError.
-    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has
-        this sensor instead of N-MNIST's 34 x 34.
-    off_sensor : what to do with events off the sensor. "warn" leaves them out and, at the end of the first pass, gives
-        one `EventsOffSensor` warning; "raise" raises a ValueError at the first one; "count" leaves them out without a
-        word. By default "raise" with `strict`, else "warn". `Recording.counts` has their number. More than 100 of
-        them that are more than 1 % of the events so far, or more than half of these, are a recording of another sensor:
-        a ValueError. (It is judged with every 65,536 events; later than in the first, it counts as damage.)
-    between_us : (start, end): only the events with start <= t < end. The file is read up to the first block of events
-        that all come later.
-    columns : the order of four columns, such as "xypt", in text and NumPy files that do not name them.
+    strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning;
+        True raises a ValueError when reading gets there. Either way, a file that cannot be
+        understood at all, a damaged `.bin` or `.npz`, and a `.npy` of the wrong size are refused
+        here, with a ValueError.
+    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps
+        its own. A `.bin` has this sensor instead of N-MNIST's 34 x 34.
+    off_sensor : what to do with events off the sensor. "warn" leaves them out and, at the end of
+        the first pass, gives one `EventsOffSensor` warning; "raise" raises a ValueError at the
+        first one; "count" leaves them out without a word. By default "raise" with `strict`, else
+        "warn". `Recording.counts` has their number. More than 100 of them that are more than 1 % of
+        the events so far, or more than half of these, are a recording of another sensor: a
+        ValueError. (It is judged with every 65,536 events; later than in the first, it counts as
+        damage.)
+    between_us : (start, end): only the events with start <= t < end. The file is read up to the
+        first block of events that all come later.
+    columns : the order of four columns, such as "xypt", in text and NumPy files that do not name
+        them.
     topic : the topic to read, of a ROS bag with several topics of events.
 
-    Options that a format does not need, because its files state the same or have no such thing, change nothing.
+    Options that a format does not need, because its files state the same or have no such thing,
+    change nothing.
 
     Returns
     -------
@@ -320,8 +338,8 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, one of which not even the first event can be read, a pointer of Git LFS,
-        a pipe or device, `packet_events` below 1, or another invalid option.
+    ValueError : unknown suffix, damaged file, one of which not even the first event can be read, a
+        pointer of Git LFS, a pipe or device, `packet_events` below 1, or another invalid option.
     OSError : missing, a folder, or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
@@ -339,21 +357,32 @@ def open_recording(
     options = ReadOptions(sensor, columns, topic)
     between_us = _checked_between(between_us)
     if off_sensor not in (None, *OFF_SENSOR):
-        raise ValueError(f"`off_sensor` must be one of {', '.join(OFF_SENSOR)}, got {short(off_sensor)}")
+        raise ValueError(
+            f"`off_sensor` must be one of {', '.join(OFF_SENSOR)}, got {short(off_sensor)}"
+        )
     off_sensor = ("raise" if strict else "warn") if off_sensor is None else off_sensor
     if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder, expected a recording; `async-tnt info` says what is in it")
+        raise IsADirectoryError(
+            f"{path} is a folder, expected a recording; `async-tnt info` says what is in it"
+        )
     refuse_git_lfs(path)
     if suffix not in READERS and path.exists():  # else it is missing, whatever its suffix
-        raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
+        raise ValueError(
+            f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}"
+        )
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
-        raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
+        raise ValueError(
+            f"{path}: a recording must be a file that can be read more than once, got a pipe or a "
+            "device"
+        )
     source = READERS.get(suffix, _open_by_content)(path, options)
     try:
         source.check_first()
     except CorruptData as error:
         raise ValueError(f"{path}: not one event can be read: {error}") from None
-    return Recording(path, source, source.sensor or options.sensor, packet_events, strict, between_us, off_sensor)
+    return Recording(
+        path, source, source.sensor or options.sensor, packet_events, strict, between_us, off_sensor
+    )
 
 
 def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | None:
@@ -363,7 +392,8 @@ def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | No
     is_pair = isinstance(between_us, (tuple, list, np.ndarray)) and len(between_us) == 2
     if not (is_pair and all(map(is_whole, between_us)) and between_us[0] < between_us[1]):
         raise ValueError(
-            f"`between_us` must be (start, end), whole microseconds with start < end, got {short(between_us)}"
+            f"`between_us` must be (start, end), whole microseconds with start < end, got "
+            f"{short(between_us)}"
         )
     return int(between_us[0]), int(between_us[1])
 

@@ -3,8 +3,8 @@
 Times are microseconds:
 
 EventPacket, evt3         the clock of the sensor: its low 24 bits are those of the words TIME_HIGH
-                          and TIME_LOW, and it is unwrapped every 16.8 s. Where the recording did not
-                          begin with the camera, the first time is what the clock showed, modulo
+                          and TIME_LOW, and it is unwrapped every 16.8 s. Where the recording did
+                          not begin with the camera, the first time is what the clock showed, modulo
                           16.8 s. `time_base` is not defined for this encoding.
 EventPacket, libcaer_cmp  `time_base` of the message, nanoseconds since 1970, rounded down to a
                           microsecond, and the time that the words add to it
@@ -63,5 +63,7 @@ class RosBagSource(WorkerSource):
 def open_ros_bag(path: Path, options: ReadOptions) -> Source:
     """Open a `.bag`, `.db3` or `.mcap` file."""
     if find_spec("rosbags") is None:
-        raise ImportError(f"{path}: ROS bags are read by rosbags, which is missing: pip install 'async_tnt[ros]'")
+        raise ImportError(
+            f"{path}: ROS bags are read by rosbags, which is missing: pip install 'async_tnt[ros]'"
+        )
     return RosBagSource(path, partial(read_bag, topic=options.topic), "ROS bag")

@@ -12,7 +12,8 @@ Messages are unpacked here, by these two layouts, rather than by code that rosba
 bag's own text. All numbers of ROS 1 follow one another in little-endian order. ROS 2 has CDR, in
 which each number begins at a multiple of its own size, and the first bytes name the order.
 
-    Header         ROS 1: seq u32, sec u32, nsec u32, frame_id; ROS 2: sec i32, nanosec u32, frame_id
+    Header         ROS 1: seq u32, sec u32, nsec u32, frame_id; ROS 2: sec i32, nanosec u32,
+                   frame_id
     EventPacket    Header, height u32, width u32, seq u64, time_base u64, encoding,
                    is_bigendian u8, events: bytes
     EventArray     Header, height u32, width u32, events: x u16, y u16, sec, nsec, polarity u8
@@ -86,8 +87,8 @@ def read_bag(path: str, topic: str | None) -> Iterator[Any]:
 
     Yields
     ------
-    First the sensor, (width, height) or None, and all topics as (name, type, messages, whether it is
-    read); then `Block` values.
+    First the sensor, (width, height) or None, and all topics as (name, type, messages, whether it
+    is read); then `Block` values.
     """
     bag, is_ros_1 = _open(path)
     try:
@@ -113,16 +114,21 @@ def _open(path: str) -> tuple[Any, bool]:
         from rosbags.rosbag2 import Reader as Reader2
 
         if start == SQLITE:
-            bag = Reader2.STORAGE_PLUGINS[".db3"](Path(quote(path)))  # which becomes a part of an URI
+            # which becomes a part of an URI
+            bag = Reader2.STORAGE_PLUGINS[".db3"](Path(quote(path)))
         elif start.startswith(MCAP):
             bag = Reader2.STORAGE_PLUGINS[".mcap"](Path(path))
         else:
-            raise ValueError(f"it must begin as a bag of ROS 1, an SQLite or an MCAP file does, got {start!r}")
+            raise ValueError(
+                f"it must begin as a bag of ROS 1, an SQLite or an MCAP file does, got {start!r}"
+            )
     bag.open()
     return bag, start.startswith(BAG_1)
 
 
-def _chosen(connections: list[Any], topic: str | None) -> tuple[list[Any], list[tuple[str, str, int, bool]]]:
+def _chosen(
+    connections: list[Any], topic: str | None
+) -> tuple[list[Any], list[tuple[str, str, int, bool]]]:
     """The connections of the topic to read, and all topics of the bag.
 
     Raises
@@ -133,16 +139,27 @@ def _chosen(connections: list[Any], topic: str | None) -> tuple[list[Any], list[
     for one in connections:
         counts[one.topic, one.msgtype] = counts.get((one.topic, one.msgtype), 0) + one.msgcount
     with_events = [name for name, kind in sorted(counts) if kind in MESSAGE_TYPES]
-    listed = ", ".join(f"{name} ({kind}, {n} messages)" for (name, kind), n in sorted(counts.items())) or "none"
+    listed = (
+        ", ".join(f"{name} ({kind}, {n} messages)" for (name, kind), n in sorted(counts.items()))
+        or "none"
+    )
     if not with_events:
-        raise ValueError(f"it must have a topic of {' or '.join(MESSAGE_TYPES)}; its topics are: {listed}")
+        raise ValueError(
+            f"it must have a topic of {' or '.join(MESSAGE_TYPES)}; its topics are: {listed}"
+        )
     if topic is None and len(with_events) > 1:
-        raise ValueError(f"several topics have events, choose one by `topic`: {', '.join(with_events)}")
+        raise ValueError(
+            f"several topics have events, choose one by `topic`: {', '.join(with_events)}"
+        )
     wanted = with_events[0] if topic is None else topic
     if wanted not in with_events:
-        raise ValueError(f"`topic` must be one of {', '.join(with_events)}, got {wanted!r}; all topics: {listed}")
+        raise ValueError(
+            f"`topic` must be one of {', '.join(with_events)}, got {wanted!r}; all topics: {listed}"
+        )
     chosen = [one for one in connections if one.topic == wanted and one.msgtype in MESSAGE_TYPES]
-    topics = [(*key, n, key[0] == wanted and key[1] in MESSAGE_TYPES) for key, n in sorted(counts.items())]
+    topics = [
+        (*key, n, key[0] == wanted and key[1] in MESSAGE_TYPES) for key, n in sorted(counts.items())
+    ]
     return chosen, topics
 
 
@@ -170,7 +187,9 @@ def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
     try:
         for number, (other_sensor, events) in enumerate(others, 1):
             if other_sensor != sensor:
-                raise ValueError(f"message {number}: of {other_sensor} pixels, but those before of {sensor}")
+                raise ValueError(
+                    f"message {number}: of {other_sensor} pixels, but those before of {sensor}"
+                )
             is_full = n_bytes >= BLOCK_BYTES or len(waiting) >= BLOCK_MESSAGES
             if is_full or len(events) != len(waiting[0]):  # the latter: of another encoding
                 yield _joined(waiting)
@@ -208,7 +227,9 @@ class _Cursor:
         self._start = 0
         if not is_ros_1:
             if len(data) < CDR_HEADER_BYTES or data[0] or data[1] > 1:
-                raise ValueError(f"it must begin as CDR, with two bytes of 0, 0 or 0, 1, got {list(data[:2])}")
+                raise ValueError(
+                    f"it must begin as CDR, with two bytes of 0, 0 or 0, 1, got {list(data[:2])}"
+                )
             self.order = "<" if data[1] else ">"
             self._start = CDR_HEADER_BYTES
         self._data = data
@@ -230,7 +251,9 @@ class _Cursor:
     def bytes(self, n: int) -> bytes:
         data = bytes(self._data[self.place : self.place + n])
         if len(data) < n:
-            raise ValueError(f"it has {len(self._data)} bytes, {n - len(data)} too few for its arrays")
+            raise ValueError(
+                f"it has {len(self._data)} bytes, {n - len(data)} too few for its arrays"
+            )
         self.place += n
         return data
 
@@ -239,7 +262,9 @@ class _Cursor:
         n_left = len(self._data) - self.place
         most = 0 if self.is_ros_1 else CDR_PADDING_BYTES
         if n_left > most:
-            raise ValueError(f"it has {n_left} bytes more than its fields; its type has been changed")
+            raise ValueError(
+                f"it has {n_left} bytes more than its fields; its type has been changed"
+            )
 
 
 def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
@@ -254,7 +279,9 @@ def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
     if not width and not height:
         return None
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ValueError(f"a sensor must have 1 to {MAX_SIDE} pixels a side, got {width} x {height}")
+        raise ValueError(
+            f"a sensor must have 1 to {MAX_SIDE} pixels a side, got {width} x {height}"
+        )
     return width, height
 
 
@@ -274,13 +301,16 @@ def _event_packet(cursor: _Cursor) -> Message:
     if len(data) % 2:
         raise ValueError(f"{encoding} has words of two bytes, got {len(data)} bytes")
     words = np.frombuffer(data, f"{order}u2").astype("<u2")
-    return sensor, [words] if encoding == "evt3" else _libcaer_events(words.astype(np.int64), time_base_ns)
+    return sensor, [words] if encoding == "evt3" else _libcaer_events(
+        words.astype(np.int64), time_base_ns
+    )
 
 
 def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
     """The columns t, x, y, p of one message in `libcaer_cmp`.
 
-    Events before the first ADDR_X, and vectors before the first VECT_BASE_Y, have no place and are left out.
+    Events before the first ADDR_X, and vectors before the first VECT_BASE_Y, have no place and are
+    left out.
     """
     kind = words >> 12
     value = words & 0xFFF
@@ -305,13 +335,15 @@ def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
 
 
 def _latest(values: np.ndarray, is_new: np.ndarray) -> np.ndarray:
-    """For each place the value at the latest one that `is_new`, up to itself; 0 before the first."""
+    """For each place the value at the latest one that `is_new`, up to itself; 0 before the
+    first."""
     place = np.maximum.accumulate(np.where(is_new, np.arange(len(values)), -1))
     return np.where(place >= 0, values[place], 0)
 
 
 def _event_array(cursor: _Cursor) -> Message:
-    """The columns t, x, y, p of an EventArray; times in nanoseconds become microseconds, to the nearest one."""
+    """The columns t, x, y, p of an EventArray; times in nanoseconds become microseconds, to the
+    nearest one."""
     sensor = _sensor_of(cursor)
     n_events = cursor.number("I")
     rows = _ros_1_events(cursor, n_events) if cursor.is_ros_1 else _cdr_events(cursor, n_events)
@@ -329,9 +361,10 @@ def _ros_1_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
 def _cdr_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
     """Columns sec, nsec, x, y, p of events in CDR, which begin at a multiple of 4.
 
-    Bytes 0 to 3 of the first event are x and y; 4 to 12 are sec, nsec and p. As p has one byte, each
-    later x begins at the next even place, 14, and its y at 16; then sec must begin at a multiple of
-    4, which is 20. So there are rows of 16 bytes, and each x but the first is in the row before.
+    Bytes 0 to 3 of the first event are x and y; 4 to 12 are sec, nsec and p. As p has one byte,
+    each later x begins at the next even place, 14, and its y at 16; then sec must begin at a
+    multiple of 4, which is 20. So there are rows of 16 bytes, and each x but the first is in the
+    row before.
     """
     if n_events == 0:
         return [np.zeros(0, np.int64)] * 5

@@ -1,4 +1,5 @@
-"""What the reader of a format provides: a source of blocks of events, which starts again at every pass."""
+"""What the reader of a format provides: a source of blocks of events, which starts again at every
+pass."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ class DamagedRecording(UserWarning):
 
 
 class CorruptData(Exception):
-    """Raised by a source that cannot continue, with what is wrong and where: "row 17: expected `t x y p`, got 'abc'".
+    """Raised by a source that cannot continue, with what is wrong and where: "row 17: expected `t x
+    y p`, got 'abc'".
 
     `Recording` turns it into a warning or a ValueError.
     """
@@ -42,7 +44,8 @@ class ReadOptions:
 
     Raises
     ------
-    ValueError : an impossible sensor; `columns` without each of t, x, y and p; a topic that is no name.
+    ValueError : an impossible sensor; `columns` without each of t, x, y and p; a topic that is no
+        name.
     """
 
     sensor: Sensor | None = None
@@ -82,7 +85,8 @@ class Source(ABC):
     ----------
     sensor : (width, height) in pixels, or None where the file does not state it.
     format : the name of the file's format.
-    sensor_hint : what may be wrong where many events lie off the sensor, for messages; "" where nothing is known.
+    sensor_hint : what may be wrong where many events lie off the sensor, for messages; "" where
+        nothing is known.
     topics : all streams of messages in the file; empty for formats that have none.
     """
 
@@ -93,10 +97,12 @@ class Source(ABC):
 
     @abstractmethod
     def blocks(self) -> Iterator[np.ndarray]:
-        """Structured arrays of `EVENT_DTYPE` in the order of the file; the source does not use them again.
+        """Structured arrays of `EVENT_DTYPE` in the order of the file; the source does not use them
+        again.
 
-        Where a pixel of a block does not fit `EVENT_DTYPE`, the block is of `WIDE_DTYPE`. Whether pixels lie on the
-        sensor is not the source's business: `Recording` leaves out those that do not.
+        Where a pixel of a block does not fit `EVENT_DTYPE`, the block is of `WIDE_DTYPE`. Whether
+        pixels lie on the sensor is not the source's business: `Recording` leaves out those that do
+        not.
 
         Raises
         ------
@@ -105,7 +111,8 @@ class Source(ABC):
         """
 
     def check_first(self) -> None:
-        """Raise `CorruptData` if not even one event can be read: the file is then of another format."""
+        """Raise `CorruptData` if not even one event can be read: the file is then of another
+        format."""
         for block in self.blocks():
             if len(block):
                 return
@@ -124,18 +131,24 @@ class ArraySource(Source):
             yield self.events[start : start + BLOCK_EVENTS]
 
 
-def valid_events(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, str]:
+def valid_events(
+    t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray
+) -> tuple[np.ndarray, str]:
     """Columns of any integer type as events, up to the first with an impossible time or polarity.
 
     Returns
     -------
-    The events before that one, of `EVENT_DTYPE` or, if a pixel does not fit it, of `WIDE_DTYPE`; and what is wrong with
-    that one ("": nothing is wrong with any).
+    The events before that one, of `EVENT_DTYPE` or, if a pixel does not fit it, of `WIDE_DTYPE`;
+    and what is wrong with that one ("": nothing is wrong with any).
     """
     off = (p == 0) | (p == -1) if p.dtype.kind == "i" else p == 0
     bad = (t < 0) | (t >= MAX_TIME_US) | ~(off | (p == 1))
     n = int(np.argmax(bad)) if bad.any() else len(t)
-    problem = "" if n == len(t) else f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
+    problem = (
+        ""
+        if n == len(t)
+        else f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
+    )
     if _fits(x[:n]) and _fits(y[:n]):
         return structured((t, x, y, ~off), n), problem
     x, y = (np.minimum(pixel, MAX_TIME_US) for pixel in (x, y))  # a uint64 beyond int64 would wrap
@@ -173,8 +186,8 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 
 
 def is_text(line: bytes) -> bool:
-    """Whether a line of a header is text; binary data that follows hardly is. Programs write in the encoding of their
-    system: a few bytes may be anything."""
+    """Whether a line of a header is text; binary data that follows hardly is. Programs write in the
+    encoding of their system: a few bytes may be anything."""
     if 8 * sum(byte > 0x7F for byte in line) <= len(line):
         line = line.translate(ONLY_ASCII)
     try:
@@ -184,7 +197,8 @@ def is_text(line: bytes) -> bool:
 
 
 def gathered(blocks: Iterable[np.ndarray], n: int = BLOCK_EVENTS) -> Iterator[np.ndarray]:
-    """The same events in blocks of at least `n`, but for the last; what `blocks` raises comes after all events."""
+    """The same events in blocks of at least `n`, but for the last; what `blocks` raises comes after
+    all events."""
     waiting: list[np.ndarray] = []
     n_waiting = 0
     damage: CorruptData | None = None

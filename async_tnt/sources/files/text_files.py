@@ -1,22 +1,23 @@
 """Text with an event per row: UZH's layout (`.txt`) and CSV (`.csv`, `.tsv`, `.txt`).
 
-UZH    t x y p between blanks, t in seconds; before them, optionally, a line with the sensor's `width height`
-       240 180
+UZH    t x y p between blanks, t in seconds; before them, optionally, a line with the sensor's
+       `width height` 240 180
        0.003811000 96 133 0
        Seconds become microseconds, to the nearest one.
-CSV    commas, semicolons or tabs between the columns, t in whole microseconds; a header says which column is which
-       (t|ts|timestamp, x, y, p|on|polarity|pol; others are skipped), without one they are t, x, y, p
-       Metavision's has the sensor instead of a header, and other columns:
+CSV    commas, semicolons or tabs between the columns, t in whole microseconds; a header says which
+       column is which (t|ts|timestamp, x, y, p|on|polarity|pol; others are skipped), without one
+       they are t, x, y, p Metavision's has the sensor instead of a header, and other columns:
        %geometry:1280,720
        96,133,0,3811
 
-Columns without a header that are seen to be in another order are refused, unless the caller states it. Polarity is
-0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments. NumPy's `loadtxt` reads the rows, as
-float64: whole numbers below 2**53 are exact.
+Columns without a header that are seen to be in another order are refused, unless the caller states
+it. Polarity is 0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments.
+NumPy's `loadtxt` reads the rows, as float64: whole numbers below 2**53 are exact.
 
 References
 ----------
-Mueggler, Rebecq, Gallego, Delbruck, Scaramuzza 2017, The Event-Camera Dataset and Simulator, IJRR 36(2): events.txt.
+Mueggler, Rebecq, Gallego, Delbruck, Scaramuzza 2017, The Event-Camera Dataset and Simulator, IJRR
+36(2): events.txt.
 """
 
 from __future__ import annotations
@@ -102,7 +103,9 @@ class TextSource(Source):
                 yield columns
             if n < len(rows):
                 cut = "" if is_whole or n < len(rows) - 2 else ", and the file ends there"
-                raise CorruptData(f"line {line + n}: expected {self.expected}, got {rows[n].strip()[:80]!r}{cut}")
+                raise CorruptData(
+                    f"line {line + n}: expected {self.expected}, got {rows[n].strip()[:80]!r}{cut}"
+                )
             line += len(rows) - 1
 
     def _columns(self, rows: list[str]) -> Four | None:
@@ -110,24 +113,38 @@ class TextSource(Source):
         if not any(rows):
             empty = np.zeros(0, np.int64)
             return empty, empty, empty, empty
-        row = np.dtype([(name or f"skipped {i}", "f8" if name else "U1") for i, name in enumerate(self.columns)])
+        row = np.dtype(
+            [
+                (name or f"skipped {i}", "f8" if name else "U1")
+                for i, name in enumerate(self.columns)
+            ]
+        )
         # calling a function for each polarity is slow: only where some may be words
         words: Any = {self.columns.index("p"): _polarity} if _WORD.search("\n".join(rows)) else None
         try:
             table = np.loadtxt(
-                rows, row, comments=None, delimiter=self.separator, converters=words, encoding="utf-8", ndmin=1
+                rows,
+                row,
+                comments=None,
+                delimiter=self.separator,
+                converters=words,
+                encoding="utf-8",
+                ndmin=1,
             )
         except ValueError:
             return None
         t = np.rint(table["t"] * self.unit_us) if self.unit_us != 1.0 else table["t"]
         columns = t, table["x"], table["y"], table["p"]
-        if not all(((column == np.rint(column)) & (np.abs(column) < 1 << 53)).all() for column in columns):
+        if not all(
+            ((column == np.rint(column)) & (np.abs(column) < 1 << 53)).all() for column in columns
+        ):
             return None
         t, x, y, p = (column.astype(np.int64) for column in columns)
         return t, x, y, p
 
     def _chunks(self, chunk_bytes: int) -> Iterator[tuple[bytes, bool]]:
-        """Whole rows, and whether the last of them has a line end (the file's last may not; here it gets one)."""
+        """Whole rows, and whether the last of them has a line end (the file's last may not; here it
+        gets one)."""
         with self.path.open("rb") as file:
             file.seek(self.start)
             rest, line = b"", self.line
@@ -181,13 +198,15 @@ def _first_rows(path: Path) -> list[_Row]:
 
 
 def open_txt(path: Path, options: ReadOptions) -> Source:
-    """Open a `.txt` file: CSV if there are commas or semicolons between the columns, else UZH's layout."""
+    """Open a `.txt` file: CSV if there are commas or semicolons between the columns, else UZH's
+    layout."""
     first = next((row.text for row in _first_rows(path) if not row.is_comment), "")
     return open_csv(path, options) if "," in first or ";" in first else open_uzh_text(path, options)
 
 
 def open_uzh_text(path: Path, options: ReadOptions) -> Source:
-    """Open a text file in UZH's layout; whole numbers as times are refused: they may be seconds or microseconds."""
+    """Open a text file in UZH's layout; whole numbers as times are refused: they may be seconds or
+    microseconds."""
     all_rows = _first_rows(path)
     order = options.columns or UZH_ORDER
     expected = f"`{' '.join(order)}`, t in seconds"
@@ -201,11 +220,17 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
         if len(columns) == 2 and all(column.isdecimal() for column in columns):
             sensor = _checked_sides(path, columns, text)
             if len(rows) == 1 and path.stat().st_size == end:
-                raise ValueError(f"{path}: the file ends in its first line, {text!r}: no events, and perhaps no sensor")
+                raise ValueError(
+                    f"{path}: the file ends in its first line, {text!r}: no events, and perhaps no "
+                    "sensor"
+                )
             start = end  # a line end, which the first row may begin with
             rows = rows[1:]
         elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
-            raise ValueError(f"{path}: expected {expected}, or first `width height`, got {text[:80]!r} at line {line}")
+            raise ValueError(
+                f"{path}: expected {expected}, or first `width height`, got {text[:80]!r} at line "
+                f"{line}"
+            )
         _refuse_whole_times(path, rows, order.index("t"))
     return TextSource(path, start, line, tuple(order), None, 1e6, expected, sensor)
 
@@ -216,7 +241,8 @@ def _refuse_whole_times(path: Path, rows: list[_Row], column: int) -> None:
     whole = [float(time) for time in times if _NUMBER.fullmatch(time) and float(time).is_integer()]
     if len(whole) == len(times) > 1 and any(whole):
         raise ValueError(
-            f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, {times[1]}, ...); "
+            f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, "
+            f"{times[1]}, ...); "
             "if they are microseconds, write t,x,y,p with commas: CSV's times are microseconds"
         )
 
@@ -228,7 +254,9 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
     first = next((row for row in rows if not row.is_comment), None)
     if first is None:
         _, start, _, line = rows[-1] if rows else _Row("", 0, 0, 1)
-        return TextSource(path, start, line, tuple(CSV_ORDER), ",", 1.0, ",".join(CSV_ORDER), sensor)
+        return TextSource(
+            path, start, line, tuple(CSV_ORDER), ",", 1.0, ",".join(CSV_ORDER), sensor
+        )
     text, start, end, line = first
     separator, columns = _split(text)
     if len(columns) < 4:
@@ -236,20 +264,28 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
             f"{path}: expected at least four columns with commas, semicolons or tabs between them, "
             f"got {text[:80]!r} at line {line}"
         )
-    comments = [_names_in(row.text.lstrip("".join(COMMENTS)), len(columns)) for row in rows[: rows.index(first)]]
+    comments = [
+        _names_in(row.text.lstrip("".join(COMMENTS)), len(columns))
+        for row in rows[: rows.index(first)]
+    ]
     header = next(filter(_is_header, reversed(comments)), None)  # a comment may be one: `# x,y,p,t`
-    if header is None and any(re.search("[A-Za-z]", c) and not _NUMBER.fullmatch(c) for c in columns[:2]):
+    if header is None and any(
+        re.search("[A-Za-z]", c) and not _NUMBER.fullmatch(c) for c in columns[:2]
+    ):
         header = columns
         if not _is_header(header):
             wanted = ", ".join("|".join(names) for names in NAMES.values())
-            raise ValueError(f"{path}: the header must name {wanted}; got {text[:80]!r} at line {line}")
+            raise ValueError(
+                f"{path}: the header must name {wanted}; got {text[:80]!r} at line {line}"
+            )
         if len(rows) == 1 and path.stat().st_size == end:
             raise ValueError(f"{path}: the file ends in its header, {text[:80]!r}")
         start = end  # a line end, which the first row may begin with
     if header is None:
         if len(columns) != 4:
             raise ValueError(
-                f"{path}: without a header there must be four columns t, x, y, p, got {len(columns)} in "
+                f"{path}: without a header there must be four columns t, x, y, p, got "
+                f"{len(columns)} in "
                 f"{text[:80]!r} at line {line}; with one, further columns are skipped"
             )
         header = list(_order_without_header(path, rows, separator, options, sensor))
@@ -266,7 +302,8 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
 def _order_without_header(
     path: Path, rows: list[_Row], separator: str, options: ReadOptions, sensor: Sensor | None
 ) -> str:
-    """The order of four columns: as the caller states it, or as the format has it, if the numbers look like that.
+    """The order of four columns: as the caller states it, or as the format has it, if the numbers
+    look like that.
 
     Raises
     ------
@@ -279,7 +316,8 @@ def _order_without_header(
     if likely == order:
         return order
     raise ValueError(
-        f"{path}: the columns are not {order!r}; they look like {likely!r}: state their order with `columns`, or "
+        f"{path}: the columns are not {order!r}; they look like {likely!r}: state their order with "
+        "`columns`, or "
         "write a header"
     )
 
@@ -290,7 +328,9 @@ def _numbers(rows: list[_Row], separator: str) -> np.ndarray | None:
     if len(events) > 1:
         events.pop()  # it may be cut off
     try:
-        words = [[word.strip(" \r\"'") for word in text.split(separator)] for text in events[:ORDER_ROWS]]
+        words = [
+            [word.strip(" \r\"'") for word in text.split(separator)] for text in events[:ORDER_ROWS]
+        ]
         table = np.array([[_polarity(word) for word in row] for row in words])
     except ValueError:  # not a number, or rows of different lengths
         return None
@@ -308,10 +348,13 @@ def _geometry(path: Path, rows: list[_Row]) -> Sensor | None:
 
 
 def _checked_sides(path: Path, words: list[str], text: str) -> Sensor:
-    """Two words as (width, height); a ValueError that quotes the text if they are not sides of a sensor."""
+    """Two words as (width, height); a ValueError that quotes the text if they are not sides of a
+    sensor."""
     sides = [int(word) for word in words if word.strip().isdecimal() and len(word) < 20]
     if len(words) != 2 or len(sides) != 2 or not all(1 <= side <= MAX_SIDE for side in sides):
-        raise ValueError(f"{path}: a sensor must have 1 to {MAX_SIDE} pixels a side, got {text[:80]!r}")
+        raise ValueError(
+            f"{path}: a sensor must have 1 to {MAX_SIDE} pixels a side, got {text[:80]!r}"
+        )
     return sides[0], sides[1]
 
 
@@ -322,7 +365,8 @@ def _split(text: str) -> tuple[str, list[str]]:
 
 
 def _names_in(comment: str, n_columns: int) -> list[str]:
-    """The columns that a comment may name, with the separators of rows or with blanks: `# x,y,p,t`, `# x y p t`."""
+    """The columns that a comment may name, with the separators of rows or with blanks: `# x,y,p,t`,
+    `# x y p t`."""
     by_blanks = comment.lower().split()
     return by_blanks if len(by_blanks) == n_columns else _split(comment)[1]
 

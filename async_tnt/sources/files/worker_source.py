@@ -1,8 +1,10 @@
-"""AEDAT4, ES and HDF5 files, read in a worker process, because a damaged file can crash or hang their libraries.
+"""AEDAT4, ES and HDF5 files, read in a worker process, because a damaged file can crash or hang
+their libraries.
 
-faery panics on a damaged file or asks for so much memory that its process is aborted; Blosc's decoder can crash, and
-HDF5 itself can read a damaged file forever. After damage, a minute of silence, or a file that was not read to its end,
-the worker is ended; otherwise it reads the next file, as starting one takes longer than reading a short file.
+faery panics on a damaged file or asks for so much memory that its process is aborted; Blosc's
+decoder can crash, and HDF5 itself can read a damaged file forever. After damage, a minute of
+silence, or a file that was not read to its end, the worker is ended; otherwise it reads the next
+file, as starting one takes longer than reading a short file.
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ class WorkerSource(Source):
             try:
                 head, self._first = worker.result(SILENCE_S)
             except Exception as error:
-                raise ValueError(f"{path}: not a readable {format} file: {one_line(error)}") from None
+                raise ValueError(
+                    f"{path}: not a readable {format} file: {one_line(error)}"
+                ) from None
         self._take_head(head)
 
     def blocks(self) -> Iterator[np.ndarray]:
@@ -81,7 +85,8 @@ class WorkerSource(Source):
         return valid_blocks(blocks)
 
     def _received(self, worker: Worker) -> Iterator[Any]:
-        """The blocks of a file that the worker has started to read; it reads on while a block is used."""
+        """The blocks of a file that the worker has started to read; it reads on while a block is
+        used."""
         n_read = 0
         try:
             worker.result(SILENCE_S)  # the sensor
@@ -95,12 +100,14 @@ class WorkerSource(Source):
             raise CorruptData(f"after {self.unit} {n_read}: {one_line(error)}") from None
 
 
-_idle: dict[int, Worker] = {}  # one at most, by process: a forked one must not use that of its parent
+# one at most, by process: a forked one must not use that of its parent
+_idle: dict[int, Worker] = {}
 
 
 @contextmanager
 def _worker() -> Iterator[Worker]:
-    """A worker; kept for the next file, but ended after an error, or if the file was not read to its end."""
+    """A worker; kept for the next file, but ended after an error, or if the file was not read to
+    its end."""
     worker = _idle.pop(os.getpid(), None)
     if worker is not None and not worker.is_running:
         worker.end()
@@ -122,14 +129,23 @@ def _end_idle() -> None:
 
 
 def _open(
-    read: library_readers.Reader, format: str, library: str, extra: str, path: Path, options: ReadOptions
+    read: library_readers.Reader,
+    format: str,
+    library: str,
+    extra: str,
+    path: Path,
+    options: ReadOptions,
 ) -> Source:
     if find_spec(library) is None:
-        raise ImportError(f"{path}: {format} is read by {library}, which is missing: pip install 'async_tnt[{extra}]'")
+        raise ImportError(
+            f"{path}: {format} is read by {library}, which is missing: pip install "
+            f"'async_tnt[{extra}]'"
+        )
     return WorkerSource(path, read, format)
 
 
 open_aedat4 = partial(_open, library_readers.read_aedat4, "AEDAT4", "faery", "files")
 open_es = partial(_open, library_readers.read_es, "ES", "faery", "files")
 open_hdf5 = partial(_open, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
-"""Each opens a file of its format: a function of a path and `ReadOptions` that returns a `Source`."""
+"""Each opens a file of its format: a function of a path and `ReadOptions` that returns a
+`Source`."""

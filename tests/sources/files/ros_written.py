@@ -1,4 +1,5 @@
-"""Bags of ROS 1 and ROS 2, written and serialized by rosbags from the public definitions of their messages.
+"""Bags of ROS 1 and ROS 2, written and serialized by rosbags from the public definitions of their
+messages.
 
 Nothing here is taken from the reader, which unpacks messages by itself.
 """
@@ -30,7 +31,8 @@ class Bag:
 
     Parameters
     ----------
-    path : a `.bag` is of ROS 1; `.db3` and `.mcap` are of ROS 2, whose folder and metadata are left out.
+    path : a `.bag` is of ROS 1; `.db3` and `.mcap` are of ROS 2, whose folder and metadata are left
+        out.
     compressed : compress chunks of ROS 1, or each message of ROS 2.
     """
 
@@ -51,10 +53,16 @@ class Bag:
             if compressed:
                 self._writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
         else:
-            plugin = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+            plugin = (
+                rosbag2.StoragePlugin.MCAP
+                if path.suffix == ".mcap"
+                else rosbag2.StoragePlugin.SQLITE3
+            )
             self._writer = rosbag2.Writer(self._folder / "made", version=9, storage_plugin=plugin)
             if compressed:
-                self._writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+                self._writer.set_compression(
+                    rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD
+                )
         self._connections = {}
         self._n_written = 0
 
@@ -64,7 +72,9 @@ class Bag:
 
     def __exit__(self, *error):
         self._writer.close()
-        (made,) = (path for path in self._folder.rglob("*") if path.suffix in (".bag", ".db3", ".mcap"))
+        (made,) = (
+            path for path in self._folder.rglob("*") if path.suffix in (".bag", ".db3", ".mcap")
+        )
         made.replace(self.path)
         shutil.rmtree(self._folder)
 
@@ -79,20 +89,48 @@ class Bag:
         if key not in self._connections:
             self._connections[key] = self._writer.add_connection(topic, kind, typestore=self.types)
         message = self.types.types[kind](*fields)
-        data = (self.types.serialize_ros1 if self.is_ros_1 else self.types.serialize_cdr)(message, kind)
+        data = (self.types.serialize_ros1 if self.is_ros_1 else self.types.serialize_cdr)(
+            message, kind
+        )
         self._n_written += 1
         self._writer.write(self._connections[key], STAMP_S * 10**9 + self._n_written, data)
 
-    def packet(self, words, sensor, *, topic="/camera/events", encoding="evt3", time_base=12_345, order="<", frame="c"):
+    def packet(
+        self,
+        words,
+        sensor,
+        *,
+        topic="/camera/events",
+        encoding="evt3",
+        time_base=12_345,
+        order="<",
+        frame="c",
+    ):
         """An EventPacket of 16-bit words."""
         data = np.frombuffer(np.array(words, f"{order}u2").tobytes(), np.uint8)
         size = sensor[1], sensor[0]
-        self.send(topic, EVENT_PACKET, self.header(frame), *size, 3, time_base, encoding, order == ">", data)
+        self.send(
+            topic,
+            EVENT_PACKET,
+            self.header(frame),
+            *size,
+            3,
+            time_base,
+            encoding,
+            order == ">",
+            data,
+        )
 
     def array(self, events, sensor, *, topic="/camera/events", frame="c"):
         """An EventArray of events as `made_events` makes them."""
-        time, event = self.types.types["builtin_interfaces/msg/Time"], self.types.types["dvs_msgs/msg/Event"]
-        rows = [event(x, y, time(t // 10**6, t % 10**6 * 1_000), bool(p)) for t, x, y, p in events.tolist()]
+        time, event = (
+            self.types.types["builtin_interfaces/msg/Time"],
+            self.types.types["dvs_msgs/msg/Event"],
+        )
+        rows = [
+            event(x, y, time(t // 10**6, t % 10**6 * 1_000), bool(p))
+            for t, x, y, p in events.tolist()
+        ]
         self.send(topic, EVENT_ARRAY, self.header(frame), sensor[1], sensor[0], rows)
 
 
@@ -132,7 +170,11 @@ def libcaer_words(events):
         if i % 3 == 0:  # with base and vectors before it, which are empty
             n_before = min(y // 8, 2)
             base = max(0, y - 8 * n_before - 7)
-            words += [4 << 12 | p << 11 | base, *([5 << 12] * n_before), 5 << 12 | 1 << (y - base - 8 * n_before)]
+            words += [
+                4 << 12 | p << 11 | base,
+                *([5 << 12] * n_before),
+                5 << 12 | 1 << (y - base - 8 * n_before),
+            ]
         else:
             words.append(3 << 12 | p << 11 | y)
     return words

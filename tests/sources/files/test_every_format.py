@@ -1,4 +1,5 @@
-"""Laws of every format: what its writer writes is read back, event for event, however it is cut into packets."""
+"""Laws of every format: what its writer writes is read back, event for event, however it is cut
+into packets."""
 
 import os
 import struct
@@ -40,13 +41,21 @@ MORE_CUTS = [(150, 1), (150, 100)]
 
 @pytest.mark.parametrize(
     ("name", "n", "packet_events"),
-    [(name, *cut) for name in sorted(FORMATS) for cut in (CUTS if name.endswith(IN_WORKER) else CUTS + MORE_CUTS)],
+    [
+        (name, *cut)
+        for name in sorted(FORMATS)
+        for cut in (CUTS if name.endswith(IN_WORKER) else CUTS + MORE_CUTS)
+    ],
 )
-def test_events_are_read_back_in_any_packets_which_are_the_callers_own(tmp_path, name, n, packet_events):
+def test_events_are_read_back_in_any_packets_which_are_the_callers_own(
+    tmp_path, name, n, packet_events
+):
     sensor = sensor_for(name)
     events = made_events(140_000, sensor=sensor, step_us=4)[:n]  # two blocks and more
     events["t"][70_000:] += 3_000_000
-    recording = open_recording(written(tmp_path / name, events, sensor), packet_events=packet_events)
+    recording = open_recording(
+        written(tmp_path / name, events, sensor), packet_events=packet_events
+    )
     packets = list(recording)
     assert len(packets) == len(recording) == -(-n // packet_events)
     assert all(len(packet) == packet_events for packet in packets[:-1])
@@ -63,7 +72,8 @@ def test_events_are_read_back_in_any_packets_which_are_the_callers_own(tmp_path,
 
 @pytest.mark.parametrize("name", sorted(FORMATS))
 def test_every_bit_of_a_pixel_is_read(tmp_path, name):
-    """Events in all corners of the largest sensor that the format can say, and with one bit alone."""
+    """Events in all corners of the largest sensor that the format can say, and with one bit
+    alone."""
     width, height = FORMATS[name].largest
     events = made_events(300, sensor=(width, height))
     events["x"][:4], events["y"][:4] = [0, width - 1, 0, width - 1], [0, 0, height - 1, height - 1]
@@ -93,15 +103,24 @@ def test_the_order_of_columns_without_names_can_be_stated(tmp_path, name):
         else:
             rows = table.tolist()
             if name == "blanks.txt":
-                rows = [[n if f != "t" else f"{n / 1e6:.6f}" for f, n in zip(order, row, strict=True)] for row in rows]
+                rows = [
+                    [n if f != "t" else f"{n / 1e6:.6f}" for f, n in zip(order, row, strict=True)]
+                    for row in rows
+                ]
             path.write_text("".join(separator.join(map(str, row)) + "\n" for row in rows))
-        np.testing.assert_array_equal(open_recording(path, columns=order).read(), events, err_msg=order)
+        np.testing.assert_array_equal(
+            open_recording(path, columns=order).read(), events, err_msg=order
+        )
         if order.index("x") > order.index("y"):  # of these two, nothing tells which is which
             continue
         if order != "txyp" and name != "blanks.txt":
-            with pytest.raises(ValueError, match=f"{name}: .*the columns are not 'txyp'; they look like '{order}'"):
+            with pytest.raises(
+                ValueError, match=f"{name}: .*the columns are not 'txyp'; they look like '{order}'"
+            ):
                 open_recording(path)
-            with pytest.raises(ValueError, match=f"{name}: .*the columns are not 'txyp'; they look like '{order}'"):
+            with pytest.raises(
+                ValueError, match=f"{name}: .*the columns are not 'txyp'; they look like '{order}'"
+            ):
                 open_recording(path, columns="txyp")
 
 
@@ -120,7 +139,8 @@ DAVIS = [(346, 260), (240, 180), (208, 192), (640, 480)]
 
 @pytest.mark.parametrize("size", DAVIS)
 def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts(tmp_path, size):
-    """As v2e writes them. The addresses are not those of a DVS128, and a DVS128's are taken as they are."""
+    """As v2e writes them. The addresses are not those of a DVS128, and a DVS128's are taken as they
+    are."""
     path = tmp_path / "v2e.aedat"
     events = made_events(500, sensor=size)
     path.write_bytes(aedat2(events, size, "", size))
@@ -128,30 +148,48 @@ def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts
     np.testing.assert_array_equal(recording.read(), events)
     assert (recording.sensor, recording.stated_sensor) == (size, None)
     for sensor in (None, (128, 128), (345, 260)):
-        with pytest.raises(ValueError, match=r"those of a DVS128, .* a header line such as `# AEChip: DAVIS346` or i"):
+        with pytest.raises(
+            ValueError,
+            match=r"those of a DVS128, .* a header line such as `# AEChip: DAVIS346` or i",
+        ):
             open_recording(path, sensor=sensor).read()
     named = tmp_path / "named.aedat"
-    named.write_bytes(path.read_bytes().replace(b"2.0\r\n", f"2.0\r\n# AEChip: DAVIS{size[0]}\r\n".encode(), 1))
+    named.write_bytes(
+        path.read_bytes().replace(b"2.0\r\n", f"2.0\r\n# AEChip: DAVIS{size[0]}\r\n".encode(), 1)
+    )
     np.testing.assert_array_equal(open_recording(named, sensor=(9, 9)).read(), events)
     dvs128 = written(tmp_path / "dvs128.aedat", made_events(50, sensor=SMALL), SMALL)
-    np.testing.assert_array_equal(open_recording(dvs128, sensor=SMALL).read(), made_events(50, sensor=SMALL))
+    np.testing.assert_array_equal(
+        open_recording(dvs128, sensor=SMALL).read(), made_events(50, sensor=SMALL)
+    )
 
 
 def test_addresses_of_cameras_by_hand(tmp_path):
-    """The address (50, 20) is 50 from the right and 20 from the bottom; where no camera is named it is as it is."""
+    """The address (50, 20) is 50 from the right and 20 from the bottom; where no camera is named it
+    is as it is."""
     of_davis, of_dvs128 = 20 << 22 | 50 << 12 | 1 << 11, 20 << 8 | 50 << 1
     for chip, address, pixel in (
         ("# AEChip: DAViS240C\r\n", of_davis, (189, 159)),
-        ("# AEChip: DAViS240C\r\n", 0x23CEF80A, (0, 36)),  # its bytes are #, two that are no text, and a line end
+        # its bytes are #, two that are no text, and a line end
+        ("# AEChip: DAViS240C\r\n", 0x23CEF80A, (0, 36)),
         ("# AEChip: eu.DVS128\r\n", of_dvs128, (77, 107)),
-        ("# AEChip: eu.Foo\r\n# AEChip: eu.DVS128\r\n# AEChip: DAViS240C\r\n", of_dvs128, (77, 107)),  # the first known
+        # the first known
+        (
+            "# AEChip: eu.Foo\r\n# AEChip: eu.DVS128\r\n# AEChip: DAViS240C\r\n",
+            of_dvs128,
+            (77, 107),
+        ),
         ("# AEChip: DAViS240C\r\n", of_davis | 1 << 10, None),  # from outside, not of a pixel
         ("# AEChip: DAViS240C\r\n", of_davis | 1 << 31, None),  # of a frame
         ("", of_dvs128 | 1 << 15, None),
         ("", of_dvs128, (50, 20)),
     ):
-        (tmp_path / "a.aedat").write_bytes(f"#!AER-DAT2.0\r\n{chip}".encode() + struct.pack(">II", address, 7))
-        assert open_recording(tmp_path / "a.aedat").read().tolist() == ([(7, *pixel, 1)] if pixel else [])
+        (tmp_path / "a.aedat").write_bytes(
+            f"#!AER-DAT2.0\r\n{chip}".encode() + struct.pack(">II", address, 7)
+        )
+        assert open_recording(tmp_path / "a.aedat").read().tolist() == (
+            [(7, *pixel, 1)] if pixel else []
+        )
 
 
 def test_atis_events_of_changing_light_by_hand(tmp_path):
@@ -159,10 +197,21 @@ def test_atis_events_of_changing_light_by_hand(tmp_path):
     pytest.importorskip("faery", reason="ES needs faery")
     header = b"Event Stream\x02\x00\x00\x02" + np.array([320, 240], "<u2").tobytes()
     pixel = np.array([4, 0], "<u2").tobytes()  # y = 0 is the lowest row
-    body = b"\xfd\xfe" + bytes([5 << 2 | 2]) + pixel + bytes([1 << 2 | 1]) + pixel + bytes([1 << 2]) + pixel
+    body = (
+        b"\xfd\xfe"
+        + bytes([5 << 2 | 2])
+        + pixel
+        + bytes([1 << 2 | 1])
+        + pixel
+        + bytes([1 << 2])
+        + pixel
+    )
     (tmp_path / "a.es").write_bytes(header + body)
     recording = open_recording(tmp_path / "a.es")
-    assert recording.read().tolist() == [(194, 4, 239, 1), (196, 4, 239, 0)] and recording.sensor == (320, 240)
+    assert recording.read().tolist() == [
+        (194, 4, 239, 1),
+        (196, 4, 239, 0),
+    ] and recording.sensor == (320, 240)
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".dat"])
@@ -203,9 +252,12 @@ N_LONG = 1_000_000
 N_BLOCK = 100_000
 
 
-@pytest.mark.parametrize("name", ["plain.csv", "evt3.raw", "records.npy", "caer.aedat", "dsec.h5", "packets.bag"])
+@pytest.mark.parametrize(
+    "name", ["plain.csv", "evt3.raw", "records.npy", "caer.aedat", "dsec.h5", "packets.bag"]
+)
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
-    """The same events ten times over: a million different ones take longer to write than to read."""
+    """The same events ten times over: a million different ones take longer to write than to
+    read."""
     path, sensor = tmp_path / name, sensor_for(name)
     block = made_events(N_BLOCK, sensor=sensor, step_us=4)
     if name == "dsec.h5":
@@ -236,7 +288,11 @@ def test_a_part_between_two_times_is_half_open(tmp_path):
     events = made_events(140_000, step_us=1)
     events["t"] = np.arange(140_000)
     path = written(tmp_path / "records.npy", events)
-    for start, end, times in ((3, 5, [3, 4]), (65_535, 65_537, [65_535, 65_536]), (200_000, 200_001, [])):
+    for start, end, times in (
+        (3, 5, [3, 4]),
+        (65_535, 65_537, [65_535, 65_536]),
+        (200_000, 200_001, []),
+    ):
         assert open_recording(path, between_us=(start, end)).read()["t"].tolist() == times
 
 
@@ -248,23 +304,43 @@ def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
             open_recording(tmp_path / f"{name}{suffix}")
     (tmp_path / f"folder{suffix}").mkdir()
     with pytest.raises(
-        IsADirectoryError, match=r"is a folder, expected a recording; `async-tnt info` says what is in it$"
+        IsADirectoryError,
+        match=r"is a folder, expected a recording; `async-tnt info` says what is in it$",
     ):
         open_recording(tmp_path / f"folder{suffix}")
     if hasattr(os, "mkfifo"):
         os.mkfifo(tmp_path / f"pipe{suffix}")
-        with pytest.raises(ValueError, match=rf"pipe\{suffix}: a recording must be a file that can be read more than"):
+        with pytest.raises(
+            ValueError,
+            match=rf"pipe\{suffix}: a recording must be a file that can be read more than",
+        ):
             open_recording(tmp_path / f"pipe{suffix}")
 
 
 @pytest.mark.parametrize(
     ("name", "how", "message"),
     [
-        (__file__, {}, r"\.py: unknown suffix '\.py', expected one of \.aedat, \.aedat4, \.bag, .*\.txt$"),
+        (
+            __file__,
+            {},
+            r"\.py: unknown suffix '\.py', expected one of \.aedat, \.aedat4, \.bag, .*\.txt$",
+        ),
         ("a.bin", {"packet_events": 0}, "`packet_events` must be at least 1, got 0"),
-        ("a.bin", {"sensor": (0, 5)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(0, 5\)"),
-        ("a.bin", {"columns": "xyt"}, "`columns` must have the letters t, x, y and p, each once, got 'xyt'"),
-        ("a.bin", {"columns": tuple("xypt")}, "`columns` must have the letters t, x, y and p, each once, got "),
+        (
+            "a.bin",
+            {"sensor": (0, 5)},
+            r"`sensor` must have sides in \[1, 32768\] pixels, got \(0, 5\)",
+        ),
+        (
+            "a.bin",
+            {"columns": "xyt"},
+            "`columns` must have the letters t, x, y and p, each once, got 'xyt'",
+        ),
+        (
+            "a.bin",
+            {"columns": tuple("xypt")},
+            "`columns` must have the letters t, x, y and p, each once, got ",
+        ),
         ("a.bin", {"topic": ""}, "`topic` must be the name of a topic, got ''"),
         *(
             (
@@ -291,7 +367,11 @@ def test_the_given_sensor_is_that_of_files_that_state_none(tmp_path):
         recording = open_recording(path, 1, sensor=(200, 200))
         assert (recording.sensor, recording.stated_sensor) == ((200, 200), None)
         np.testing.assert_array_equal(open_recording(path, sensor=(240, 180)).read(), events)
-    assert open_recording(written(tmp_path / "packed.npz", events), sensor=(200, 200)).sensor == SENSOR
+    assert (
+        open_recording(written(tmp_path / "packed.npz", events), sensor=(200, 200)).sensor == SENSOR
+    )
     for sensor in (None, (34, 34)):
-        with pytest.raises(ValueError, match=r"x = 239, y = 179: .*another sensor.*unless `sensor` says another"):
+        with pytest.raises(
+            ValueError, match=r"x = 239, y = 179: .*another sensor.*unless `sensor` says another"
+        ):
             open_recording(tmp_path / "a.bin", sensor=sensor).read()

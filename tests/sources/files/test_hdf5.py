@@ -1,4 +1,5 @@
-"""HDF5 files: layouts, compression, and where they may keep their events: in the file itself, in chunks."""
+"""HDF5 files: layouts, compression, and where they may keep their events: in the file itself, in
+chunks."""
 
 import sys
 
@@ -33,10 +34,16 @@ def replaced(path, **values):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"x": np.zeros(4, "u2")}, r"must have one dimension and equal lengths, got \[\(4,\), \(5,\)\]"),
+        (
+            {"x": np.zeros(4, "u2")},
+            r"must have one dimension and equal lengths, got \[\(4,\), \(5,\)\]",
+        ),
         ({"t": np.zeros(5)}, "must be whole numbers, got float64"),
         ({"t_offset": np.zeros(2, int)}, r"`t_offset` must be one number, got shape \(2,\)"),
-        ({"t_offset": np.int64(-(1 << 62))}, r"`t_offset` must be below 2\*\*62 microseconds, got -46"),
+        (
+            {"t_offset": np.int64(-(1 << 62))},
+            r"`t_offset` must be below 2\*\*62 microseconds, got -46",
+        ),
         (None, r"expected events/t, x, y, p \(DSEC, RVT\) or CD/events .*, got \['data'\]"),
     ],
 )
@@ -56,11 +63,15 @@ def test_times_beyond_64_bits_do_not_wrap_into_others(tmp_path, offset_us):
     t = np.array([2_000, 2_001, 2_002, (1 << 64) - 5, 2_003], "u8")
     path = replaced(tmp_path / "a.h5", t=t, t_offset=np.int64(offset_us))
     times = read(path)[0]
-    assert times[3] < 0 and np.delete(times, 3).tolist() == [2_000 + offset_us + i for i in range(4)]
+    assert times[3] < 0 and np.delete(times, 3).tolist() == [
+        2_000 + offset_us + i for i in range(4)
+    ]
 
 
 @pytest.mark.parametrize(("name", "code"), [("Blosc", 32001), ("Zstd", 32015)])
-def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(tmp_path, monkeypatch, name, code):
+def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(
+    tmp_path, monkeypatch, name, code
+):
     hdf5plugin = pytest.importorskip("hdf5plugin", reason="Blosc needs hdf5plugin")
     path = tmp_path / "a.h5"
     metavision(path, EVENTS, chunks=(1_000,), **getattr(hdf5plugin, name)())
@@ -68,7 +79,9 @@ def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(tmp_path,
     np.testing.assert_array_equal(read(path), [EVENTS[name] for name in "txyp"])
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: code < 256)
-    with pytest.raises(ValueError, match=rf"\(filter {code}\), which is missing: pip install hdf5plugin"):
+    with pytest.raises(
+        ValueError, match=rf"\(filter {code}\), which is missing: pip install hdf5plugin"
+    ):
         next(read_hdf5(str(path)))
 
 
@@ -78,14 +91,20 @@ def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         for name, dtype in (("t", "u4"), ("x", "u2"), ("y", "u2"), ("p", "u1")):
-            file.create_dataset(f"events/{name}", (10**12 if chunks else 10**6,), dtype, chunks=chunks)
+            file.create_dataset(
+                f"events/{name}", (10**12 if chunks else 10**6,), dtype, chunks=chunks
+            )
     with pytest.raises(ValueError, match=r"/events/t claims 10*0 events, but the file holds 0 of"):
         next(read_hdf5(str(path)))
 
 
 @pytest.mark.parametrize(
     ("name", "how"),
-    [*((name, "link") for name in ("events/t", "t_offset", "events")), ("events/t", "bytes"), ("events/t", "virtual")],
+    [
+        *((name, "link") for name in ("events/t", "t_offset", "events")),
+        ("events/t", "bytes"),
+        ("events/t", "virtual"),
+    ],
 )
 def test_values_in_another_file_are_refused(tmp_path, name, how):
     path, n = tmp_path / "a.h5", len(EVENTS)
@@ -107,7 +126,9 @@ def test_values_in_another_file_are_refused(tmp_path, name, how):
         next(read_hdf5(str(path)))
 
 
-@pytest.mark.parametrize("geometry, sensor", [("34x34", (34, 34)), (b"34x34", (34, 34)), ("0x0", None), ("wide", None)])
+@pytest.mark.parametrize(
+    "geometry, sensor", [("34x34", (34, 34)), (b"34x34", (34, 34)), ("0x0", None), ("wide", None)]
+)
 def test_only_a_geometry_with_pixels_is_a_sensor(tmp_path, geometry, sensor):
     metavision(tmp_path / "a.h5", EVENTS)
     with h5py.File(tmp_path / "a.h5", "a") as file:

@@ -11,7 +11,8 @@ EVENT, OVERFLOW = bytes([1, 2, 0x80, 0, 100]), bytes([49, 240, 0, 0, 100])
 
 
 def test_bytes_by_hand(tmp_path):
-    """0x012345 = 74565 us, OFF; then 0x7FFFFF us, the last time there is, ON: bit 7 beside bits 6-0 all set."""
+    """0x012345 = 74565 us, OFF; then 0x7FFFFF us, the last time there is, ON: bit 7 beside bits 6-0
+    all set."""
     data = bytes([3, 33, 0x01, 0x23, 0x45, 33, 0, 0xFF, 0xFF, 0xFF])
     events = np.array([(74565, 3, 33, 0), (8_388_607, 33, 0, 1)], EVENT_DTYPE)
     write_nmnist(tmp_path / "a.bin", events)
@@ -32,8 +33,14 @@ def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (EVENT * 3 + EVENT[:2], r"the size must be a multiple of 5 bytes .* got 17: .* 2 bytes into row 3"),
-        (EVENT * 2 + bytes([1, 1, 0, 0, 99]) + EVENT, r"event 2: `t` must .*, got 99 us after 100 us \(byte 10\)"),
+        (
+            EVENT * 3 + EVENT[:2],
+            r"the size must be a multiple of 5 bytes .* got 17: .* 2 bytes into row 3",
+        ),
+        (
+            EVENT * 2 + bytes([1, 1, 0, 0, 99]) + EVENT,
+            r"event 2: `t` must .*, got 99 us after 100 us \(byte 10\)",
+        ),
     ],
 )
 def test_damage_names_its_place(tmp_path, data, message):

@@ -1,4 +1,5 @@
-"""Recordings as `.npy` and `.npz`: their layouts, and headers that are accepted only as far as their bytes go."""
+"""Recordings as `.npy` and `.npz`: their layouts, and headers that are accepted only as far as
+their bytes go."""
 
 import tracemalloc
 import warnings
@@ -37,7 +38,9 @@ def test_tables_of_either_order_are_read_the_same(tmp_path, suffix, order):
 
 @pytest.mark.parametrize("off", [0, -1])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(tmp_path, monkeypatch, off, order):
+def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(
+    tmp_path, monkeypatch, off, order
+):
     """How OFF is written is known from the first block that has one, whatever lies between."""
     monkeypatch.setattr(numpy_files, "BLOCK_EVENTS", 4)
     table = np.ones((18, 4), np.int64, order=order)
@@ -53,22 +56,42 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(tmp
             assert open_recording(saved(tmp_path / "a.npy", damaged)).n_events == 14
     dated = np.zeros(18, [("t", "M8[ms]"), ("x", "<u2"), ("y", "<u2"), ("p", "?")])
     dated["t"][14] = "NaT"
-    with pytest.warns(DamagedRecording, match="a.npy: .*after 12 events: `t` must be a time, got NaT at event 2"):
+    with pytest.warns(
+        DamagedRecording, match="a.npy: .*after 12 events: `t` must be a time, got NaT at event 2"
+    ):
         assert open_recording(saved(tmp_path / "a.npy", dated)).n_events == 12
 
 
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        (COLUMNS | {"t": np.array([1.0, 2.0, 3.0])}, "`t` must be integer microseconds, got float64"),
-        (COLUMNS | {"t": np.array([1, -1, 3])}, "event 1: t = -1, x = 300, y = 4, p = 0 is not a valid event"),
+        (
+            COLUMNS | {"t": np.array([1.0, 2.0, 3.0])},
+            "`t` must be integer microseconds, got float64",
+        ),
+        (
+            COLUMNS | {"t": np.array([1, -1, 3])},
+            "event 1: t = -1, x = 300, y = 4, p = 0 is not a valid event",
+        ),
         (COLUMNS | {"t": np.array([1, 2])}, "must have equal lengths, got 2, 3, 3, 3"),
-        (COLUMNS | {"sensor": np.array([0, 260])}, r"`sensor` must be two integers .* got \[0, 260\]"),
-        (COLUMNS | {"sensor": np.array([260, 2**40])}, r"`sensor` must be two integers .* in \[1, 65536\], got \[260"),
+        (
+            COLUMNS | {"sensor": np.array([0, 260])},
+            r"`sensor` must be two integers .* got \[0, 260\]",
+        ),
+        (
+            COLUMNS | {"sensor": np.array([260, 2**40])},
+            r"`sensor` must be two integers .* in \[1, 65536\], got \[260",
+        ),
         ({"t": EVENTS["t"], "x": EVENTS["x"]}, r"`events`, or t, x, y and p; got \['t', 'x'\]"),
         (np.zeros((3, 5), int), r"an \(N, 4\) array of those columns, got shape \(3, 5\) of int64"),
-        (np.array([[5, 4, 100, 1], [4, 5, 200, 0]]), "the columns are not 'txyp'; they look like 'xytp'"),
-        (EVENTS[["t", "x", "y"]], "need a field `p` .one of p, on, polarity, pol., got a structured array with fields"),
+        (
+            np.array([[5, 4, 100, 1], [4, 5, 200, 0]]),
+            "the columns are not 'txyp'; they look like 'xytp'",
+        ),
+        (
+            EVENTS[["t", "x", "y"]],
+            "need a field `p` .one of p, on, polarity, pol., got a structured array with fields",
+        ),
     ],
 )
 def test_other_layouts_and_values_out_of_range_are_refused(tmp_path, arrays, message):
@@ -79,7 +102,9 @@ def test_other_layouts_and_values_out_of_range_are_refused(tmp_path, arrays, mes
 
 def npy(shape, descr="'<i8'", padding=0):
     """A header, and eight bytes for an array."""
-    text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}}}{' ' * padding}\n".encode()
+    text = (
+        f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}}}{' ' * padding}\n".encode()
+    )
     return b"\x93NUMPY\x02\x00" + len(text).to_bytes(4, "little") + text + bytes(8)
 
 
@@ -99,9 +124,15 @@ IMPOSSIBLE = {
 
 @pytest.mark.parametrize(
     ("name", "what"),
-    [*(("a.npy", what) for what in IMPOSSIBLE), ("a.npz", "2**62 numbers"), ("mask.npy", "a header of 4 GiB")],
+    [
+        *(("a.npy", what) for what in IMPOSSIBLE),
+        ("a.npz", "2**62 numbers"),
+        ("mask.npy", "a header of 4 GiB"),
+    ],
 )
-def test_an_impossible_header_takes_no_memory_and_is_refused_in_one_line_of_ours(tmp_path, name, what):
+def test_an_impossible_header_takes_no_memory_and_is_refused_in_one_line_of_ours(
+    tmp_path, name, what
+):
     path = tmp_path / name
     if name == "a.npz":
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -130,10 +161,17 @@ def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path, monkeypa
         archive.writestr("events.npy", data)
     archive = bytearray(path.read_bytes())
     place = archive.rindex(b"PK\x01\x02") + 24  # the central directory: size when unpacked
-    archive[place : place + 4] = (len(data) - 8 + 10**8 * EVENT_DTYPE.itemsize).to_bytes(4, "little")
+    archive[place : place + 4] = (len(data) - 8 + 10**8 * EVENT_DTYPE.itemsize).to_bytes(
+        4, "little"
+    )
     path.write_bytes(archive)
-    with pytest.raises(ValueError, match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$"):
+    with pytest.raises(
+        ValueError,
+        match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$",
+    ):
         open_recording(path)
     monkeypatch.setattr(numpy_files, "MAX_NPZ_BYTES", 1 << 20)
-    with pytest.raises(ValueError, match=r"events\.npy takes 1,300,000,\d+ bytes; more than 1,048,576 can be read"):
+    with pytest.raises(
+        ValueError, match=r"events\.npy takes 1,300,000,\d+ bytes; more than 1,048,576 can be read"
+    ):
         open_recording(path)

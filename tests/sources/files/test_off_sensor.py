@@ -1,4 +1,5 @@
-"""Events off the sensor are left out and counted, in every format; many of them are another sensor."""
+"""Events off the sensor are left out and counted, in every format; many of them are another
+sensor."""
 
 import struct
 import warnings
@@ -14,7 +15,8 @@ from async_tnt.sources.files.source import DamagedRecording
 from async_tnt.sources.recording_summary import summarize
 
 STRAYS = np.arange(40, 1_200, 200)  # places of six events among 1,200
-# the smallest sensor that can hold the events of each test; a DVS128's address cannot say a pixel beyond 127
+# the smallest sensor that can hold the events of each test; a DVS128's address cannot say a pixel
+# beyond 127
 SMALL = {"dvs128.aedat": (90, 90), "davis.aedat": (240, 180), "plain.bin": (34, 34)}
 
 
@@ -50,7 +52,12 @@ def test_every_format_leaves_out_events_off_the_sensor_and_counts_them(tmp_path,
     words = f"6 of 1,200 events lie off the {sensor[0]} x {sensor[1]} sensor; the first is event 40 at x = {sensor[0]}"
     assert str(warning.message).startswith(f"{path}: {words}, y = ")
     counts = recording.counts
-    assert (counts.received, counts.kept, counts.off_sensor, recording.n_events) == (1_200, 1_194, 6, 1_194)
+    assert (counts.received, counts.kept, counts.off_sensor, recording.n_events) == (
+        1_200,
+        1_194,
+        6,
+        1_194,
+    )
 
     strict = iter(opened(path, name, sensor, strict=True))
     assert sum(len(next(strict)) for _ in range(4)) == 40
@@ -61,7 +68,9 @@ def test_every_format_leaves_out_events_off_the_sensor_and_counts_them(tmp_path,
     assert len(counted.read()) == 1_194 and counted.counts == counts
 
 
-@pytest.mark.parametrize("name", sorted(name for name in FORMATS if not FORMATS[name].states_sensor))
+@pytest.mark.parametrize(
+    "name", sorted(name for name in FORMATS if not FORMATS[name].states_sensor)
+)
 def test_nothing_is_left_out_where_no_sensor_is_known(tmp_path, name):
     events, _, sensor = with_strays(name)
     recording = open_recording(written(tmp_path / name, events, sensor))
@@ -76,7 +85,10 @@ def test_an_address_off_the_sensor_of_a_davis(tmp_path):
     stray = struct.pack(">II", 1023 << 12, 20_000) + struct.pack(">II", 511 << 22, 20_000)
     (tmp_path / "a.aedat").write_bytes(data + stray)
     recording = open_recording(tmp_path / "a.aedat")
-    with pytest.warns(EventsOffSensor, match="2 of 302 events lie off .*; the first is event 300 at x = -784, y = 179"):
+    with pytest.warns(
+        EventsOffSensor,
+        match="2 of 302 events lie off .*; the first is event 300 at x = -784, y = 179",
+    ):
         np.testing.assert_array_equal(recording.read(), events)
 
 
@@ -86,11 +98,16 @@ def test_a_pixel_that_no_sensor_has_is_left_out_wherever_a_file_can_say_it(tmp_p
     table[7, 1] = pixel
     np.save(tmp_path / "a.npy", table)
     np.savez(tmp_path / "a.npz", events=table)
-    (tmp_path / "a.csv").write_text("t,x,y,p\n" + "".join(f"{t},{x},{y},{p}\n" for t, x, y, p in table.tolist()))
+    (tmp_path / "a.csv").write_text(
+        "t,x,y,p\n" + "".join(f"{t},{x},{y},{p}\n" for t, x, y, p in table.tolist())
+    )
     for name in ("a.npy", "a.npz", "a.csv"):
         for sensor in (None, (34, 34)):
             recording = open_recording(tmp_path / name, sensor=sensor)
-            with pytest.warns(EventsOffSensor, match=f"1 of 10 events lies .*; it is event 7 at x = {pixel}, y = 2"):
+            with pytest.warns(
+                EventsOffSensor,
+                match=f"1 of 10 events lies .*; it is event 7 at x = {pixel}, y = 2",
+            ):
                 assert recording.read()["t"].tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9]
 
 
@@ -122,8 +139,11 @@ def test_many_events_off_the_sensor_are_another_sensor(tmp_path, n, n_off, is_an
                 assert len(recording.read()) == n - n_off
 
 
-def test_a_burst_of_strays_at_the_start_is_judged_by_all_events_and_a_later_flood_is_damage(tmp_path):
-    """Judged are the first 65,536 events together, before any is handed on, in a format of small blocks, too."""
+def test_a_burst_of_strays_at_the_start_is_judged_by_all_events_and_a_later_flood_is_damage(
+    tmp_path,
+):
+    """Judged are the first 65,536 events together, before any is handed on, in a format of small
+    blocks, too."""
     events = made_events(150_000, sensor=(34, 34), step_us=4)
     events["x"][:300] = 34
     for name in ("caer.aedat", "records.npy"):
@@ -134,7 +154,9 @@ def test_a_burst_of_strays_at_the_start_is_judged_by_all_events_and_a_later_floo
     events["x"][140_000:] = 34
     np.save(tmp_path / "a.npy", events)
     recording = open_recording(tmp_path / "a.npy", sensor=(34, 34), off_sensor="count")
-    with pytest.warns(DamagedRecording, match=r"damaged recording: 10,300 of 150,000 events lie off"):
+    with pytest.warns(
+        DamagedRecording, match=r"damaged recording: 10,300 of 150,000 events lie off"
+    ):
         read = recording.read()
     np.testing.assert_array_equal(read, events[300 : 2 << 16])
     assert recording.counts.kept == len(read)
@@ -187,10 +209,18 @@ def test_a_word_of_the_row_beyond_the_sensor_costs_its_own_events_alone(tmp_path
         words += [row, 0x2000 | i % 1280]
     header = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% end\n"
     (tmp_path / "a.raw").write_bytes(header + struct.pack(f"<{len(words)}H", *words))
-    with pytest.warns(EventsOffSensor, match="1 of 2,000 events lies off the 1280 x 720 sensor; it is event 1000 at"):
-        assert open_recording(tmp_path / "a.raw").read()["y"].tolist() == np.delete(rows, 1_000).tolist()
+    with pytest.warns(
+        EventsOffSensor,
+        match="1 of 2,000 events lies off the 1280 x 720 sensor; it is event 1000 at",
+    ):
+        assert (
+            open_recording(tmp_path / "a.raw").read()["y"].tolist()
+            == np.delete(rows, 1_000).tolist()
+        )
 
 
 def test_an_unknown_policy_is_refused():
-    with pytest.raises(ValueError, match="`off_sensor` must be one of warn, raise, count, got 'drop'"):
+    with pytest.raises(
+        ValueError, match="`off_sensor` must be one of warn, raise, count, got 'drop'"
+    ):
         open_recording("a.npy", off_sensor="drop")

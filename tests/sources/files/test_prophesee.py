@@ -24,7 +24,9 @@ def decoded(tmp_path):
 
     def decode(version, words):
         header = evt_header(version, (1 << 16, 1 << 16), LITTLE if version == "2.1" else "")
-        return read(tmp_path / "a.raw", header + np.array(words, MAKE[version][1]).tobytes()).tolist()
+        return read(
+            tmp_path / "a.raw", header + np.array(words, MAKE[version][1]).tobytes()
+        ).tolist()
 
     return decode
 
@@ -38,7 +40,9 @@ def test_other_words_change_nothing(tmp_path, version):
     rng = np.random.default_rng(3)
     for kind in sorted(set(range(16)) - set(KNOWN[version])):
         others = rng.integers(0, 1 << shift, 200, dtype=np.uint64) | np.uint64(kind << shift)
-        mixed = np.insert(words, np.sort(rng.integers(0, len(words) + 1, 200)), others.astype(dtype))
+        mixed = np.insert(
+            words, np.sort(rng.integers(0, len(words) + 1, 200)), others.astype(dtype)
+        )
         got = read(tmp_path / "a.raw", data[:start] + mixed.astype(dtype).tobytes())
         np.testing.assert_array_equal(got, EVENTS, err_msg=f"kind {kind}")
 
@@ -49,28 +53,52 @@ def test_t0_is_added(tmp_path):
         np.testing.assert_array_equal(events["t"], EVENTS["t"] + 7_000_000)
 
 
-HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0x3007, 0x4001, 0x5001
+HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = (
+    0x8001,
+    0x6005,
+    0x0009,
+    0x2005,
+    0x3007,
+    0x4001,
+    0x5001,
+)
 
 
 @pytest.mark.parametrize(
     ("words", "events"),
     [
-        ([HIGH, X5, ROW, X5], [(4096, 5, 9, 0)]),  # before their row, time or base, events are left out
+        # before their row, time or base, events are left out
+        ([HIGH, X5, ROW, X5], [(4096, 5, 9, 0)]),
         ([HIGH, ROW, VECTOR12, VECTOR8, BASE7, VECTOR12], [(4096, 7, 9, 0)]),
         ([HIGH, BASE7, VECTOR12, ROW, VECTOR12], [(4096, 19, 9, 0)]),  # but the base moves on
         ([ROW, BASE7 | 0x800, VECTOR8, HIGH, VECTOR12], [(4096, 15, 9, 1)]),
         ([HIGH, 0x0809, X5], [(4096, 5, 9, 0)]),  # bit 11 of a row says which of two cameras
-        ([HIGH, LOW, ROW, HIGH, X5], [(4101, 5, 9, 0)]),  # cameras repeat TIME_HIGH, which keeps the lower half
-        ([HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5], [(t, 5, 9, 0) for t in (8191, 8192, 8195)]),
-        ([0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5], [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)]),  # back
+        # cameras repeat TIME_HIGH, which keeps the lower half
+        ([HIGH, LOW, ROW, HIGH, X5], [(4101, 5, 9, 0)]),
+        (
+            [HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5],
+            [(t, 5, 9, 0) for t in (8191, 8192, 8195)],
+        ),
+        # back
+        (
+            [0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5],
+            [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)],
+        ),
         ([0x8005, ROW, X5, 0x8000, X5], [(5 << 12, 5, 9, 0), (0, 5, 9, 0)]),  # to the beginning
-        ([HIGH, ROW, X5, 0x8000 | 3000, X5], [(4096, 5, 9, 0), (3000 << 12, 5, 9, 0)]),  # a long pause
-        ([0x8000 | 3000, ROW, X5, 0x8000 | 952, X5], [(3000 << 12, 5, 9, 0), (952 << 12, 5, 9, 0)]),  # half a period
-        ([HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081], [(4101, x, 9, 0) for x in (100, 111, 112, 119)]),
-        ([HIGH, ROW, BASE7 | 0x800, X5, VECTOR12], [(4096, 5, 9, 0), (4096, 7, 9, 1)]),  # polarity is the base's
+        # a long pause
+        ([HIGH, ROW, X5, 0x8000 | 3000, X5], [(4096, 5, 9, 0), (3000 << 12, 5, 9, 0)]),
+        # half a period
+        ([0x8000 | 3000, ROW, X5, 0x8000 | 952, X5], [(3000 << 12, 5, 9, 0), (952 << 12, 5, 9, 0)]),
+        (
+            [HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081],
+            [(4101, x, 9, 0) for x in (100, 111, 112, 119)],
+        ),
+        # polarity is the base's
+        ([HIGH, ROW, BASE7 | 0x800, X5, VECTOR12], [(4096, 5, 9, 0), (4096, 7, 9, 1)]),
         ([HIGH, ROW, 0x3000 | 2036, 0x4800], [(4096, 2047, 9, 0)]),  # the last column
         ([HIGH, ROW, 0x3000 | 2037, 0x4800], [(4096, 2048, 9, 0)]),  # beyond it
-        ([HIGH, ROW, 0x3000 | 2047, *(5_400 * [0x4000]), 0x4001], [(4096, 65_535, 9, 0)]),  # not back to column 0
+        # not back to column 0
+        ([HIGH, ROW, 0x3000 | 2047, *(5_400 * [0x4000]), 0x4001], [(4096, 65_535, 9, 0)]),
     ],
 )
 def test_evt3_by_hand(decoded, words, events):
@@ -88,7 +116,8 @@ def test_evt2_by_hand(decoded):
 
 
 def test_evt21_by_hand(decoded):
-    """A word has 32 pixels: bits 0, 2 and 31 from x = 64, and up to the last column; none before the first time."""
+    """A word has 32 pixels: bits 0, 2 and 31 from x = 64, and up to the last column; none before
+    the first time."""
     high, pixels = 0x80000001 << 32, (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1 << 31 | 0b101
     assert decoded("2.1", [pixels, high, pixels]) == [(69, x, 9, 1) for x in (64, 66, 95)]
     last = (1 << 28 | 2016 << 11 | 9) << 32 | 1 << 31
@@ -99,8 +128,13 @@ def test_evt21_by_hand(decoded):
 def test_evt21_without_endianness_is_legacy_only_without_a_format_line(tmp_path):
     little = (0x8 << 60 | 1 << 32, (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1)
     swapped = [word >> 32 | (word & 0xFFFFFFFF) << 32 for word in little]
-    for header, words in ((b"% format EVT21;height=720;width=1280\n", little), (b"% evt 2.1\n", swapped)):
-        assert read(tmp_path / "a.raw", header + np.array(words, "<u8").tobytes()).tolist() == [(69, 64, 9, 1)]
+    for header, words in (
+        (b"% format EVT21;height=720;width=1280\n", little),
+        (b"% evt 2.1\n", swapped),
+    ):
+        assert read(tmp_path / "a.raw", header + np.array(words, "<u8").tobytes()).tolist() == [
+            (69, 64, 9, 1)
+        ]
 
 
 @pytest.mark.parametrize(
@@ -115,7 +149,9 @@ def test_a_kernel_stops_while_there_is_room_for_a_whole_word(decode, words, most
     """Numba does not check bounds: a write beyond the columns would change other memory."""
     words.flags.writeable = False
     for size in range(most, most + 70):
-        whole = [np.full(size + 40, 77, dtype) for dtype in (np.int64, np.uint16, np.uint16, np.uint8)]
+        whole = [
+            np.full(size + 40, 77, dtype) for dtype in (np.int64, np.uint16, np.uint16, np.uint8)
+        ]
         state = np.array([5, 0, 9, -1, 0, 0], np.int64)
         n, done = decode(words, 0, state, *(column[:size] for column in whole))
         assert n == size // most * most and done > 0

@@ -1,4 +1,5 @@
-"""Bags of ROS: messages by hand, which topic is read, what is refused. The laws of all formats hold for them, too."""
+"""Bags of ROS: messages by hand, which topic is read, what is refused. The laws of all formats hold
+for them, too."""
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ every_bag = pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
 
 
 def plainly_decoded(words):
-    """EVT3, word by word as its description has it, of a stream that begins with its time and row."""
+    """EVT3, word by word as its description has it, of a stream that begins with its time and
+    row."""
     events = []
     overflows = high = low = y = base = base_polarity = 0
     for word in words:
@@ -33,7 +35,9 @@ def plainly_decoded(words):
         elif kind in (0x4, 0x5):
             length = 12 if kind == 0x4 else 8
             time = overflows << 24 | high << 12 | low
-            events += [(time, base + bit, y, base_polarity) for bit in range(length) if value >> bit & 1]
+            events += [
+                (time, base + bit, y, base_polarity) for bit in range(length) if value >> bit & 1
+            ]
             base += length
         elif kind == 0x6:
             low = value
@@ -54,11 +58,17 @@ def test_messages_by_hand(tmp_path, name):
     assert recording.read().tolist() == IN_TIME
     assert recording.sensor == recording.stated_sensor == SENSOR and recording.format == "ROS bag"
     (topic,) = recording.source.topics
-    assert (topic.name, topic.type, topic.messages, topic.is_read) == ("/camera/events", EVENT_PACKET, 3, True)
+    assert (topic.name, topic.type, topic.messages, topic.is_read) == (
+        "/camera/events",
+        EVENT_PACKET,
+        3,
+        True,
+    )
 
 
 def test_a_topic_may_have_thousands_of_messages_and_change_its_encoding(tmp_path):
-    """Most without events; the words of EVT3 go on behind them, whatever they are sent together with."""
+    """Most without events; the words of EVT3 go on behind them, whatever they are sent together
+    with."""
     with Bag(tmp_path / "a.mcap") as bag:
         bag.packet(WORDS[:3], SENSOR)
         for _ in range(2_500):
@@ -91,18 +101,39 @@ def test_libcaer_words_by_hand(tmp_path, name):
         bag.packet(words, SENSOR, encoding="libcaer_cmp", time_base=2_999)
         bag.packet([0x2001, 0x3002], SENSOR, encoding="libcaer_cmp", time_base=9_000_000)
     t = 2 + (1 << 12 | 3)
-    expected = [(2, 7, 5, 1), (t, 7, 9, 0), (t, 7, 16, 0), (t, 7, 17, 0), (t, 7, 101, 1), (9_000, 1, 2, 0)]
+    expected = [
+        (2, 7, 5, 1),
+        (t, 7, 9, 0),
+        (t, 7, 16, 0),
+        (t, 7, 17, 0),
+        (t, 7, 101, 1),
+        (9_000, 1, 2, 0),
+    ]
     assert open_recording(tmp_path / name).read().tolist() == expected
 
 
 @every_bag
 def test_the_stamps_of_an_event_array_become_the_nearest_microsecond(tmp_path, name):
     with Bag(tmp_path / name) as bag:
-        time, event = (bag.types.types[kind] for kind in ("builtin_interfaces/msg/Time", "dvs_msgs/msg/Event"))
-        stamps = [(0, 1_499), (0, 1_500), (0, 999_999_499), (0, 999_999_500), (1_700_000_000, 5_000)]
+        time, event = (
+            bag.types.types[kind] for kind in ("builtin_interfaces/msg/Time", "dvs_msgs/msg/Event")
+        )
+        stamps = [
+            (0, 1_499),
+            (0, 1_500),
+            (0, 999_999_499),
+            (0, 999_999_500),
+            (1_700_000_000, 5_000),
+        ]
         rows = [event(3, 4, time(*stamp), True) for stamp in stamps]
         bag.send("/dvs/events", EVENT_ARRAY, bag.header(), 240, 320, rows)
-    assert open_recording(tmp_path / name).read()["t"].tolist() == [1, 2, 999_999, 1_000_000, 1_700_000_000_000_005]
+    assert open_recording(tmp_path / name).read()["t"].tolist() == [
+        1,
+        2,
+        999_999,
+        1_000_000,
+        1_700_000_000_000_005,
+    ]
 
 
 @every_bag
@@ -122,12 +153,16 @@ def test_the_only_topic_of_events_is_read_and_of_several_the_one_that_is_named(t
         bag.send("/chatter", OTHER, "hello")
         bag.array(EVENTS, (400, 300), topic="/right/events")
         bag.packet(WORDS[3:4], SENSOR, topic="/left/events")
-    with pytest.raises(ValueError, match=r"several topics .* choose one by `topic`: /left/events, /right/events"):
+    with pytest.raises(
+        ValueError, match=r"several topics .* choose one by `topic`: /left/events, /right/events"
+    ):
         open_recording(other)
     assert open_recording(other, topic="/left/events").read().tolist() == [*IN_TIME, IN_TIME[0]]
     right = open_recording(other, topic="/right/events")
     np.testing.assert_array_equal(right.read(), EVENTS)
-    assert right.sensor == (400, 300) and [t.name for t in right.source.topics if t.is_read] == ["/right/events"]
+    assert right.sensor == (400, 300) and [t.name for t in right.source.topics if t.is_read] == [
+        "/right/events"
+    ]
     for wrong in ("/chatter", "/middle"):
         message = rf"`topic` must be one of /left/events, /right/events, got '{wrong}'; all topics: /chatter \(std_msgs"
         with pytest.raises(ValueError, match=message):
@@ -138,7 +173,9 @@ def test_the_only_topic_of_events_is_read_and_of_several_the_one_that_is_named(t
 def test_a_bag_without_events_is_refused_and_its_topics_are_listed(tmp_path, name):
     with Bag(tmp_path / name) as bag:
         bag.send("/chatter", OTHER, "hello")
-    with pytest.raises(ValueError, match=rf"{name}: .*its topics are: /chatter \({OTHER}, 1 messages\)"):
+    with pytest.raises(
+        ValueError, match=rf"{name}: .*its topics are: /chatter \({OTHER}, 1 messages\)"
+    ):
         open_recording(tmp_path / name)
 
 
@@ -147,7 +184,10 @@ def test_a_bag_without_events_is_refused_and_its_topics_are_listed(tmp_path, nam
     ("how", "message"),
     [
         ({"encoding": "mono"}, "events must be encoded as evt3 or libcaer_cmp, got 'mono'"),
-        ({"encoding": "libcaer_cmp", "time_base": 1 << 62}, r"`time_base` must be below 2\*\*62 ns, got 4611"),
+        (
+            {"encoding": "libcaer_cmp", "time_base": 1 << 62},
+            r"`time_base` must be below 2\*\*62 ns, got 4611",
+        ),
         ({"sensor": (0, 240)}, "a sensor must have 1 to 65536 pixels a side, got 0 x 240"),
         ({"sensor": (640, 480)}, r"of \(640, 480\) pixels, but those before of \(320, 240\)"),
         ({"words": np.frombuffer(b"odd", "u1")}, "evt3 has words of two bytes, got 3 bytes"),
@@ -161,35 +201,52 @@ def test_messages_up_to_one_that_cannot_be_read(tmp_path, name, how, message):
         write(bag, **how)
         bag.packet(WORDS, SENSOR)
     recording = open_recording(tmp_path / name)
-    with pytest.warns(DamagedRecording, match=f"{name}: damaged recording: after message 1: .*message 1: {message}"):
+    with pytest.warns(
+        DamagedRecording,
+        match=f"{name}: damaged recording: after message 1: .*message 1: {message}",
+    ):
         assert recording.read().tolist() == IN_TIME
     if how["sensor"] == (640, 480):
         return
     with Bag(tmp_path / f"first{name[1:]}") as bag:
         write(bag, **how)
         bag.packet(WORDS, SENSOR)
-    with pytest.raises(ValueError, match=rf"first.*: not a readable ROS bag file: .*message 0: {message}"):
+    with pytest.raises(
+        ValueError, match=rf"first.*: not a readable ROS bag file: .*message 0: {message}"
+    ):
         open_recording(tmp_path / f"first{name[1:]}")
 
 
 def write(bag, sensor, words, encoding="evt3", time_base=0):
     """One EventPacket; a word is one byte where `words` are."""
-    data = np.asarray(words) if isinstance(words, np.ndarray) else np.frombuffer(np.array(words, "<u2").tobytes(), "u1")
+    data = (
+        np.asarray(words)
+        if isinstance(words, np.ndarray)
+        else np.frombuffer(np.array(words, "<u2").tobytes(), "u1")
+    )
     size = sensor[1], sensor[0]
-    bag.send("/camera/events", EVENT_PACKET, bag.header(), *size, 0, time_base, encoding, False, data)
+    bag.send(
+        "/camera/events", EVENT_PACKET, bag.header(), *size, 0, time_base, encoding, False, data
+    )
 
 
 @every_bag
-def test_words_that_no_sensor_has_are_left_out_and_words_without_a_time_are_no_format(tmp_path, name):
+def test_words_that_no_sensor_has_are_left_out_and_words_without_a_time_are_no_format(
+    tmp_path, name
+):
     beyond = [0x3000 | 2037, 0x4800]
     with Bag(tmp_path / name) as bag:
         bag.packet(WORDS, SENSOR)
         bag.packet(beyond, SENSOR)
-    with pytest.warns(EventsOffSensor, match="1 of 3 events lies off the .*; it is event 2 at x = 2048, y = 9"):
+    with pytest.warns(
+        EventsOffSensor, match="1 of 3 events lies off the .*; it is event 2 at x = 2048, y = 9"
+    ):
         assert open_recording(tmp_path / name).read().tolist() == IN_TIME
     with Bag(tmp_path / f"first{name[1:]}") as bag:
         bag.packet(WORDS[3:], SENSOR)
-    with pytest.raises(ValueError, match="not one event can be read: 2 words of events have no time or no row"):
+    with pytest.raises(
+        ValueError, match="not one event can be read: 2 words of events have no time or no row"
+    ):
         open_recording(tmp_path / f"first{name[1:]}")
 
 
@@ -204,7 +261,8 @@ def test_a_sensor_of_no_pixels_is_one_that_is_not_stated(tmp_path, name):
 
 @every_bag
 def test_compressed_bags(tmp_path, name):
-    """Chunks of ROS 1; of ROS 2 each message, as `ros2 bag record` does, and the file has no metadata beside it."""
+    """Chunks of ROS 1; of ROS 2 each message, as `ros2 bag record` does, and the file has no
+    metadata beside it."""
     with Bag(tmp_path / name, compressed=True) as bag:
         for part in np.split(EVENTS, 4):
             bag.array(part, SENSOR)
@@ -227,9 +285,12 @@ def test_a_message_of_another_definition_is_refused(tmp_path):
         message = bag.types.types[EVENT_PACKET](*fields)
         bag.packet(WORDS, SENSOR)
         (connection,) = bag._connections.values()
-        bag._writer.write(connection, 10**18 * 2, bytes(bag.types.serialize_ros1(message, EVENT_PACKET)) + b"more")
+        bag._writer.write(
+            connection, 10**18 * 2, bytes(bag.types.serialize_ros1(message, EVENT_PACKET)) + b"more"
+        )
     with pytest.warns(
-        DamagedRecording, match="message 1: it has 4 bytes more than its fields; its type has been changed"
+        DamagedRecording,
+        match="message 1: it has 4 bytes more than its fields; its type has been changed",
     ):
         assert open_recording(tmp_path / "a.bag").read().tolist() == IN_TIME
 
@@ -267,7 +328,9 @@ def payloads_of(path):
 def test_real_bags_have_the_events_that_their_authors_count(bags, name, n_off, n_on, sensor):
     recording = open_recording(bags / name, strict=True)
     polarity = recording.read()["p"]
-    assert recording.sensor == sensor and [topic.name for topic in recording.source.topics] == ["/event_camera/events"]
+    assert recording.sensor == sensor and [topic.name for topic in recording.source.topics] == [
+        "/event_camera/events"
+    ]
     assert ((polarity == 0).sum(), (polarity == 1).sum()) == (n_off, n_on)
 
 

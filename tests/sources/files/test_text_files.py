@@ -38,14 +38,20 @@ def test_seconds_become_microseconds(text, written, t_us):
 
 
 @given(st.decimals(0, 10**9, allow_nan=False, places=9), st.booleans())
-def test_a_decimal_number_is_read_to_the_nearest_microsecond_but_for_rounding(tmp_path_factory, seconds, scientific):
+def test_a_decimal_number_is_read_to_the_nearest_microsecond_but_for_rounding(
+    tmp_path_factory, seconds, scientific
+):
     path = tmp_path_factory.mktemp("t") / "a.txt"
     path.write_text(f"{seconds:.18e} 1 2 0\n" if scientific else f"{seconds:f} 1 2 0\n")
-    assert abs(int(open_recording(path).read()["t"][0]) - Fraction(seconds) * 10**6) < 0.5 + 1e6 * math.ulp(1e9)
+    assert abs(
+        int(open_recording(path).read()["t"][0]) - Fraction(seconds) * 10**6
+    ) < 0.5 + 1e6 * math.ulp(1e9)
 
 
 def test_rows_may_have_other_line_ends_blanks_comments_and_floats(text):
-    recording = text("a.txt", "# made\r\n\r\n0.5 1 2 1\r\n  0.6\t3  4 -1 \n% more\n\n7.00e-01 5.0 6.000e+00 1.0")
+    recording = text(
+        "a.txt", "# made\r\n\r\n0.5 1 2 1\r\n  0.6\t3  4 -1 \n% more\n\n7.00e-01 5.0 6.000e+00 1.0"
+    )
     assert recording.read().tolist() == [(500_000, 1, 2, 1), (600_000, 3, 4, 0), (700_000, 5, 6, 1)]
     assert recording.sensor is None
 
@@ -68,7 +74,10 @@ CSV_ROWS = ("0.25,1,2,1", "7,1,2,None", "7,1,2", "7,1,2,1,1", "7,,2,1", "7 7,1,2
 @pytest.mark.parametrize("row", UZH_ROWS + CSV_ROWS)
 def test_a_row_that_is_not_an_event_is_damage(text, row):
     if row in CSV_ROWS:
-        recording, expected = text("a.csv", f"t,x,y,p\n5,1,2,0\n6,1,2,1\n{row}\n"), "t,x,y,p, t in whole microseconds"
+        recording, expected = (
+            text("a.csv", f"t,x,y,p\n5,1,2,0\n6,1,2,1\n{row}\n"),
+            "t,x,y,p, t in whole microseconds",
+        )
     else:
         recording = text("a.txt", f"9 9\n0.000005 1 2 0\n0.000006 1 2 1\n{row}\n0.4 1 2 1\n")
         expected = "`t x y p`, t in seconds"
@@ -95,7 +104,8 @@ def test_a_row_that_no_event_can_be_is_damage(text, row):
         '"t","x","y","pol"\n7.0,1,2,1\n',
         "# y;x;p;t\n2;1;1;7\n",
         "# y x p t\n2,1,1,7\n",
-        "t,x,y,p\n7,1,2,1",  # a polarity without a line end is whole; another number may have lost digits
+        # a polarity without a line end is whole; another number may have lost digits
+        "t,x,y,p\n7,1,2,1",
     ],
 )
 def test_csv_columns_are_found_by_name(text, content):
@@ -124,7 +134,11 @@ def test_the_geometry_is_the_sensor_of_rows_between_blanks_too(text):
 
 
 def test_columns_in_another_order_are_refused_and_their_order_is_named(text):
-    with pytest.raises(ValueError, match=r"a.csv: the columns are not 'txyp'; they look like 'xypt': .* `columns`"):
+    with pytest.raises(
+        ValueError, match=r"a.csv: the columns are not 'txyp'; they look like 'xypt': .* `columns`"
+    ):
         text("a.csv", METAVISION)
-    with pytest.raises(ValueError, match=r"a.csv: the columns are not 'xypt'; they look like 'txyp': .* `columns`"):
+    with pytest.raises(
+        ValueError, match=r"a.csv: the columns are not 'xypt'; they look like 'txyp': .* `columns`"
+    ):
         text("a.csv", "%geometry:9,9\n5,1,2,0\n6,1,2,1\n7,2,1,1\n")

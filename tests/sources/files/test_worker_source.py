@@ -1,4 +1,5 @@
-"""Files that are read in a worker process: what happens if the library is missing, crashes, hangs or lies."""
+"""Files that are read in a worker process: what happens if the library is missing, crashes, hangs
+or lies."""
 
 import os
 import time
@@ -14,8 +15,8 @@ from async_tnt.sources.files.worker_source import WorkerSource
 
 
 def misbehaving(path):
-    """A reader as libraries are with damaged files. The file has two words: what to do to this process before, and
-    what after the sensor and two events.
+    """A reader as libraries are with damaged files. The file has two words: what to do to this
+    process before, and what after the sensor and two events.
     """
     with open(path) as file:
         first, later = file.read().split()
@@ -37,9 +38,17 @@ def misbehave(how):
 @pytest.mark.parametrize(
     ("name", "start", "message"),
     [
-        ("a.aedat4", b"#!AER-DAT4.0\r\n", r"AEDAT4 is read by faery, .*: pip install 'async_tnt\[files\]'"),
+        (
+            "a.aedat4",
+            b"#!AER-DAT4.0\r\n",
+            r"AEDAT4 is read by faery, .*: pip install 'async_tnt\[files\]'",
+        ),
         ("a.es", b"Event Stream", r"ES is read by faery, .*: pip install 'async_tnt\[files\]'"),
-        ("a.h5", b"\x89HDF\r\n\x1a\n", r"HDF5 is read by h5py, .*: pip install 'async_tnt\[hdf5\]'"),
+        (
+            "a.h5",
+            b"\x89HDF\r\n\x1a\n",
+            r"HDF5 is read by h5py, .*: pip install 'async_tnt\[hdf5\]'",
+        ),
         *(
             (f"a{suffix}", b"", r"ROS bags are read by rosbags, .*: pip install 'async_tnt\[ros\]'")
             for suffix in (".bag", ".db3", ".mcap")
@@ -58,9 +67,12 @@ STOPPED = "a worker process crashed, hung, was killed, or ran out of memory"
 
 
 @pytest.mark.parametrize(
-    ("how", "message"), [("hang", STOPPED), ("die", STOPPED), ("panic", "BaseException: its message in two lines")]
+    ("how", "message"),
+    [("hang", STOPPED), ("die", STOPPED), ("panic", "BaseException: its message in two lines")],
 )
-def test_a_reader_that_hangs_dies_or_panics_is_damage_after_the_events_before(tmp_path, monkeypatch, how, message):
+def test_a_reader_that_hangs_dies_or_panics_is_damage_after_the_events_before(
+    tmp_path, monkeypatch, how, message
+):
     """HDF5 reads some damaged attributes forever, and faery can run out of memory."""
     path = tmp_path / "a.odd"
     path.write_text("read end")
@@ -81,14 +93,17 @@ def test_a_reader_that_hangs_dies_or_panics_is_damage_after_the_events_before(tm
 def test_files_are_read_as_often_as_asked_at_once_and_after_damage(tmp_path):
     """One worker reads one after another; it is replaced after damage, or if it is killed."""
     paths = [
-        written(tmp_path / "dv.aedat4", made_events(50, seed=k)).rename(tmp_path / f"{k}.aedat4") for k in range(3)
+        written(tmp_path / "dv.aedat4", made_events(50, seed=k)).rename(tmp_path / f"{k}.aedat4")
+        for k in range(3)
     ]
     recordings = [open_recording(path) for path in paths]
     before = worker_source._idle[os.getpid()]
     for k in (2, 0, 1, 1):
         np.testing.assert_array_equal(recordings[k].read(), made_events(50, seed=k))
     assert worker_source._idle[os.getpid()] is before
-    assert [[len(packet) for packet in packets] for packets in zip(*recordings, strict=True)] == [[50] * 3]
+    assert [[len(packet) for packet in packets] for packets in zip(*recordings, strict=True)] == [
+        [50] * 3
+    ]
     next(recordings[0].source.blocks())  # not to its end
     np.testing.assert_array_equal(recordings[0].read(), made_events(50, seed=0))
     paths[2].write_bytes(paths[0].read_bytes()[:100])

@@ -1,4 +1,5 @@
-"""Files of events in each format, written from the formats' public descriptions, or by NumPy, faery and h5py.
+"""Files of events in each format, written from the formats' public descriptions, or by NumPy, faery
+and h5py.
 
 Nothing here is taken from the readers: no test would see a mistake that both sides share.
 """
@@ -20,21 +21,33 @@ ANY_TEXT = "von José in Zürich\t1"  # headers may name people and places
 def made_events(n, seed=0, sensor=SENSOR, step_us=50, start_us=1_000):
     rng = np.random.default_rng(seed)
     t = start_us + np.cumsum(rng.integers(0, step_us, n))
-    return events_of(t, rng.integers(0, sensor[0], n), rng.integers(0, sensor[1], n), rng.integers(0, 2, n))
+    return events_of(
+        t, rng.integers(0, sensor[0], n), rng.integers(0, sensor[1], n), rng.integers(0, 2, n)
+    )
 
 
 def uzh_text(events, sensor=SENSOR):
-    rows = "".join(f"{t // 10**6}.{t % 10**6:06d}000 {x} {y} {p}\n" for t, x, y, p in events.tolist())
+    rows = "".join(
+        f"{t // 10**6}.{t % 10**6:06d}000 {x} {y} {p}\n" for t, x, y, p in events.tolist()
+    )
     return (f"{sensor[0]} {sensor[1]}\n" + rows).encode()
 
 
 def csv(events, sensor=SENSOR):
-    return b"timestamp,x,y,polarity\n" + "".join(f"{t},{x},{y},{p}\n" for t, x, y, p in events.tolist()).encode()
+    return (
+        b"timestamp,x,y,polarity\n"
+        + "".join(f"{t},{x},{y},{p}\n" for t, x, y, p in events.tolist()).encode()
+    )
 
 
 def evt_header(version, sensor=SENSOR, more=""):
     name = f"EVT{version.replace('.0', '').replace('.', '')}"
-    lines = f"evt {version}", ANY_TEXT, f"format {name};height={sensor[1]};width={sensor[0]}{more}", "end"
+    lines = (
+        f"evt {version}",
+        ANY_TEXT,
+        f"format {name};height={sensor[1]};width={sensor[0]}{more}",
+        "end",
+    )
     return "".join(f"% {line}\n" for line in lines).encode()
 
 
@@ -59,7 +72,9 @@ def evt21(events, sensor=SENSOR, endianness="little"):
         is_time = word >> 28 == 0x8
         upper, lower = (word, 0) if is_time else (word & ~(31 << 11), 1 << (word >> 11 & 31))
         halves += [upper, lower] if endianness == "legacy" else [lower, upper]
-    return evt_header("2.1", sensor, f";endianness={endianness}") + struct.pack(f"<{len(halves)}I", *halves)
+    return evt_header("2.1", sensor, f";endianness={endianness}") + struct.pack(
+        f"<{len(halves)}I", *halves
+    )
 
 
 def evt3(events, sensor=SENSOR):
@@ -83,8 +98,12 @@ def evt3(events, sensor=SENSOR):
 
 
 def dat(events, sensor=SENSOR):
-    header = f"% {ANY_TEXT}\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode("latin-1")
-    body = (struct.pack("<II", t & 0xFFFFFFFF, p << 28 | y << 14 | x) for t, x, y, p in events.tolist())
+    header = f"% {ANY_TEXT}\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode(
+        "latin-1"
+    )
+    body = (
+        struct.pack("<II", t & 0xFFFFFFFF, p << 28 | y << 14 | x) for t, x, y, p in events.tolist()
+    )
     return header + b"\x0c\x08" + b"".join(body)
 
 
@@ -101,12 +120,15 @@ def es(events, sensor=SENSOR):
 
 
 def aedat2(events, sensor, chip, davis=None):
-    """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a pixel's.
+    """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a
+    pixel's.
 
-    With `davis`, a size, the addresses are those of a DAVIS of these pixels, which the header need not name.
+    With `davis`, a size, the addresses are those of a DAVIS of these pixels, which the header need
+    not name.
     """
     lines = ["#!AER-DAT2.0", f"# {ANY_TEXT}", *([f"# AEChip: eu.chips.{chip}"] if chip else [])]
-    out = ["".join(line + "\r\n" for line in lines).encode("latin-1")]  # jAER uses the encoding of its system
+    # jAER uses the encoding of its system
+    out = ["".join(line + "\r\n" for line in lines).encode("latin-1")]
     for t, x, y, p in events.tolist():
         if chip or davis:
             size = davis or (240, 180)
@@ -119,19 +141,36 @@ def aedat2(events, sensor, chip, davis=None):
 
 
 def aedat3(events, sensor=(240, 180)):
-    """Packets of five polarity events (or a tenth of all) and one that is not valid; between them, special events."""
-    out = [f"#!AER-DAT3.1\r\n#{ANY_TEXT}\r\n".encode() + b"#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
+    """Packets of five polarity events (or a tenth of all) and one that is not valid; between them,
+    special events."""
+    out = [
+        f"#!AER-DAT3.1\r\n#{ANY_TEXT}\r\n".encode() + b"#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"
+    ]
     n = max(5, len(events) // 10)
-    for (_, overflows), rows in groupby(enumerate(events.tolist()), key=lambda row: (row[0] // n, row[1][0] >> 31)):
+    for (_, overflows), rows in groupby(
+        enumerate(events.tolist()), key=lambda row: (row[0] // n, row[1][0] >> 31)
+    ):
         packet = [row for _, row in rows]
-        out.append(struct.pack("<hhiiiiii", 1, 1, 8, 4, overflows, len(packet) + 1, len(packet) + 1, len(packet)))
-        out += [struct.pack("<II", x << 17 | y << 2 | p << 1 | 1, t & 0x7FFFFFFF) for t, x, y, p in packet]
-        out += [struct.pack("<II", 5 << 17, 3), struct.pack("<hhiiiiiiII", 0, 1, 8, 4, overflows, 1, 1, 1, 3, 7)]
+        out.append(
+            struct.pack(
+                "<hhiiiiii", 1, 1, 8, 4, overflows, len(packet) + 1, len(packet) + 1, len(packet)
+            )
+        )
+        out += [
+            struct.pack("<II", x << 17 | y << 2 | p << 1 | 1, t & 0x7FFFFFFF)
+            for t, x, y, p in packet
+        ]
+        out += [
+            struct.pack("<II", 5 << 17, 3),
+            struct.pack("<hhiiiiiiII", 0, 1, 8, 4, overflows, 1, 1, 1, 3, 7),
+        ]
     return b"".join(out)
 
 
 def nmnist(events, sensor=(34, 34)):
-    return b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist())
+    return b"".join(
+        struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist()
+    )
 
 
 def by_faery(path, events, sensor=SENSOR):
@@ -221,14 +260,22 @@ FORMATS = {
     "evt3.raw": _bytes(evt3, (2048, 2048)),
     "v2.dat": _bytes(dat, (1 << 14, 1 << 14)),
     "dvs.es": _bytes(es, (65535, 65535)),
-    "dvs128.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False),
+    "dvs128.aedat": _bytes(
+        lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False
+    ),
     "davis.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, "DAViS240C"), (240, 180)),
     "caer.aedat": _bytes(aedat3, (240, 180)),
     "plain.bin": _bytes(nmnist, (34, 34)),
     "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
-    "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
-    "table.npz": Format(lambda path, events, sensor: np.savez(path, events=table_of(events)), states_sensor=False),
-    "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
+    "packed.npz": Format(
+        lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)
+    ),
+    "table.npz": Format(
+        lambda path, events, sensor: np.savez(path, events=table_of(events)), states_sensor=False
+    ),
+    "plain.npz": Format(
+        lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False
+    ),
     "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
     "dsec.h5": Format(dsec, states_sensor=False),
     "rvt.h5": Format(rvt),
