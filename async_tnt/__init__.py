@@ -10,49 +10,51 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 `TNTConfig` (what it holds). The batch reference is the package `tnt_reference`.
 """
 
-from async_tnt.package import __version__ as __version__
+from async_tnt.base.package import __version__ as __version__
 
 # type checkers assume True, as for `typing.TYPE_CHECKING`, whose import takes milliseconds
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # for type checkers and editors
-    from async_tnt.compile_ahead import warmup
-    from async_tnt.config import TNTConfig
-    from async_tnt.decision import Counts, Decision, Object
-    from async_tnt.event_forms import event_columns
-    from async_tnt.events import EVENT_DTYPE
-    from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
     from async_tnt.networks.loading import bundled_models, load_model
-    from async_tnt.networks.model import Model
-    from async_tnt.processor import Processor
-    from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+    from async_tnt.networks.models.model import Model
+    from async_tnt.sources.files.playback import replay
     from async_tnt.sources.files.recording import open_recording
-    from async_tnt.sources.pixel_filter import PixelFilter
-    from async_tnt.sources.playback import replay
-    from async_tnt.sources.queue import PacketQueue
-    from async_tnt.streams import WindowVolume, astream, stream, volumes
-    from async_tnt.volume import TNTVolume
+    from async_tnt.sources.pixels.pixel_filter import PixelFilter
+    from async_tnt.sources.queues.background_reader import BackgroundReader
+    from async_tnt.sources.queues.queue import PacketQueue
+    from async_tnt.streaming.compile_ahead import warmup
+    from async_tnt.streaming.decision import Decision, Object
+    from async_tnt.streaming.processor import Processor
+    from async_tnt.streaming.streams import WindowVolume, astream, stream, volumes
+    from async_tnt.volume.config import TNTConfig
+    from async_tnt.volume.counts import Counts
+    from async_tnt.volume.event_forms import event_columns
+    from async_tnt.volume.events import EVENT_DTYPE
+    from async_tnt.volume.volume import TNTVolume
 else:  # type checkers use the imports above; __getattr__ would let every name pass
-    from async_tnt.package import lazy_names
+    from async_tnt.base.package import lazy_names
 
     __getattr__, __dir__ = lazy_names(
         globals(),
         {
-            "compile_ahead": "warmup",
-            "config": "TNTConfig",
-            "decision": "Counts Decision Object",
-            "event_forms": "event_columns",
-            "events": "EVENT_DTYPE",
-            "networks.compiled": "CompiledClassifier CompiledRegressor",
+            "streaming.compile_ahead": "warmup",
+            "volume.config": "TNTConfig",
+            "streaming.decision": "Decision Object",
+            "volume.counts": "Counts",
+            "volume.event_forms": "event_columns",
+            "volume.events": "EVENT_DTYPE",
+            "networks.models.compiled": "CompiledClassifier CompiledRegressor",
             "networks.loading": "bundled_models load_model",
-            "networks.model": "Model",
-            "processor": "Processor",
-            "sources.background_reader": "BackgroundReader",
+            "networks.models.model": "Model",
+            "streaming.processor": "Processor",
+            "sources.queues.background_reader": "BackgroundReader",
             "sources.files.recording": "open_recording",
-            "sources.pixel_filter": "PixelFilter",
-            "sources.playback": "replay",
-            "sources.queue": "PacketQueue",
-            "streams": "WindowVolume astream stream volumes",
-            "volume": "TNTVolume",
+            "sources.pixels.pixel_filter": "PixelFilter",
+            "sources.files.playback": "replay",
+            "sources.queues.queue": "PacketQueue",
+            "streaming.streams": "WindowVolume astream stream volumes",
+            "volume.volume": "TNTVolume",
         },
     )
 

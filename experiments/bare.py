@@ -17,8 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from async_tnt.progress import progress
-from async_tnt.sources.sensor import format_size
+from async_tnt.base.progress import progress
+from async_tnt.volume.sensor import format_size
 from experiments.bench_timing import machine
 from experiments.made_objects import SENSOR, write
 from experiments.script_options import (

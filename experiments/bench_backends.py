@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.networks.compiled import CompiledClassifier
-from async_tnt.networks.model import Model
+from async_tnt.networks.models.compiled import CompiledClassifier
+from async_tnt.networks.models.model import Model
 from experiments.bench_timing import is_installed
 
 Network = Callable[[np.ndarray], np.ndarray]
@@ -56,8 +56,8 @@ def _onnxruntime_binding(model: Model) -> Network:
 
 
 def _session(model: Model) -> Any:
-    from async_tnt.networks.onnx_export import to_onnx
-    from async_tnt.networks.onnx_network import open_session
+    from async_tnt.networks.onnx.export import to_onnx
+    from async_tnt.networks.onnx.network import open_session
 
     return open_session(to_onnx(model).SerializeToString(), "the exported network", threads=1)[0]
 
@@ -65,7 +65,7 @@ def _session(model: Model) -> Any:
 def _openvino(model: Model) -> Network:
     import openvino
 
-    from async_tnt.networks.onnx_export import to_onnx
+    from async_tnt.networks.onnx.export import to_onnx
 
     core = openvino.Core()
     settings = {
@@ -91,7 +91,7 @@ def _openvino(model: Model) -> Network:
 def _torch(model: Model) -> Network:
     import torch
 
-    from async_tnt.networks.torch_modules import torch_classifier
+    from async_tnt.networks.models.torch_modules import torch_classifier
 
     network = torch_classifier(model)
     tensor = torch.zeros(model.config.shape)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.decision import Decision
-from async_tnt.networks.compiled import CompiledClassifier
-from async_tnt.networks.model import Model
-from async_tnt.processor import Processor
+from async_tnt.networks.models.compiled import CompiledClassifier
+from async_tnt.networks.models.model import Model
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.processor import Processor
 from experiments.bench_backends import Network
 from experiments.bench_interleaved import WorkDiffers, check_logits
 from experiments.bench_timing import interleave, spread, work_clock

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.networks.compiled import CompiledClassifier
-from async_tnt.networks.model import Model
-from async_tnt.volume import TNTVolume
+from async_tnt.networks.models.compiled import CompiledClassifier
+from async_tnt.networks.models.model import Model
+from async_tnt.volume.volume import TNTVolume
 from experiments.bench_backends import Network
 from experiments.bench_interleaved import Backend, compare
 from experiments.bench_moments import Moment, Moments

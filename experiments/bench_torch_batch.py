@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from async_tnt.config import TNTConfig
+from async_tnt.volume.config import TNTConfig
 
 BORDER_TOLERANCE = 1e-5  # pixels, the rounding of float32 at these sizes; see `tnt_reference`
 

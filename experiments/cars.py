@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import LANDMARKS
-from async_tnt.networks.compiled import CompiledRegressor
+from async_tnt.base.progress import progress
 from async_tnt.networks.loading import load_model
-from async_tnt.progress import progress
+from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.sources import open_recording
-from async_tnt.sources.sensor import format_size
 from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline, new_figure, note
-from async_tnt.volume import TNTVolume
+from async_tnt.volume.config import LANDMARKS
+from async_tnt.volume.sensor import format_size
+from async_tnt.volume.volume import TNTVolume
 from experiments.bench_every_event import bench_every_event
 from experiments.bench_timing import interleave, machine, spread, work_clock
 from experiments.made_objects import SENSOR, write

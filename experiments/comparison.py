@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from async_tnt.resynthesis.calibration import describe
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.mnist import load_mnist

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import LANDMARKS
+from async_tnt.volume.config import LANDMARKS
 from experiments.page_parts import about_machine, of_report, percent, results, short, table
 from experiments.table_numbers import cell, summary, with_range
 from experiments.table_numbers import short as three_digits

@@ -19,7 +19,7 @@ if __name__ == "__main__":  # before any library reads them
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
 from async_tnt import load_model, warmup
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from experiments import bench_backends as backends
 from experiments import measure_end_to_end as end_to_end
 from experiments.bench_every_event import bench_every_event

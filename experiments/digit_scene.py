@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.checks import plain_array
+from async_tnt.base.checks import plain_array
 from async_tnt.kernels.jit import compiled
 
 

@@ -15,10 +15,9 @@ from pathlib import Path
 
 import torch
 
-from async_tnt.config import TNTConfig
-from async_tnt.networks.model import Model
-from async_tnt.package import available_cores
-from async_tnt.progress import progress
+from async_tnt.base.package import available_cores
+from async_tnt.base.progress import progress
+from async_tnt.networks.models.model import Model
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData
 from async_tnt.training.evaluation import evaluate
@@ -28,6 +27,7 @@ from async_tnt.training.pipeline import pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
+from async_tnt.volume.config import TNTConfig
 from experiments.digits_data import digits_data
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 

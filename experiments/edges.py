@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_timing import machine
 from experiments.comparison import recordings_by_image

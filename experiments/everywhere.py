@@ -31,10 +31,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from async_tnt import Model, Processor, load_model
-from async_tnt.events import structured
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.volume.events import structured
 from experiments.bench_moments import made_columns, on_sensor
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from async_tnt.views.figure_style import OFF, ON, axes_at, headline, new_figure
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import write_mnist

@@ -24,7 +24,7 @@ from tnt_reference import event_volume, move_by_flow, tnt_volume
 
 from async_tnt import load_model
 from async_tnt.cli.bench import machine
-from async_tnt.networks.torch_modules import torch_classifier
+from async_tnt.networks.models.torch_modules import torch_classifier
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import TEXT, axes_at, headline, new_figure
 from experiments.script_options import exit_with, run_script, script_parser

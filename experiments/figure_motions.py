@@ -34,7 +34,7 @@ from async_tnt.views.figure_window import (
     layers_of_window,
     transform_words,
 )
-from async_tnt.volume import TNTVolume
+from async_tnt.volume.volume import TNTVolume
 from experiments.script_options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import load_model
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from experiments import made_pictures, moving_digits
 from experiments.bench_timing import machine
 from experiments.drawn_pictures import CHARACTERS, PIPS, write_glyphs, write_mnist

@@ -23,7 +23,7 @@ import torch
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, warmup
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from async_tnt.training.networks import conv4, residual, thesis
 from async_tnt.views.figure_style import LARGE, SMALL, TEXT, axes_at, headline, new_figure, write_at
 from experiments import bench_backends as backends

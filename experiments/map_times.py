@@ -37,7 +37,7 @@ import torch
 from torch import nn
 
 from async_tnt import EVENT_DTYPE, Model, Processor, load_model
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from async_tnt.sources import open_recording, sample_recordings
 from experiments import bench_backends as backends
 from experiments.bench_interleaved import WorkDiffers

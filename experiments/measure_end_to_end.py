@@ -59,7 +59,7 @@ class TorchRebuild:
     def __init__(self, model: Model) -> None:
         import torch
 
-        from async_tnt.networks.torch_modules import torch_classifier
+        from async_tnt.networks.models.torch_modules import torch_classifier
         from experiments.bench_torch_batch import TorchBatch
 
         self._torch, self._network, self._batch = (

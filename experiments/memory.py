@@ -18,7 +18,7 @@ import time
 import numpy as np
 
 from async_tnt import Processor, load_model, warmup
-from async_tnt.events import structured
+from async_tnt.volume.events import structured
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import machine
 from experiments.script_options import add_json, exit_with, plain_parser, write_outputs

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from async_tnt import Model
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.pipeline import pipeline_of
 from async_tnt.training.recordings import RecordingsWriter

@@ -9,11 +9,11 @@ import os
 import time
 from pathlib import Path
 
+from async_tnt.base.files import check_folder
+from async_tnt.base.package import available_cores
+from async_tnt.base.progress import progress
 from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import note, say
-from async_tnt.files import check_folder
-from async_tnt.package import available_cores
-from async_tnt.progress import progress
 from async_tnt.resynthesis.calibration import side_by_side
 from experiments.comparison import compare, recordings_by_image
 from experiments.digit_scene import Scene

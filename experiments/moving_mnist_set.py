@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import short
+from async_tnt.base.checks import short
+from async_tnt.base.files import locked_folder
+from async_tnt.base.package import __version__, available_cores
+from async_tnt.base.progress import progress
 from async_tnt.evaluation.processes import run_counted
-from async_tnt.files import locked_folder
-from async_tnt.package import __version__, available_cores
-from async_tnt.progress import progress
 from async_tnt.simulation.simulator import PixelModel
 from experiments.digit_scene import Scene
 from experiments.mnist import load_mnist

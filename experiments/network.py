@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
-from async_tnt.events import structured
-from async_tnt.sources.datagrams import encode
-from async_tnt.sources.playback import wait_until
-from async_tnt.sources.udp import UdpSource
+from async_tnt.sources.files.playback import wait_until
+from async_tnt.sources.live.datagrams import encode
+from async_tnt.sources.live.udp import UdpSource
+from async_tnt.volume.events import structured
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import latency, machine
 from experiments.script_options import add_count, add_json, exit_with, plain_parser, write_outputs

@@ -1,4 +1,4 @@
-"""What a compiled network computes, read from its program: see `async_tnt.kernels.program`."""
+"""What a compiled network computes, read from its program: see `async_tnt.kernels.network.program`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from async_tnt import CompiledClassifier
-from async_tnt.kernels import program as P
+from async_tnt.kernels.network import program as P
 from async_tnt.kernels.simd import LANES
 
 

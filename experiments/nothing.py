@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from async_tnt.networks.loading import load_model
-from async_tnt.processor import Processor
 from async_tnt.sources import open_recording, sample_recordings
-from async_tnt.sources.labelled_recordings import recordings_under
+from async_tnt.sources.files.labelled_recordings import recordings_under
+from async_tnt.streaming.processor import Processor
 from experiments.bench_moments import on_sensor
 from experiments.bench_timing import machine
 from experiments.script_options import add_folder, exit_with, run_script, script_parser

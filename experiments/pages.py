@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from async_tnt.files import write_text
+from async_tnt.base.files import write_text
 from experiments import (
     accuracy_tables,
     dataset_tables,

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from async_tnt.progress import progress
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.base.progress import progress
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.data import TrainingData, dataset_data
 from async_tnt.training.fitting import fit
 from async_tnt.training.settings import default_config, settings_for

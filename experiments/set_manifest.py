@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.files import write_text
+from async_tnt.base.files import write_text
 from experiments.motions import Motion, motions_of
 from experiments.shards import Shard, open_shard
 

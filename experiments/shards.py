@@ -30,8 +30,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from async_tnt.events import EVENT_DTYPE, structured
-from async_tnt.files import replacing
+from async_tnt.base.files import replacing
+from async_tnt.volume.events import EVENT_DTYPE, structured
 
 COLUMNS = {
     "t": "i4",

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Model, load_model, warmup
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
 from experiments import bench_backends as backends
 from experiments.bench_timing import machine, spread
 from experiments.script_options import exit_with, run_script, script_parser
@@ -107,7 +107,7 @@ def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
         model.save(folder / "model.safetensors")
         arguments = {"model": str(folder / "model.safetensors"), "shape": [1, *model.config.shape]}
         if "onnxruntime" in rows:
-            from async_tnt.networks.onnx_export import to_onnx
+            from async_tnt.networks.onnx.export import to_onnx
 
             arguments["onnx"] = str(folder / "model.onnx")
             (folder / "model.onnx").write_bytes(to_onnx(model).SerializeToString())

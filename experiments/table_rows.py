@@ -31,9 +31,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from async_tnt.config import Representation, TNTConfig
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.moved_windows import MotionSettings
+from async_tnt.volume.config import Representation, TNTConfig
 
 T_MAX = 2.0
 T_MAX_THESIS = 8.0

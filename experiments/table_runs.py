@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from async_tnt.base.files import replacing, write_text
+from async_tnt.base.progress import progress
 from async_tnt.evaluation.processes import run_all
-from async_tnt.files import replacing, write_text
-from async_tnt.progress import progress
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import Motions

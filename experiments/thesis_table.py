@@ -10,11 +10,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from async_tnt.checks import needs_extra
+from async_tnt.base.checks import needs_extra
+from async_tnt.base.files import check_folder, write_text
+from async_tnt.base.package import available_cores
 from async_tnt.cli.options import command_words, positive_int, whole_number
 from async_tnt.cli.output import note, say
-from async_tnt.files import check_folder, write_text
-from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
 from experiments.bench_timing import machine
 from experiments.page_parts import read_json

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Processor, TNTVolume, load_model
-from async_tnt.events import structured
+from async_tnt.volume.events import structured
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import interleave, machine, spread
 from experiments.script_options import exit_with, run_script, script_parser

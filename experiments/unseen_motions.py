@@ -37,11 +37,11 @@ from typing import Any
 import numpy as np
 
 from async_tnt import load_model
-from async_tnt.package import available_cores
-from async_tnt.progress import progress
-from async_tnt.sources.sensor import format_size
+from async_tnt.base.package import available_cores
+from async_tnt.base.progress import progress
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.pipeline import pipeline_of
+from async_tnt.volume.sensor import format_size
 from experiments import made_hands, thinned_saccades
 from experiments.bench_timing import machine
 from experiments.digits_data import CLASSES, SACCADE_US

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt import TNTConfig, TNTVolume, warmup
-from async_tnt.events import structured
-from async_tnt.progress import progress
+from async_tnt.base.progress import progress
+from async_tnt.volume.events import structured
 from experiments.bench_moments import made_columns
 from experiments.bench_timing import interleave, machine, spread, work_clock
 from experiments.script_options import exit_with, run_script, script_parser

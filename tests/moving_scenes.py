@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from async_tnt.events import structured
-from async_tnt.kernels.simulate import pixel_events
+from async_tnt.kernels.training.simulate import pixel_events
 from async_tnt.simulation.simulator import PixelModel, simulate
+from async_tnt.volume.events import structured
 
 WINDOW_US = 105_000
 SENSOR = (34, 34)

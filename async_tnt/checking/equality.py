@@ -26,13 +26,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from async_tnt.config import LANDMARKS, TIME_IMAGES, TNTConfig
-from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
-from async_tnt.networks.model import Model
-from async_tnt.networks.torch_modules import landmark_function
-from async_tnt.processor import Processor
-from async_tnt.volume import TNTVolume
-from async_tnt.volume_state import Regressor
+from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.torch_modules import landmark_function
+from async_tnt.streaming.processor import Processor
+from async_tnt.volume.config import LANDMARKS, TIME_IMAGES, TNTConfig
+from async_tnt.volume.state import Regressor
+from async_tnt.volume.volume import TNTVolume
 
 PACKET_SIZES = (1, 2, 7, 100, 0)  # 0: everything at once
 VOLUME_BOUND = 1e-6  # of the largest cell

@@ -9,9 +9,9 @@ import numpy as np
 import tnt_reference
 import torch
 
-from async_tnt.config import TIME_IMAGES, TNTConfig
-from async_tnt.networks.model import Model
-from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.torch_modules import torch_classifier, torch_regressor
+from async_tnt.volume.config import TIME_IMAGES, TNTConfig
 
 Landmark = tuple[float, float]
 

@@ -13,18 +13,18 @@ from typing import Any
 import numba
 import numpy as np
 
+from async_tnt.base.package import __version__
+from async_tnt.base.progress import progress
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import say
-from async_tnt.compile_ahead import warmup
-from async_tnt.networks.compiled import CompiledRegressor
-from async_tnt.networks.model import Model
-from async_tnt.package import __version__
-from async_tnt.processor import Processor
-from async_tnt.progress import progress
+from async_tnt.networks.models.compiled import CompiledRegressor
+from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.nmnist import SENSOR as SAMPLE_SENSOR
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.sensor import Sensor
-from async_tnt.volume import TNTVolume
+from async_tnt.streaming.compile_ahead import warmup
+from async_tnt.streaming.processor import Processor
+from async_tnt.volume.sensor import Sensor
+from async_tnt.volume.volume import TNTVolume
 
 DESCRIPTION = """\
 Measure on this machine, warm and on one thread, what an event costs in the volume, how long a decision takes some

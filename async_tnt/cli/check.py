@@ -6,8 +6,9 @@ import argparse
 import json
 from pathlib import Path
 
+from async_tnt.base.checks import needs_extra
+from async_tnt.base.progress import progress
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
-from async_tnt.checks import needs_extra
 from async_tnt.cli.options import (
     add_files,
     add_reading,
@@ -18,10 +19,9 @@ from async_tnt.cli.options import (
     reading_of,
 )
 from async_tnt.cli.output import note, say
-from async_tnt.compile_ahead import fill_cache
-from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.sensor import check_sensor
+from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.volume.sensor import check_sensor
 
 DESCRIPTION = f"""Compare streaming with the batch reference in torch on recordings. For every landmark:
 

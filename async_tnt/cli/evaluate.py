@@ -14,22 +14,22 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.files import check_writable, user_path
+from async_tnt.base.progress import progress
 from async_tnt.cli.evaluate_objects import evaluate_objects
 from async_tnt.cli.options import MODELS, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of
-from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import Record, check_record, evaluate_recording
 from async_tnt.evaluation.results import SUFFIXES, Run, collect
 from async_tnt.evaluation.scores import score_recordings
-from async_tnt.files import check_writable, user_path
-from async_tnt.networks.model import Model
-from async_tnt.progress import progress
+from async_tnt.networks.models.model import Model
+from async_tnt.sources.files.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
+from async_tnt.streaming.compile_ahead import fill_cache
 
 SHOWN = 200  # letters of the classes that an error names
 

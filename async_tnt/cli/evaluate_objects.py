@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.progress import progress
 from async_tnt.cli.output import complain, say
-from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.object_scores import ObjectScores, score_recording
 from async_tnt.evaluation.object_tables import find_tables, read_table
-from async_tnt.networks.model import Model
-from async_tnt.progress import progress
+from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.sensor import check_sensor
+from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.volume.sensor import check_sensor
 
 NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask", "restart"
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 
-from async_tnt.checks import one_line
+from async_tnt.base.checks import one_line
+from async_tnt.base.files import check_writable, replacing, user_path
 from async_tnt.cli.options import MODELS, model_of
 from async_tnt.cli.output import say
-from async_tnt.files import check_writable, replacing, user_path
-from async_tnt.networks.compiled import CompiledClassifier
-from async_tnt.networks.conversion_check import compare
+from async_tnt.networks.layers.conversion_check import compare
+from async_tnt.networks.models.compiled import CompiledClassifier
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
 (1, C, H, W); output `logits`, float32, (1, n_classes), of a map model (1, n_classes + 1, R, C). The file also holds
@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    from async_tnt.networks.onnx_export import to_onnx
-    from async_tnt.networks.onnx_network import OnnxClassifier, import_onnxruntime
+    from async_tnt.networks.onnx.export import to_onnx
+    from async_tnt.networks.onnx.network import OnnxClassifier, import_onnxruntime
 
     check_writable(args.out, (".onnx",))
     model = model_of(args.model)

@@ -11,15 +11,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from async_tnt.base.files import user_path
+from async_tnt.base.progress import progress
 from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import OPTIONS, can_print, complain, say, with_options
-from async_tnt.files import user_path
 from async_tnt.networks.loading import bundled_models, load_model
-from async_tnt.networks.model import Model
-from async_tnt.progress import progress
-from async_tnt.sources.labelled_recordings import recordings_under
+from async_tnt.networks.models.model import Model
+from async_tnt.sources.files.labelled_recordings import recordings_under
 from async_tnt.sources.recording_summary import RecordingSummary, summarize
-from async_tnt.sources.sensor import format_size
+from async_tnt.volume.sensor import format_size
 
 DESCRIPTION = """Say what recordings, folders of recordings and models hold.
 

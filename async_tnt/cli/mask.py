@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.files import check_writable, user_path
+from async_tnt.base.progress import progress
 from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import say
-from async_tnt.files import check_writable, user_path
-from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, listed_pixels, save_mask
-from async_tnt.sources.sensor import check_sensor, format_size
+from async_tnt.sources.pixels.pixel_masks import count_pixels, hot_pixels, listed_pixels, save_mask
+from async_tnt.volume.sensor import check_sensor, format_size
 
 DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
 sensor would explain. Several recordings of one camera count as one.

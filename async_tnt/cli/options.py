@@ -9,13 +9,13 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from async_tnt.checks import short
-from async_tnt.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
-from async_tnt.files import user_path
+from async_tnt.base.checks import short
+from async_tnt.base.files import user_path
 from async_tnt.networks.loading import bundled_models, load_model
-from async_tnt.networks.model import Model
+from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
+from async_tnt.volume.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
 
 FIELDS: dict[str, Callable[[str], Any]] = {
     "representation": str,

@@ -10,11 +10,11 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from async_tnt.checks import printable
-from async_tnt.decision import Decision
+from async_tnt.base.checks import printable
+from async_tnt.streaming.decision import Decision
 
 if TYPE_CHECKING:
-    from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.sources.queues.background_reader import BackgroundReader
 
 Line = Callable[..., str]  # `text_line` or `json_line`
 HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
 from async_tnt.sources.opening import open_source
-from async_tnt.sources.pixel_selection import PixelSelector
+from async_tnt.sources.pixels.pixel_selection import PixelSelector
 
 if TYPE_CHECKING:
-    from async_tnt.processor import Processor
-    from async_tnt.sources.keep_up import KeepUp
+    from async_tnt.sources.queues.keep_up import KeepUp
+    from async_tnt.streaming.processor import Processor
 
 
 def add_keep_up(parser: argparse.ArgumentParser) -> None:
@@ -89,7 +89,7 @@ def follow(
         packets: Iterable[Any] = map(pixels.filter_of(name, source.sensor), source)
         reader = None
         if keep_up_ms is not None:
-            from async_tnt.sources.keep_up import KeepUp  # imports asyncio
+            from async_tnt.sources.queues.keep_up import KeepUp  # imports asyncio
 
             # copy=False: cameras and the network put each packet in new memory
             us = 1_000 * keep_up_ms

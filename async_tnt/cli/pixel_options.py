@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 
+from async_tnt.base.files import user_path
 from async_tnt.cli.options import paths_of, reading_of, size_of
-from async_tnt.config import TNTConfig
-from async_tnt.files import user_path
-from async_tnt.networks.model import Model
+from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixel_masks import PackedMask, load_mask
-from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector, Region
-from async_tnt.sources.sensor import Sensor
+from async_tnt.sources.pixels.pixel_masks import PackedMask, load_mask
+from async_tnt.sources.pixels.pixel_selection import PixelSelection, PixelSelector, Region
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.sensor import Sensor
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from async_tnt.base.files import check_ours, user_path
 from async_tnt.cli.options import (
     MODELS,
     READABLE,
@@ -18,15 +19,14 @@ from async_tnt.cli.options import (
     volume_of,
 )
 from async_tnt.cli.output import complain, say
-from async_tnt.config import TIME_IMAGES, TNTConfig
-from async_tnt.files import check_ours, user_path
-from async_tnt.networks.model import Model
+from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_objects import draw_window_objects
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import FORMATS, check_picture, save, styled
 from async_tnt.views.figure_subject import Subject
+from async_tnt.volume.config import TIME_IMAGES, TNTConfig
+from async_tnt.volume.sensor import check_sensor, format_size
 
 DPI = 100  # figures are 10.4 inches wide
 DEFAULT_MODEL = "digits"

@@ -18,9 +18,9 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn
 
-from async_tnt.checks import printable
+from async_tnt.base.checks import printable
+from async_tnt.base.package import __version__
 from async_tnt.cli.output import OPTIONS, complain
-from async_tnt.package import __version__
 
 # Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes), which Windows does not
 # have

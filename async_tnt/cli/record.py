@@ -20,17 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import short
+from async_tnt.base.checks import short
+from async_tnt.base.files import check_folder, user_path, write_text
+from async_tnt.base.package import __version__
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import can_print, complain, say
 from async_tnt.cli.program import handled_by
-from async_tnt.events import EVENT_DTYPE, as_events
-from async_tnt.files import check_folder, user_path, write_text
-from async_tnt.package import __version__
 from async_tnt.sources.files.dat_writer import DatFile, DatWriter
 from async_tnt.sources.files.prophesee import DAT_SIDE
 from async_tnt.sources.opening import is_live, open_source
-from async_tnt.sources.sensor import format_size
+from async_tnt.volume.events import EVENT_DTYPE, as_events
+from async_tnt.volume.sensor import format_size
 
 DESCRIPTION = """Record a camera or a network stream, a file of its class at a time, to train on.
 

@@ -24,16 +24,16 @@ from async_tnt.cli.options import (
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
 from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
-from async_tnt.compile_ahead import fill_cache
-from async_tnt.decision import Decision, class_of_recording
 from async_tnt.networks.engines import Engine, choose_engine
-from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
-from async_tnt.sources.pixel_selection import PixelSelector
-from async_tnt.windows import TimeUnitCheck
+from async_tnt.sources.pixels.pixel_selection import PixelSelector
+from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.streaming.decision import Decision, class_of_recording
+from async_tnt.streaming.processor import Processor
+from async_tnt.streaming.windows import TimeUnitCheck
 
 if TYPE_CHECKING:
-    from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.sources.queues.background_reader import BackgroundReader
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
 label and its probability, and the microseconds from the last event to the decision. After each recording a line names

@@ -10,21 +10,21 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.checks import needs_extra
+from async_tnt.base.checks import needs_extra
+from async_tnt.base.files import check_folder, check_ours, check_writable, locked_folder, write_text
+from async_tnt.base.package import available_cores
+from async_tnt.base.progress import progress
 from async_tnt.cli.options import command_words, model_of, of_windows, reading_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
 from async_tnt.cli.train_options import DESCRIPTION, add_arguments
-from async_tnt.config import TNTConfig
-from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
-from async_tnt.networks.model import Model
-from async_tnt.package import available_cores
-from async_tnt.progress import progress
+from async_tnt.networks.models.model import Model
 from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.sources.files.labelled_recordings import has_test
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.labelled_recordings import has_test
-from async_tnt.sources.sensor import format_size
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.sensor import format_size
 
 if TYPE_CHECKING:
     from async_tnt.training.data import TrainingData

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from async_tnt.base.files import user_path
 from async_tnt.cli.options import (
     add_reading,
     add_volume,
@@ -14,7 +15,6 @@ from async_tnt.cli.options import (
     whole_number,
 )
 from async_tnt.cli.pixel_options import add_selection
-from async_tnt.files import user_path
 from async_tnt.simulation.picture_scene import LIGHTS, SceneSettings
 
 USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"

@@ -7,7 +7,9 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from async_tnt.checks import printable
+from async_tnt.base.checks import printable
+from async_tnt.base.files import check_writable, user_path
+from async_tnt.base.progress import progress
 from async_tnt.cli.options import (
     add_files,
     add_reading,
@@ -23,12 +25,10 @@ from async_tnt.cli.options import (
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
-from async_tnt.compile_ahead import fill_cache
-from async_tnt.files import check_writable, user_path
 from async_tnt.networks.engines import choose_engine
-from async_tnt.progress import progress
+from async_tnt.sources.files.playback import replay
 from async_tnt.sources.files.recording import Recording
-from async_tnt.sources.playback import replay
+from async_tnt.streaming.compile_ahead import fill_cache
 from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 
 DESCRIPTION = """Show a stream in the Rerun viewer while it is classified: the events and the landmark, the raw and the

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision
 from async_tnt.evaluation.scores import calibration_of
+from async_tnt.streaming.decision import Decision
+from async_tnt.volume.config import TNTConfig
 
 N_MOMENTS = 10
 PER_MOMENT = 5

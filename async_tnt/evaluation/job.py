@@ -11,13 +11,13 @@ import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from async_tnt.files import user_path
+from async_tnt.base.files import user_path
+from async_tnt.base.package import __version__
 from async_tnt.networks.loading import bundled_models
-from async_tnt.networks.model import Model
-from async_tnt.networks.model_file import checksum
-from async_tnt.package import __version__
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.model_file import checksum
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from async_tnt.evaluation.object_tables import ObjectTable
-from async_tnt.events import EVENT_DTYPE
-from async_tnt.kernels.objects import CLASS, X, Y
-from async_tnt.networks.model import Model
-from async_tnt.processor import Processor
+from async_tnt.kernels.decisions.objects import CLASS, X, Y
+from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import Recording
+from async_tnt.streaming.processor import Processor
+from async_tnt.volume.events import EVENT_DTYPE
 
 SHARES = 0.3, 0.5, 1.0
 """Of a window, after which objects are looked for."""

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import one_line, parse_json, short
-from async_tnt.files import open_regular, read_regular, refuse_git_lfs
+from async_tnt.base.checks import one_line, parse_json, short
+from async_tnt.base.files import open_regular, read_regular, refuse_git_lfs
+from async_tnt.sources.files.labelled_recordings import check_once, is_recording
 from async_tnt.sources.files.numpy_files import map_npy
-from async_tnt.sources.labelled_recordings import check_once, is_recording
 
 CSV, BOXES, OF_BOXES = "_objects.csv", "_bbox.npy", "_td"
 NAMES_FILE = "label_map_dictionary.json"

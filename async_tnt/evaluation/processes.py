@@ -11,9 +11,9 @@ from concurrent.futures import CancelledError
 from multiprocessing import connection
 from typing import Any, TypeVar
 
-from async_tnt.checks import needs_extra, one_line
-from async_tnt.progress import Bar
-from async_tnt.sources.worker import Worker, WorkerEnded
+from async_tnt.base.checks import needs_extra, one_line
+from async_tnt.base.progress import Bar
+from async_tnt.base.worker import Worker, WorkerEnded
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

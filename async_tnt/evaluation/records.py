@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import short
-from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision
+from async_tnt.base.checks import short
+from async_tnt.base.package import __version__
 from async_tnt.evaluation.early import FIELDS as EARLY
 from async_tnt.evaluation.early import LEVELS, early_fields, every_us, moments
 from async_tnt.evaluation.job import Job, Task, sha256_of
-from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.networks.loading import load_model
-from async_tnt.package import __version__
-from async_tnt.processor import Processor
-from async_tnt.sources.pixel_selection import PixelSelector
+from async_tnt.sources.pixels.pixel_selection import PixelSelector
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.processor import Processor
+from async_tnt.volume.config import TNTConfig
 
 Record = dict[str, Any]
 

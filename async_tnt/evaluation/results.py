@@ -14,11 +14,11 @@ import os
 from collections.abc import Callable, Collection, Generator, Sequence
 from pathlib import Path
 
-from async_tnt.checks import one_line, parse_json, short
+from async_tnt.base.checks import one_line, parse_json, short
+from async_tnt.base.files import check_writable, naming, open_locked, replacing
+from async_tnt.base.progress import Bar
 from async_tnt.evaluation.job import Job, Task
 from async_tnt.evaluation.records import FIELDS, Record, lost
-from async_tnt.files import check_writable, naming, open_locked, replacing
-from async_tnt.progress import Bar
 
 SUFFIXES = (".jsonl",)
 START = b'{"recording": '

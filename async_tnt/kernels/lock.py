@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .jit import BOUNDS_CHECKED
+from async_tnt.kernels.jit import BOUNDS_CHECKED
 
 LARGE = 4_000  # events: taking the lock back may wait until another thread has woken this one
 

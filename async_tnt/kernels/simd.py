@@ -27,8 +27,8 @@ from llvmlite import ir
 from numba import config, types
 from numba.extending import intrinsic
 
-from .functions import Arithmetic
-from .jit import BOUNDS_CHECKED, inlined
+from async_tnt.kernels.arithmetic import Arithmetic
+from async_tnt.kernels.jit import BOUNDS_CHECKED, inlined
 
 
 def _lanes_of_this_machine():

@@ -11,12 +11,12 @@
 onnx, onnxruntime (extra `onnx`) and torch are imported only when they are needed.
 """
 
-from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.loading import bundled_models, load_model
-from async_tnt.networks.model import Model
-from async_tnt.networks.onnx_export import to_onnx
-from async_tnt.networks.onnx_network import OnnxClassifier
-from async_tnt.networks.torch_modules import TorchClassifier
+from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.torch_modules import TorchClassifier
+from async_tnt.networks.onnx.export import to_onnx
+from async_tnt.networks.onnx.network import OnnxClassifier
 
 __all__ = [
     "CompiledClassifier",

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.checks import one_line, parse_json, short
-from async_tnt.config import TNTConfig
-from async_tnt.files import read_regular, user_path
+from async_tnt.base.checks import one_line, parse_json, short
+from async_tnt.base.files import read_regular, user_path
 from async_tnt.networks.loading import load_model
-from async_tnt.networks.model import Model
-from async_tnt.networks.onnx_network import OnnxClassifier
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.onnx.network import OnnxClassifier
+from async_tnt.volume.config import TNTConfig
 
 
 @dataclass(frozen=True)

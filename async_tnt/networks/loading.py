@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError
 
-from async_tnt.checks import one_line
-from async_tnt.config import TNTConfig
-from async_tnt.files import refuse_git_lfs, user_path
-from async_tnt.networks.from_onnx import load_onnx
-from async_tnt.networks.model import FORMAT, Model
-from async_tnt.networks.model_file import (
+from async_tnt.base.checks import one_line
+from async_tnt.base.files import refuse_git_lfs, user_path
+from async_tnt.networks.models.model import FORMAT, Model
+from async_tnt.networks.models.model_file import (
     checksum_of,
     parse_metadata,
     read_description,
     read_tensors,
 )
+from async_tnt.networks.onnx.from_onnx import load_onnx
+from async_tnt.volume.config import TNTConfig
 
 
 def bundled_models() -> tuple[str, ...]:

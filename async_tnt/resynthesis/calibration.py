@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import structured
 from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import Columns, measure_pixels, part_of
+from async_tnt.volume.events import structured
 
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Of the longest refractory time that the intervals allow."""

@@ -41,7 +41,7 @@ from functools import cached_property
 
 import numpy as np
 
-from async_tnt.kernels.moving_image import contrast_frames, evidence_terms
+from async_tnt.kernels.training.moving_image import contrast_frames, evidence_terms
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, is_after_pulse, part_of
 
 N_FRAMES = 16

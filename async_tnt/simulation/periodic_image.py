@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
-from async_tnt.kernels.moving_image import move_periodic
+from async_tnt.kernels.training.moving_image import move_periodic
 from async_tnt.simulation.simulator import PixelModel, simulate
+from async_tnt.volume.events import EVENT_DTYPE
 
 MOST_VALUES = 1 << 22
 """Of frames in memory: a large sensor is simulated in bands of rows."""

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.checks import needs_extra, one_line
-from async_tnt.files import open_regular, refuse_git_lfs
+from async_tnt.base.checks import needs_extra, one_line
+from async_tnt.base.files import open_regular, refuse_git_lfs
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")

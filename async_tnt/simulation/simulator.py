@@ -36,9 +36,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.checks import plain_array
-from async_tnt.events import EVENT_DTYPE, structured
-from async_tnt.kernels.simulate import low_pass, pixel_events
+from async_tnt.base.checks import plain_array
+from async_tnt.kernels.training.simulate import low_pass, pixel_events
+from async_tnt.volume.events import EVENT_DTYPE, structured
 
 MIN_THRESHOLD = 1e-3
 """Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""

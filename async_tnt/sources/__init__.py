@@ -15,13 +15,9 @@ PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` find
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from async_tnt.sources.background_reader import BackgroundReader
-    from async_tnt.sources.camera_drivers import DRIVERS, CameraCounts
-    from async_tnt.sources.cameras import Camera, open_camera
-    from async_tnt.sources.clock import Clock
-    from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, encode
     from async_tnt.sources.files.nmnist import read_nmnist
     from async_tnt.sources.files.off_sensor import EventsOffSensor
+    from async_tnt.sources.files.playback import replay
     from async_tnt.sources.files.recording import (
         READERS,
         Recording,
@@ -36,10 +32,14 @@ if TYPE_CHECKING:
         Source,
         Topic,
     )
-    from async_tnt.sources.keep_up import KeepUp
+    from async_tnt.sources.live.camera_drivers import DRIVERS, CameraCounts
+    from async_tnt.sources.live.cameras import Camera, open_camera
+    from async_tnt.sources.live.clock import Clock
+    from async_tnt.sources.live.datagrams import EVENT_BYTES, Decoder, encode
+    from async_tnt.sources.live.udp import NetworkCounts, UdpSource, open_udp
     from async_tnt.sources.opening import open_source
-    from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
-    from async_tnt.sources.pixel_masks import (
+    from async_tnt.sources.pixels.pixel_filter import PixelCounts, PixelFilter
+    from async_tnt.sources.pixels.pixel_masks import (
         PackedMask,
         count_pixels,
         hot_pixels,
@@ -47,33 +47,33 @@ if TYPE_CHECKING:
         load_mask,
         save_mask,
     )
-    from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
-    from async_tnt.sources.playback import replay
-    from async_tnt.sources.queue import PacketQueue, QueueCounters
-    from async_tnt.sources.udp import NetworkCounts, UdpSource, open_udp
+    from async_tnt.sources.pixels.pixel_selection import PixelSelection, PixelSelector
+    from async_tnt.sources.queues.background_reader import BackgroundReader
+    from async_tnt.sources.queues.keep_up import KeepUp
+    from async_tnt.sources.queues.queue import PacketQueue, QueueCounters
 else:
-    from async_tnt.package import lazy_names
+    from async_tnt.base.package import lazy_names
 
     __getattr__, __dir__ = lazy_names(
         globals(),
         {
-            "background_reader": "BackgroundReader",
-            "camera_drivers": "DRIVERS CameraCounts",
-            "cameras": "Camera open_camera",
-            "clock": "Clock",
-            "datagrams": "EVENT_BYTES Decoder encode",
+            "queues.background_reader": "BackgroundReader",
+            "live.camera_drivers": "DRIVERS CameraCounts",
+            "live.cameras": "Camera open_camera",
+            "live.clock": "Clock",
+            "live.datagrams": "EVENT_BYTES Decoder encode",
             "files.nmnist": "read_nmnist",
             "files.off_sensor": "EventsOffSensor",
             "files.recording": "READERS Recording RecordingCounts open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording ReadOptions Source Topic",
-            "keep_up": "KeepUp",
+            "queues.keep_up": "KeepUp",
             "opening": "open_source",
-            "pixel_filter": "PixelCounts PixelFilter",
-            "pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
-            "pixel_selection": "PixelSelection PixelSelector",
-            "playback": "replay",
-            "queue": "PacketQueue QueueCounters",
-            "udp": "NetworkCounts UdpSource open_udp",
+            "pixels.pixel_filter": "PixelCounts PixelFilter",
+            "pixels.pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
+            "pixels.pixel_selection": "PixelSelection PixelSelector",
+            "files.playback": "replay",
+            "queues.queue": "PacketQueue QueueCounters",
+            "live.udp": "NetworkCounts UdpSource open_udp",
         },
     )
 

@@ -57,9 +57,9 @@ def open_source(
 
         return open_recording(source, sensor=sensor)
     if source.startswith("camera"):
-        from async_tnt.sources.cameras import open_camera
+        from async_tnt.sources.live.cameras import open_camera
 
         return open_camera(source)
-    from async_tnt.sources.udp import open_udp
+    from async_tnt.sources.live.udp import open_udp
 
     return open_udp(source, sensor)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import ANY_SENSOR
-from async_tnt.kernels.pixels import count_events
+from async_tnt.kernels.sources.pixels import count_events
 from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixel_masks import MAX_PIXELS, hot_pixels, listed_pixels
-from async_tnt.sources.sensor import Sensor
+from async_tnt.sources.pixels.pixel_masks import MAX_PIXELS, hot_pixels, listed_pixels
+from async_tnt.volume.events import ANY_SENSOR
+from async_tnt.volume.sensor import Sensor
 
 PACKET_EVENTS = 1 << 16
 N_PARTS = 60

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from async_tnt.training.volume_dataset import VolumeDataset
     from async_tnt.training.windows import Windows, make_windows
 else:
-    from async_tnt.package import lazy_names
+    from async_tnt.base.package import lazy_names
 
     __getattr__, __dir__ = lazy_names(
         globals(),

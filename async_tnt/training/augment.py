@@ -27,9 +27,16 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import MAX_SIDE, TIME_IMAGES, TNTConfig
-from async_tnt.kernels.window_batches import EDGE, HOT_PIXELS, ONE_POLARITY, PATCH, SCATTERED, SHOWN
+from async_tnt.kernels.training.window_batches import (
+    EDGE,
+    HOT_PIXELS,
+    ONE_POLARITY,
+    PATCH,
+    SCATTERED,
+    SHOWN,
+)
 from async_tnt.training.windows import Windows
+from async_tnt.volume.config import MAX_SIDE, TIME_IMAGES, TNTConfig
 
 KINDS = {
     "scattered": SCATTERED,

@@ -10,12 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
-from async_tnt.events import empty_columns
-from async_tnt.kernels.window_batches import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
+from async_tnt.kernels.training.window_batches import (
+    GIVEN,
+    MEAN,
+    OWN,
+    landmark_gradients,
+    window_volumes,
+)
 from async_tnt.training.augment import Draws, unchanged
 from async_tnt.training.windows import Windows
-from async_tnt.volume_state import new_state
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.events import empty_columns
+from async_tnt.volume.state import new_state
 
 
 class BatchVolumes:

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
-from async_tnt.progress import Bar
+from async_tnt.base.progress import Bar
 from async_tnt.simulation.picture_scene import SceneSettings
+from async_tnt.sources.files.labelled_recordings import file_of
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.labelled_recordings import file_of
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.streaming.windows import N_JUDGED, TimeUnitCheck
 from async_tnt.training.dataset import Dataset, read_dataset
 from async_tnt.training.groups import (
     groups_by_pattern,
@@ -28,7 +28,7 @@ from async_tnt.training.recordings import Recordings
 from async_tnt.training.settings import default_grid, with_bins
 from async_tnt.training.simulated_pictures import check_pictures, find_pictures, with_pictures
 from async_tnt.training.windows import Windows, make_windows
-from async_tnt.windows import N_JUDGED, TimeUnitCheck
+from async_tnt.volume.config import TNTConfig
 
 BY_NUMBER = "number, the last ones"
 

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.progress import Bar
+from async_tnt.base.progress import Bar
+from async_tnt.sources.files.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import READERS, Recording, open_recording
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
-from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.sensor import Sensor, format_size
+from async_tnt.sources.pixels.pixel_filter import PixelFilter
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.recordings import Recordings, RecordingsWriter
+from async_tnt.volume.sensor import Sensor, format_size
 
 MAX_US = 1 << 31  # what a column of int32 holds
 Known = dict[bytes, tuple[int, str]]

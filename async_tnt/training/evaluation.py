@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from async_tnt.evaluation.scores import calibration_of, share_right
-from async_tnt.kernels.window_batches import SHOWN
+from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.training.augment import KINDS, of_nothing, unchanged
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.temperature import fit_temperature, softened

@@ -10,9 +10,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from async_tnt.base.progress import Bar
 from async_tnt.evaluation.scores import scores_of
-from async_tnt.networks.model import Model
-from async_tnt.progress import Bar
+from async_tnt.networks.models.model import Model
 from async_tnt.training.data import TrainingData
 from async_tnt.training.evaluation import evaluate
 from async_tnt.training.loop import train

@@ -13,7 +13,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from async_tnt.sources.labelled_recordings import file_of
+from async_tnt.sources.files.labelled_recordings import file_of
 
 MIN_WINDOWS = 10
 """Of a session, to hold out its last ones."""

@@ -15,10 +15,9 @@ import numpy as np
 import torch
 from torch.optim.swa_utils import AveragedModel
 
-from async_tnt.config import TNTConfig
-from async_tnt.files import locked_folder
-from async_tnt.networks.model import Model
-from async_tnt.progress import Bar
+from async_tnt.base.files import locked_folder
+from async_tnt.base.progress import Bar
+from async_tnt.networks.models.model import Model
 from async_tnt.training.augment import Draws
 from async_tnt.training.early_end import COOLING, settled_at, share_while_cooling
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
@@ -27,6 +26,7 @@ from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_ex
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
+from async_tnt.volume.config import TNTConfig
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE, EventDecoder
-from async_tnt.files import open_regular, replacing
+from async_tnt.base.files import open_regular, replacing
 from async_tnt.resynthesis import MotionPath
 from async_tnt.training.augment import LATEST, Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.events import EVENT_DTYPE, EventDecoder
 
 MIN_MOVED = 50
 """Held-out windows under other motions: the accuracy of fewer says nothing, and is not given."""

@@ -17,8 +17,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from async_tnt.checks import one_line
-from async_tnt.networks.torch_operations import HeatmapCentroid
+from async_tnt.base.checks import one_line
+from async_tnt.networks.torch.operations import HeatmapCentroid
 
 LARGE = 64
 """The shorter side of a grid above which `residual` halves its maps once more."""

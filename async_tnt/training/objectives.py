@@ -11,12 +11,11 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from async_tnt.config import TNTConfig
 from async_tnt.evaluation.object_scores import ObjectScores, score_objects
 from async_tnt.evaluation.scores import share_right
-from async_tnt.kernels.window_batches import SHOWN
-from async_tnt.networks.model import Model
-from async_tnt.networks.objects import ObjectReader, new_tracks
+from async_tnt.kernels.training.window_batches import SHOWN
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.objects import ObjectReader, new_tracks
 from async_tnt.training.augment import Draws, on_pixels, unchanged
 from async_tnt.training.evaluation import BATCH, class_probabilities, confusion_by_recording
 from async_tnt.training.networks import build_network
@@ -24,6 +23,7 @@ from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.scenes import OBJECTS, SceneMaker, Scenes
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
+from async_tnt.volume.config import TNTConfig
 
 
 @dataclass(frozen=True)

@@ -23,16 +23,16 @@ import numpy as np
 import torch
 from torch import nn
 
-from async_tnt.checks import one_line
-from async_tnt.config import TNTConfig
-from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME
-from async_tnt.networks.layer_operations import Layer
-from async_tnt.networks.model import Model
-from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
+from async_tnt.base.checks import one_line
+from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, VOLUME
+from async_tnt.networks.layers.operations import Layer
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.torch_modules import torch_classifier, torch_regressor
 from async_tnt.training.augment import Draws
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.networks import build_network, landmark_network
 from async_tnt.training.windows import Windows
+from async_tnt.volume.config import TNTConfig
 
 
 class Pipeline(nn.Module):

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import ANY_SENSOR, as_events
-from async_tnt.files import naming
+from async_tnt.base.files import naming
+from async_tnt.volume.events import ANY_SENSOR, as_events
 
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 

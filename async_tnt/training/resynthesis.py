@@ -22,12 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import one_line, parse_json, real_number, short, whole_number
-from async_tnt.config import MAX_SIDE, TNTConfig
+from async_tnt.base.checks import one_line, parse_json, real_number, short, whole_number
+from async_tnt.base.files import read_regular, write_text
+from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_counted
-from async_tnt.events import EVENT_DTYPE, structured
-from async_tnt.files import read_regular, write_text
-from async_tnt.progress import Bar
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
 from async_tnt.resynthesis.reconstruction import N_PICTURES, SimulatedPixels, shares
@@ -43,6 +41,8 @@ from async_tnt.training.moved_windows import (
 from async_tnt.training.run_folder import other_run, windows_checksum
 from async_tnt.training.windows import Windows
 from async_tnt.views.figure_resynthesis import RefusedWindow, ResynthesizedWindow
+from async_tnt.volume.config import MAX_SIDE, TNTConfig
+from async_tnt.volume.events import EVENT_DTYPE, structured
 
 MANIFEST = "motions.json"  # see `run_folder.MADE`
 N_CALIBRATION = 128

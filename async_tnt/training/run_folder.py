@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
+from async_tnt.base.files import open_regular, read_regular, replacing, write_text
 from async_tnt.evaluation.job import sha256_of
-from async_tnt.files import open_regular, read_regular, replacing, write_text
-from async_tnt.networks.model import Model
+from async_tnt.networks.models.model import Model
 from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
+from async_tnt.volume.config import TNTConfig
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)

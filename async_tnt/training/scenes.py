@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE
-from async_tnt.kernels.window_batches import SHOWN
+from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.training.augment import Draws
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.events import EVENT_DTYPE
 
 SIDES = 3
 """Of a scene, by those of a recording."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from async_tnt.config import TNTConfig
-from async_tnt.sources.sensor import Sensor
 from async_tnt.training.augment import Augmentation
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.sensor import Sensor
 
 PRECISIONS = ("float32", "bfloat16", "auto")
 CHANGES = MappingProxyType(

@@ -26,19 +26,19 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import one_line, parse_json
+from async_tnt.base.checks import one_line, parse_json
+from async_tnt.base.files import read_regular, replacing, write_text
+from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_counted
-from async_tnt.events import structured
-from async_tnt.files import read_regular, replacing, write_text
-from async_tnt.progress import Bar
 from async_tnt.simulation.measured_pixels import MeasuredPixels, measure_pixels
 from async_tnt.simulation.picture_scene import SceneSettings, record_picture
 from async_tnt.simulation.pictures import SUFFIXES, read_picture
+from async_tnt.sources.files.labelled_recordings import class_folders, find_recordings
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.labelled_recordings import class_folders, find_recordings
 from async_tnt.training.moved_windows import read_arrays
 from async_tnt.training.recordings import COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
+from async_tnt.volume.events import structured
 
 # of the recordings: a change of what is simulated counts it up
 MANIFEST, FORMAT = "pictures.json", 4

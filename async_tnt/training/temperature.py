@@ -19,8 +19,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from async_tnt.networks.graph import CLASSIFIER
-from async_tnt.networks.model import Model
+from async_tnt.networks.layers.graph import CLASSIFIER
+from async_tnt.networks.models.model import Model
 
 LEAST, MOST = 0.2, 5.0
 """Beyond them, no temperature makes up for what the network lacks."""

@@ -8,13 +8,13 @@ import warnings
 import torch
 from torch.utils.data import Dataset
 
-from async_tnt.config import TNTConfig
-from async_tnt.files import user_path
-from async_tnt.sources.labelled_recordings import has_test
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.base.files import user_path
+from async_tnt.sources.files.labelled_recordings import has_test
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.windows import make_windows
+from async_tnt.volume.config import TNTConfig
 
 
 class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):

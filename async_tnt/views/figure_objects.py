@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.decision import Decision
-from async_tnt.networks.model import Model
-from async_tnt.processor import Processor
+from async_tnt.networks.models.model import Model
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.processor import Processor
 from async_tnt.views.figure_style import OFF, ON, TEXT, WIDTH, axes_at, headline, new_figure
 from async_tnt.views.figure_subject import Window
 

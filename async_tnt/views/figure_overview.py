@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.checks import printable
-from async_tnt.decision import Decision, class_of_recording
-from async_tnt.networks.model import Model
-from async_tnt.processor import Processor
+from async_tnt.base.checks import printable
+from async_tnt.networks.models.model import Model
+from async_tnt.streaming.decision import Decision, class_of_recording
+from async_tnt.streaming.processor import Processor
 from async_tnt.views.figure_style import (
     GREY,
     HIGHLIGHTS,

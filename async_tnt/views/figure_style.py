@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.checks import needs_extra, printable
-from async_tnt.files import check_writable, replacing
+from async_tnt.base.checks import needs_extra, printable
+from async_tnt.base.files import check_writable, replacing
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap

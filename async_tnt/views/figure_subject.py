@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
-from async_tnt.kernels.splat import BORDER_TOLERANCE
-from async_tnt.networks.compiled import CompiledRegressor
-from async_tnt.networks.model import Model
-from async_tnt.volume import TNTVolume
+from async_tnt.kernels.volume.splat import BORDER_TOLERANCE
+from async_tnt.networks.models.compiled import CompiledRegressor
+from async_tnt.networks.models.model import Model
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.volume import TNTVolume
 
 
 @dataclass(frozen=True, eq=False)

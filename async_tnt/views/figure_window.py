@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
 from async_tnt.views.figure_style import (
     OFF,
     OFF_TO_ON,
@@ -24,6 +23,7 @@ from async_tnt.views.figure_style import (
     write_at,
 )
 from async_tnt.views.figure_subject import Window, shown_evenly
+from async_tnt.volume.config import TNTConfig
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision
-from async_tnt.processor import Processor
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.processor import Processor
+from async_tnt.volume.config import TNTConfig
 
 TIMELINE = "time"
 """The recording's own microseconds, as a duration."""

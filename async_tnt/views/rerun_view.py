@@ -14,16 +14,16 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from async_tnt.checks import needs_extra, positive_int
-from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision
-from async_tnt.events import EVENT_DTYPE, as_events
-from async_tnt.files import Replacement, check_writable, user_path
-from async_tnt.networks.model import Model
-from async_tnt.processor import Processor
-from async_tnt.streams import Settings, as_processor
+from async_tnt.base.checks import needs_extra, positive_int
+from async_tnt.base.files import Replacement, check_writable, user_path
+from async_tnt.networks.models.model import Model
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.processor import Processor
+from async_tnt.streaming.streams import Settings, as_processor
 from async_tnt.views.rerun_log import StreamLog
-from async_tnt.volume import TNTVolume
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.events import EVENT_DTYPE, as_events
+from async_tnt.volume.volume import TNTVolume
 
 SUFFIXES = (".rrd",)
 DEFAULT_PORT = 9876  # where a Rerun viewer listens

@@ -16,10 +16,10 @@ from made import random_events, random_model, thesis_model
 from processes import started
 from waiting import until
 
-from async_tnt.config import TNTConfig
 from async_tnt.evaluation.early import LEVELS, decision_at, early_fields, early_report
 from async_tnt.evaluation.records import processor_of
-from async_tnt.sources.pixel_masks import save_mask
+from async_tnt.sources.pixels.pixel_masks import save_mask
+from async_tnt.volume.config import TNTConfig
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -15,7 +15,7 @@ from torch import nn
 from async_tnt import Model, Processor, TNTConfig, load_model, open_recording
 from async_tnt.evaluation.object_scores import score_objects, score_recording
 from async_tnt.evaluation.object_tables import ObjectTable, read_table
-from async_tnt.kernels.objects import FOUND_SIZE, X, Y
+from async_tnt.kernels.decisions.objects import FOUND_SIZE, X, Y
 
 CONFIG = TNTConfig(
     sensor=(64, 40),

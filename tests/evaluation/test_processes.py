@@ -13,10 +13,10 @@ from evaluation.simple_work import raise_odd, sleep_or_end, twice
 from processes import started
 from waiting import until
 
+from async_tnt.base.worker import Worker, WorkerEnded
 from async_tnt.evaluation import processes as ways
 from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import lost
-from async_tnt.sources.worker import Worker, WorkerEnded
 
 posix = pytest.mark.skipif(os.name != "posix", reason="kill -9 of POSIX")
 replacing_workers = pytest.mark.parametrize("run", ["processes", "dask"], indirect=True)

@@ -12,10 +12,10 @@ from evaluation.made_work import JOB, make_tasks, record_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.results import ResultFile, collect
-from async_tnt.progress import Bar
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]

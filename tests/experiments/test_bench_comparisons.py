@@ -7,7 +7,7 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
-from async_tnt.events import structured
+from async_tnt.volume.events import structured
 from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
 from experiments.bench_interleaved import Timed, WorkDiffers, timed

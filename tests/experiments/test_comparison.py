@@ -4,9 +4,9 @@ at hand."""
 import numpy as np
 import pytest
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis.calibration import side_by_side
 from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.volume.events import EVENT_DTYPE
 from experiments.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
 from experiments.mnist import load_mnist
 from experiments.simulated_digits import simulate_digit

@@ -10,7 +10,7 @@ from small_sets import idx_bytes
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.progress import Bar
+from async_tnt.base.progress import Bar
 from experiments.digits import CONFIG, STEPS, train_digits
 from experiments.digits_data import (
     FIRST_INDEX,

@@ -13,8 +13,8 @@ torch = pytest.importorskip("torch")
 from scipy import stats  # noqa: E402
 
 from async_tnt import Processor, TNTConfig, TNTVolume, load_model  # noqa: E402
-from async_tnt.events import structured  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt.volume.events import structured  # noqa: E402
 from experiments import thesis_table  # noqa: E402
 from experiments.moving_mnist_set import open_set  # noqa: E402
 from experiments.page_parts import results  # noqa: E402

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
-from async_tnt.kernels.changes import list_places, note_changes, seen_from
+from async_tnt.kernels.network.changes import list_places, note_changes, seen_from
 
 FRAME = 10  # words of zeros around the row
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numba import njit
 
-import async_tnt.kernels.classify  # noqa: F401 (which registers the kernels below)
-from async_tnt.kernels import program as P
-from async_tnt.kernels.functions import FUNCTIONS, apply_function
+import async_tnt.kernels.decisions.classify  # noqa: F401 (which registers the kernels below)
+from async_tnt.kernels.network import program as P
+from async_tnt.kernels.network.functions import FUNCTIONS, apply_function
+from async_tnt.kernels.network.tiles import SIZES
 from async_tnt.kernels.simd import LANES, SPELLINGS
-from async_tnt.kernels.tiles import SIZES
 
 
 @cache

@@ -7,9 +7,9 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTVolume
-from async_tnt.events import EventDecoder
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
+from async_tnt.volume.events import EventDecoder
 
 
 def others_run_during(compute) -> bool:

@@ -5,8 +5,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from async_tnt import Model, TNTConfig
-from async_tnt.networks.graph import VOLUME, layer_shapes
-from async_tnt.networks.layer_operations import ELEMENTWISE
+from async_tnt.networks.layers.graph import VOLUME, layer_shapes
+from async_tnt.networks.layers.operations import ELEMENTWISE
 
 SIDES = st.sampled_from([(1, 1), (2, 2), (3, 3), (3, 3), (5, 5), (1, 3), (2, 5), (4, 1)])
 ACTIVATIONS = ("relu", "leaky_relu", "prelu", "clip", *ELEMENTWISE)

@@ -6,8 +6,8 @@ import json
 from made import random_model, thesis_network
 
 from async_tnt import TNTConfig
-from async_tnt.networks.model import FORMAT
-from async_tnt.networks.model_file import checksum, tensor_bytes
+from async_tnt.networks.models.model import FORMAT
+from async_tnt.networks.models.model_file import checksum, tensor_bytes
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
 WITH_REGRESSOR = SMALL.replace(landmark="regressor")

@@ -13,7 +13,7 @@ from networks.foreign import network
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Processor, load_model
 from async_tnt.networks import OnnxClassifier, TorchClassifier, to_onnx
-from async_tnt.networks.torch_modules import landmark_function, torch_classifier
+from async_tnt.networks.models.torch_modules import landmark_function, torch_classifier
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SAMPLES = [str(sample_recordings()[digit]) for digit in (3, 7)]

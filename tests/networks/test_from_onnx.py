@@ -18,7 +18,7 @@ from networks.small import SMALL
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.engines import choose_engine
-from async_tnt.networks.onnx_operations import RULES
+from async_tnt.networks.onnx.operations import RULES
 
 
 @given(random_models())

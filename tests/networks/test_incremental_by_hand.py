@@ -12,7 +12,7 @@ from numba.core.registry import CPUDispatcher
 from oracles import forward
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, kernels
-from async_tnt.kernels import classify
+from async_tnt.kernels.decisions import classify
 
 
 def test_no_kernel_may_reorder_arithmetic():

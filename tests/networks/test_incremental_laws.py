@@ -27,8 +27,8 @@ from async_tnt import (
     TNTVolume,
     volume_state,
 )
-from async_tnt.kernels import program as P
-from async_tnt.kernels import state as S
+from async_tnt.kernels.network import program as P
+from async_tnt.kernels.volume import state as S
 
 DUPLICATES = {
     "copy": copy.copy,

@@ -7,7 +7,7 @@ import torch
 from made import random_regressor_model, thesis_model
 
 from async_tnt import CompiledRegressor, TNTConfig
-from async_tnt.kernels.heatmap import centroid
+from async_tnt.kernels.network.heatmap import centroid
 
 
 def test_the_zero_heatmap_gives_the_image_centre_exactly():

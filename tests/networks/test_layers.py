@@ -12,8 +12,8 @@ from networks.small import SMALL, WITH_REGRESSOR, changed, small_model, write_fi
 from tnt_reference import Classifier, LandmarkRegressor, LayerNetwork
 
 from async_tnt import CompiledClassifier, Model, load_model
-from async_tnt.networks import graph
-from async_tnt.networks.graph import layer_shapes
+from async_tnt.networks.layers import graph
+from async_tnt.networks.layers.graph import layer_shapes
 
 
 def test_the_thesis_layers_are_those_of_the_references_modules():

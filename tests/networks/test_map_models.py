@@ -18,7 +18,7 @@ from torch import nn
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model
 from async_tnt.networks import OnnxClassifier, TorchClassifier, to_onnx
-from async_tnt.networks.torch_modules import torch_classifier
+from async_tnt.networks.models.torch_modules import torch_classifier
 
 CONFIG = TNTConfig(
     sensor=(70, 40),

@@ -14,7 +14,7 @@ import torch
 from networks import random_modules
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, TNTVolume, load_model, open_recording
-from async_tnt.networks.onnx_operations import RULES
+from async_tnt.networks.onnx.operations import RULES
 from async_tnt.sources import sample_recordings
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "300"))

@@ -12,7 +12,7 @@ from made import random_events
 
 import async_tnt
 from async_tnt.sources import UdpSource, open_recording, sample_recordings
-from async_tnt.sources.labelled_recordings import find_recordings
+from async_tnt.sources.files.labelled_recordings import find_recordings
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

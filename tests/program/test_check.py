@@ -13,8 +13,8 @@ from torch import nn
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, TNTVolume, load_model
 from async_tnt.checking.equality import Comparison, check_recording
-from async_tnt.networks.from_torch import layers_from_torch
-from async_tnt.networks.torch_operations import HeatmapCentroid
+from async_tnt.networks.torch.from_torch import layers_from_torch
+from async_tnt.networks.torch.operations import HeatmapCentroid
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 

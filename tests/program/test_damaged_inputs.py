@@ -13,7 +13,7 @@ from networks.foreign import network, onnx
 from networks.small import SMALL, changed, small_model, write_file
 
 from async_tnt import CompiledClassifier, Model, Processor, load_model
-from async_tnt.checks import MAX_JSON_DEPTH, parse_json
+from async_tnt.base.checks import MAX_JSON_DEPTH, parse_json
 from async_tnt.cli.evaluate import lines_of, report_of
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.object_tables import read_table
@@ -22,11 +22,11 @@ from async_tnt.evaluation.records import check_record, evaluate_recording
 from async_tnt.evaluation.results import collect
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.engines import choose_engine
-from async_tnt.networks.onnx_export import seal
+from async_tnt.networks.onnx.export import seal
+from async_tnt.sources.files.labelled_recordings import find_recordings
 from async_tnt.sources.files.recording import sample_recordings
-from async_tnt.sources.labelled_recordings import find_recordings
-from async_tnt.sources.pixel_masks import load_mask, save_mask
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_masks import load_mask, save_mask
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 
 WORDS_OF_PYTHON = (
     "sys.set_int_max_str_digits",

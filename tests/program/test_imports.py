@@ -23,7 +23,7 @@ from async_tnt.cli.program import COMMANDS
 
 STORE_ONE = """
 import numpy as np
-from async_tnt.kernels.absorb import store_events
+from async_tnt.kernels.volume.absorb import store_events
 t, x, p, block = np.ones(1, np.int64), np.ones(1, np.uint16), np.ones(1, np.uint8), np.zeros(60)
 block.view(np.int64)[25] = 5
 store_events(block, t, x, x, p, 0, 1, t, x, x, p, 9)
@@ -112,7 +112,7 @@ def test_works_where_nothing_can_be_cached(tmp_path):
     """Numba refuses cache=True where neither the package nor the user's cache folder can be
     written."""
     (tmp_path / "file").write_text("so that no folder can be made here")
-    code = f"from async_tnt.kernels import entry_points\n{STORE_ONE}"
+    code = f"from async_tnt.streaming import entry_points\n{STORE_ONE}"
     assert (
         python(code, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}) == "1"
     )

@@ -12,7 +12,7 @@ from waiting import PATIENCE_S
 from async_tnt import Processor, load_model
 from async_tnt.sources import open_source
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.keep_up import KeepUp
+from async_tnt.sources.queues.keep_up import KeepUp
 
 EVENTS = open_recording(sample_recordings()[7]).read()
 
@@ -92,7 +92,7 @@ def test_packets_older_than_keep_up_milliseconds_are_skipped(
             super().__init__(*given, **settings)
             assert have_waited.wait(PATIENCE_S)
 
-    monkeypatch.setattr("async_tnt.sources.keep_up.KeepUp", KeepUpLate)
+    monkeypatch.setattr("async_tnt.sources.queues.keep_up.KeepUp", KeepUpLate)
     monkeypatch.setattr("async_tnt.cli.packets.open_source", lambda *_: Source())
     code, _, err = program("run", "camera", "--keep-up", keep_up_ms)
     assert code == 0 and f"closed; {n_skipped} skipped to stay fresh, at most 30.0 ms waited" in err

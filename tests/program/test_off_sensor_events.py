@@ -80,7 +80,7 @@ def test_evaluate_and_its_records_count_it(program, stray, tmp_path):
 
 
 def test_training_data_leave_it_out_and_count_it(stray):
-    from async_tnt.sources.pixel_selection import PixelSelection
+    from async_tnt.sources.pixels.pixel_selection import PixelSelection
     from async_tnt.training.dataset import read_dataset
 
     np.save(stray.parents[1] / "4" / "other.npy", events_of([5, 6], [1, 2], [1, 2], [1, 1]))

@@ -10,16 +10,16 @@ import pytest
 from full_disk import TOO_LARGE, full_after
 from made import random_events, random_model
 
+from async_tnt.base.files import Replacement, locked_folder, write_text
 from async_tnt.cli import main
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import evaluate_recording
 from async_tnt.evaluation.results import collect as collect_results
-from async_tnt.files import Replacement, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.sources.files.recording import sample_recordings
-from async_tnt.sources.pixel_masks import save_mask
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_masks import save_mask
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="FIFOs, devices and links of POSIX")
 

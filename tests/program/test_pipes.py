@@ -13,8 +13,8 @@ from async_tnt.evaluation.object_tables import find_tables, read_table
 from async_tnt.networks.engines import choose_engine
 from async_tnt.simulation.pictures import SUFFIXES, read_picture
 from async_tnt.sources import PixelFilter, load_mask, open_recording
+from async_tnt.sources.files.labelled_recordings import find_recordings
 from async_tnt.sources.files.recording import READERS
-from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.training.simulated_pictures import check_pictures, find_pictures
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")

@@ -8,8 +8,8 @@ import pytest
 from training.gestures import write
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import PackedMask, save_mask
+from async_tnt.sources.pixels.pixel_filter import PixelFilter
+from async_tnt.sources.pixels.pixel_masks import PackedMask, save_mask
 
 HOT = [(3, 4), (30, 29), (4, 30)]
 SIZE, CAMERA, CORNER = (34, 34), (100, 80), (40, 20)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from async_tnt import progress as module
-from async_tnt.progress import Bar, progress
+from async_tnt.base.progress import Bar, progress
 
 
 class Terminal(io.StringIO):

@@ -12,7 +12,7 @@ from sources.files.written import metavision_csv
 from async_tnt.evaluation.job import Job
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.simulated_pictures import measure_camera
 

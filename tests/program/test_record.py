@@ -21,12 +21,12 @@ from made import random_events
 from sources.test_cameras import PlayedDevice, made_events
 
 from async_tnt.cli import main, record
-from async_tnt.sources import cameras
-from async_tnt.sources.cameras import Camera
 from async_tnt.sources.files import dat_writer
 from async_tnt.sources.files.dat_writer import DatWriter
 from async_tnt.sources.files.prophesee import dat_header, dat_records
 from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.live import cameras
+from async_tnt.sources.live.cameras import Camera
 
 EVENTS = random_events(5_000, seed=3, duration_us=2_000_000, sensor=(64, 48))
 EVENTS["t"] += 7_000_000_000  # a camera that has been on for two hours

@@ -10,7 +10,7 @@ import async_tnt
 
 ROOT = Path(__file__).parents[2]
 TABLE = re.findall(r"^\| (`.*?) \|", (ROOT / "ARCHITECTURE.md").read_text(), re.MULTILINE)
-# "async_tnt/cli/", "windows.py"
+# "async_tnt/cli/", "streaming/windows.py"
 LAYERS = [Path(name).stem for row in TABLE for name in re.findall("`(.*?)`", row)]
 
 PACKAGE = Path(async_tnt.__file__).parent

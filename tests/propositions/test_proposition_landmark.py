@@ -17,7 +17,7 @@ from made import nasty_streams, opened
 from tnt_reference import LandmarkRegressor, event_volume, tnt_coordinates, tnt_volume
 
 from async_tnt import TNTConfig
-from async_tnt.kernels import state as S
+from async_tnt.kernels.volume import state as S
 
 WINDOW_US, SENSOR = 800, (34, 34)
 

@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 
 from tnt_reference import moving_image as reference  # noqa: E402
 
-from async_tnt.kernels.moving_image import contrast_frames, move_periodic  # noqa: E402
+from async_tnt.kernels.training.moving_image import contrast_frames, move_periodic  # noqa: E402
 from async_tnt.resynthesis import moving_image  # noqa: E402
 from async_tnt.resynthesis.moving_image import finer  # noqa: E402
 

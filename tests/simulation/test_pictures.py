@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import EpsImagePlugin, Image
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.simulation.measured_pixels import MeasuredPixels
 from async_tnt.simulation.picture_scene import (
     SceneSettings,
@@ -20,6 +19,7 @@ from async_tnt.simulation.picture_scene import (
 )
 from async_tnt.simulation.pictures import FORMATS, SUFFIXES, read_picture
 from async_tnt.simulation.random_pixels import random_pixels
+from async_tnt.volume.events import EVENT_DTYPE
 
 SETTINGS = SceneSettings((34, 34), 105_000)
 

@@ -9,7 +9,7 @@ from moving_scenes import noiseless_events
 from tnt_reference.simulator import low_pass as reference_low_pass
 from tnt_reference.simulator import simulate_events as reference_events
 
-from async_tnt.kernels.simulate import low_pass
+from async_tnt.kernels.training.simulate import low_pass
 from async_tnt.simulation.simulator import AFTER_US, PixelModel, simulate
 
 # light of one pixel, times in us, settings (thresholds 1 where not stated), events (t, p)

@@ -12,8 +12,8 @@ import pytest
 from made import random_events
 from waiting import in_both_ways, until
 
-from async_tnt.events import as_events
 from async_tnt.sources import BackgroundReader, PacketQueue, QueueCounters
+from async_tnt.volume.events import as_events
 
 EVENTS = random_events(10_000, seed=1)
 # some of them empty
@@ -245,7 +245,7 @@ def test_closed_by_a_signal_between_the_look_for_a_packet_and_its_removal():
 def test_delay_is_the_age_of_the_packet_handed_out(monkeypatch):
     now_us = 0
     clock = SimpleNamespace(monotonic_ns=lambda: now_us * 1000)
-    monkeypatch.setattr("async_tnt.sources.queue.time", clock)
+    monkeypatch.setattr("async_tnt.sources.queues.queue.time", clock)
     queue = PacketQueue()
     assert queue.delay_us == 0
     queue.put(EQUAL[0])
@@ -275,7 +275,7 @@ def test_cancelled_while_it_waits_loses_nothing():
 
 
 def test_a_queue_that_never_runs_empty_leaves_other_tasks_their_turn(monkeypatch):
-    monkeypatch.setattr("async_tnt.sources.queue.YIELD_AFTER_S", -1.0)
+    monkeypatch.setattr("async_tnt.sources.queues.queue.YIELD_AFTER_S", -1.0)
     turns = itertools.count()
 
     async def other():

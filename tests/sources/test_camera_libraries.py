@@ -15,16 +15,16 @@ import pytest
 from made import random_events
 from sources.test_cameras import RECORD
 
-from async_tnt.events import as_events
 from async_tnt.sources import open_camera, open_recording, sample_recordings
-from async_tnt.sources.camera_drivers import (
+from async_tnt.sources.live.camera_drivers import (
     DV_KINDS,
     NEUROMORPHIC_KINDS,
     DvDevice,
     dv_cameras,
     neuromorphic_cameras,
 )
-from async_tnt.sources.cameras import Camera
+from async_tnt.sources.live.cameras import Camera
+from async_tnt.volume.events import as_events
 
 SERIAL = "00050423"
 EPOCH_US = 1_700_000_000_000_000  # dv-processing's times count from 1970

@@ -20,7 +20,7 @@ from async_tnt.sources import (
     open_source,
     sample_recordings,
 )
-from async_tnt.sources.camera_drivers import CameraCounts, FoundCamera
+from async_tnt.sources.live.camera_drivers import CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
 # as neuromorphic-drivers has it

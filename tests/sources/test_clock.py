@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt.kernels.clock import AGREEING_PACKETS as N
-from async_tnt.kernels.clock import BACK_US, LATEST_START_US, REORDERED_US
+from async_tnt.kernels.sources.clock import AGREEING_PACKETS as N
+from async_tnt.kernels.sources.clock import BACK_US, LATEST_START_US, REORDERED_US
 from async_tnt.sources import Clock, Decoder, encode
 
 JUMP_US = 10_000_000

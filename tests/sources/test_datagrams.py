@@ -6,8 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.sources import EVENT_BYTES, Decoder, encode
+from async_tnt.volume.events import EVENT_DTYPE, as_events
 
 FORMATS = tuple(EVENT_BYTES)
 EVENT = events_of([0x1_0000_0203], [0x0405], [0x0607], [1])

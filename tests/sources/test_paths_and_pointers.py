@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from async_tnt import TNTConfig, load_model
+from async_tnt.base.files import user_path
 from async_tnt.evaluation.object_tables import read_table
-from async_tnt.files import user_path
-from async_tnt.networks.onnx_network import OnnxClassifier
+from async_tnt.networks.onnx.network import OnnxClassifier
 from async_tnt.simulation.pictures import read_picture
 from async_tnt.sources import (
     READERS,
@@ -21,7 +21,7 @@ from async_tnt.sources import (
     sample_recordings,
     save_mask,
 )
-from async_tnt.sources.labelled_recordings import find_recordings
+from async_tnt.sources.files.labelled_recordings import find_recordings
 from async_tnt.sources.recording_summary import summarize
 from async_tnt.training.dataset import read_dataset
 

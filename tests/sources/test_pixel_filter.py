@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from made import nasty_streams
 
 import async_tnt
-from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
-from async_tnt.sources.pixel_masks import PackedMask
-from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
+from async_tnt.sources.pixels.pixel_filter import PixelCounts, PixelFilter
+from async_tnt.sources.pixels.pixel_masks import PackedMask
+from async_tnt.sources.pixels.pixel_selection import PixelSelection, PixelSelector
 
 SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
 

@@ -10,7 +10,7 @@ from listening import send
 from made import events_of, random_events
 
 from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp
-from async_tnt.sources.udp import WARN_AFTER
+from async_tnt.sources.live.udp import WARN_AFTER
 
 EVENTS = random_events(2500, duration_us=50_000)
 SENSOR = (34, 20)
@@ -57,7 +57,7 @@ def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
 
 
 def test_many_datagrams_become_one_packet_up_to_the_limit(monkeypatch):
-    monkeypatch.setattr("async_tnt.sources.udp.MAX_DATAGRAMS", 8)
+    monkeypatch.setattr("async_tnt.sources.live.udp.MAX_DATAGRAMS", 8)
     source = listening(sensor=(34, 34))
     assert send(source.port, EVENTS[:2000]) == 20
     packets = list(source)

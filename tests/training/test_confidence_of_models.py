@@ -10,9 +10,8 @@ from made import events_of
 
 torch = pytest.importorskip("torch")
 
-from async_tnt.config import TNTConfig  # noqa: E402
-from async_tnt.networks.compiled import CompiledClassifier  # noqa: E402
-from async_tnt.processor import Processor  # noqa: E402
+from async_tnt.networks.models.compiled import CompiledClassifier  # noqa: E402
+from async_tnt.streaming.processor import Processor  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.data import TrainingData  # noqa: E402
 from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
@@ -23,6 +22,7 @@ from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
+from async_tnt.volume.config import TNTConfig  # noqa: E402
 from experiments.nothing import KINDS, on_sensor  # noqa: E402
 
 CONFIG = TNTConfig(transform="none", landmark="center", bins=3, window_us=100_000)

@@ -9,13 +9,13 @@ torch = pytest.importorskip("torch")
 import tnt_reference  # noqa: E402
 from made import random_events  # noqa: E402
 
-from async_tnt.config import TNTConfig  # noqa: E402
-from async_tnt.networks.torch_modules import torch_regressor  # noqa: E402
+from async_tnt.networks.models.torch_modules import torch_regressor  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export, pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
+from async_tnt.volume.config import TNTConfig  # noqa: E402
 
 CONFIG = TNTConfig(landmark="regressor", t_max=2.0)
 NOTHING = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)

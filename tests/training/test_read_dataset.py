@@ -9,11 +9,11 @@ import pytest
 from made import events_of
 from training.gestures import bar, write, write_set
 
-from async_tnt.config import TNTConfig
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.settings import default_config
+from async_tnt.volume.config import TNTConfig
 
 SIZE = (64, 64)
 EVERYTHING = PixelSelection()

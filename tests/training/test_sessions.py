@@ -10,9 +10,9 @@ from sources.files.written import aedat3
 from training.gestures import bar, write
 
 from async_tnt import TNTConfig
+from async_tnt.sources.files.labelled_recordings import find_recordings, recordings_under
 from async_tnt.sources.files.recording import READERS
-from async_tnt.sources.labelled_recordings import find_recordings, recordings_under
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 from async_tnt.training.simulated_pictures import find_pictures
 

@@ -12,9 +12,9 @@ from async_tnt.networks.loading import load_model
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
+from async_tnt.base.files import locked_folder
+from async_tnt.base.progress import Bar
 from async_tnt.cli import train as command
-from async_tnt.files import locked_folder
-from async_tnt.progress import Bar
 from async_tnt.training import data as data_module
 
 

@@ -5,10 +5,10 @@ import pytest
 from made import events_of
 from training.gestures import bar, write
 
-from async_tnt.config import TNTConfig
-from async_tnt.sources.pixel_masks import PackedMask
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_masks import PackedMask
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
+from async_tnt.volume.config import TNTConfig
 
 SIZE, CAMERA, CORNER = (64, 64), (120, 90), (30, 10)
 HOT = np.array([(5, 60), (60, 3)])

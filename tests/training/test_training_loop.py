@@ -13,8 +13,7 @@ from made import events_of
 
 torch = pytest.importorskip("torch")
 
-from async_tnt.config import TNTConfig  # noqa: E402
-from async_tnt.progress import Bar  # noqa: E402
+from async_tnt.base.progress import Bar  # noqa: E402
 from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
@@ -25,6 +24,7 @@ from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
+from async_tnt.volume.config import TNTConfig  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
 CLASSES = ("across", "down")

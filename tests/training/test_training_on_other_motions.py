@@ -12,7 +12,6 @@ from moving_scenes import WINDOW_US, blobs, noise, recorded, straight
 pytest.importorskip("torch")
 
 from async_tnt import TNTConfig, load_model
-from async_tnt.events import structured
 from async_tnt.resynthesis.calibration import side_by_side, unlike
 from async_tnt.resynthesis.reconstruction import SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels
@@ -22,6 +21,7 @@ from async_tnt.training.recordings import Recordings
 from async_tnt.training.resynthesis import MotionSettings, resynthesize
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import make_windows
+from async_tnt.volume.events import structured
 
 CONFIG = TNTConfig(transform="none", landmark="center")
 SETTINGS = MotionSettings(variations=2)

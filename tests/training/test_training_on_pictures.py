@@ -10,9 +10,8 @@ import pytest
 from damage import damaged_json
 from small_sets import write_pictures
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.simulation.picture_scene import SceneSettings
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training import settings, simulated_pictures
 from async_tnt.training.data import dataset_data
 from async_tnt.training.recordings import RecordingsWriter
@@ -23,6 +22,7 @@ from async_tnt.training.simulated_pictures import (
     measure_camera,
     simulate_pictures,
 )
+from async_tnt.volume.events import EVENT_DTYPE
 
 SENSOR = (24, 20)
 

@@ -5,12 +5,19 @@ import numpy as np
 import pytest
 from made import events_of, opened, random_events
 
-from async_tnt.config import TNTConfig
-from async_tnt.kernels.window_batches import EDGE, HOT_PIXELS, ONE_POLARITY, PATCH, SCATTERED, SHOWN
+from async_tnt.kernels.training.window_batches import (
+    EDGE,
+    HOT_PIXELS,
+    ONE_POLARITY,
+    PATCH,
+    SCATTERED,
+    SHOWN,
+)
 from async_tnt.training.augment import FINE, Augmentation, of_nothing, unchanged
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import make_windows
+from async_tnt.volume.config import TNTConfig
 
 NOTHING = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)
 RNG = np.random.default_rng

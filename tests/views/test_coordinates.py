@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from made import events_of, nasty_streams, opened, random_events, random_model
 
 from async_tnt import TNTConfig
-from async_tnt.kernels.state import BLOCK
+from async_tnt.kernels.volume.state import BLOCK
 from async_tnt.views.figure_subject import Subject
 
 CONFIGS = {

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from async_tnt import TNTConfig
-from async_tnt.config import LANDMARKS, POLARITIES
+from async_tnt.volume.config import LANDMARKS, POLARITIES
 
-CELLS = "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.config.MAX_CELLS)"
+CELLS = "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.volume.config.MAX_CELLS)"
 WRONG = [
     *[
         ({"sensor": v}, TypeError, f"`sensor` must be two whole numbers (width, height), got {v!r}")
@@ -95,7 +95,7 @@ def test_the_limits_themselves_are_allowed_and_a_program_may_raise_that_of_cells
     assert TNTConfig(bins=1).shape == (1, 34, 34)
     assert TNTConfig(window_us=1, t_max=1e-6) != TNTConfig(window_us=3600 * 10**6, t_max=1e6)
     assert TNTConfig(grid=(1023, 1023), bins=255).channels == 255  # 2**28 cells
-    monkeypatch.setattr("async_tnt.config.MAX_CELLS", 1 << 30)
+    monkeypatch.setattr("async_tnt.volume.config.MAX_CELLS", 1 << 30)
     assert TNTConfig(grid=(1023, 1023), bins=1023).channels == 1023
 
 

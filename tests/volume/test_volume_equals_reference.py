@@ -12,7 +12,7 @@ from made import nasty_streams, opened, random_events, random_regressor_model
 
 from async_tnt import CompiledRegressor, TNTConfig
 from async_tnt.checking.reference import reference_landmark, reference_volume
-from async_tnt.networks.torch_modules import landmark_function
+from async_tnt.networks.models.torch_modules import landmark_function
 
 CONFIGS = [
     TNTConfig(landmark=landmark, polarity=polarity, transform=transform, remove_flow=remove_flow)

@@ -37,7 +37,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from async_tnt.kernels.evt import unwrap_times
+from async_tnt.kernels.sources.evt import unwrap_times
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     CorruptData,
@@ -46,7 +46,7 @@ from async_tnt.sources.files.source import (
     is_text,
     valid_events,
 )
-from async_tnt.sources.sensor import Sensor
+from async_tnt.volume.sensor import Sensor
 
 SENSORS: dict[str, Sensor] = {
     "DVS128": (128, 128),

@@ -12,14 +12,14 @@ from typing import Self
 
 import numpy as np
 
-from async_tnt.files import naming
+from async_tnt.base.files import naming
 from async_tnt.sources.files.prophesee import (
     DAT_EVENT_BYTES,
     DAT_PERIOD_US,
     dat_header,
     dat_records,
 )
-from async_tnt.sources.sensor import Sensor
+from async_tnt.volume.sensor import Sensor
 
 LONGEST_STEP_US = DAT_PERIOD_US // 2 - 1
 """Microseconds from an event to the next, forward or back: readers take more for a wrap of the

@@ -24,8 +24,8 @@ import os
 
 import numpy as np
 
-from async_tnt.events import structured
-from async_tnt.files import refuse_git_lfs, user_path
+from async_tnt.base.files import refuse_git_lfs, user_path
+from async_tnt.volume.events import structured
 
 SENSOR = (34, 34)
 """Width and height of N-MNIST's sensor crop, in pixels."""

@@ -25,10 +25,8 @@ from typing import IO
 
 import numpy as np
 
-from async_tnt.checks import one_line, short
-from async_tnt.event_forms import NAMES, Four, event_columns, likely_order, named_columns, the_name
-from async_tnt.events import ANY_SENSOR, checked_columns
-from async_tnt.files import open_regular, refuse_git_lfs, user_path
+from async_tnt.base.checks import one_line, short
+from async_tnt.base.files import open_regular, refuse_git_lfs, user_path
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
@@ -37,7 +35,16 @@ from async_tnt.sources.files.source import (
     Source,
     valid_blocks,
 )
-from async_tnt.sources.sensor import Sensor
+from async_tnt.volume.event_forms import (
+    NAMES,
+    Four,
+    event_columns,
+    likely_order,
+    named_columns,
+    the_name,
+)
+from async_tnt.volume.events import ANY_SENSOR, checked_columns
+from async_tnt.volume.sensor import Sensor
 
 MAGIC = b"\x93NUMPY"  # the first bytes of every .npy file
 MAX_HEADER_BYTES = 1 << 16  # NumPy reads what a header claims, up to 4 GiB

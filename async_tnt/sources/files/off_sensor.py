@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from async_tnt.events import ANY_SENSOR, EVENT_DTYPE
-from async_tnt.sources.sensor import Sensor
+from async_tnt.volume.events import ANY_SENSOR, EVENT_DTYPE
+from async_tnt.volume.sensor import Sensor
 
 FEW = 100
 SHARE = 0.01

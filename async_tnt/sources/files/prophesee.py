@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import empty_columns, structured
-from async_tnt.kernels.evt import (
+from async_tnt.kernels.sources.evt import (
     INITIAL,
     UNPLACED,
     decode_evt2,
@@ -38,7 +37,8 @@ from async_tnt.sources.files.source import (
     is_text,
     valid_events,
 )
-from async_tnt.sources.sensor import Sensor
+from async_tnt.volume.events import empty_columns, structured
+from async_tnt.volume.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
 CHUNK_BYTES = 1 << 18

@@ -17,9 +17,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from async_tnt.checks import is_whole, positive_int, short
-from async_tnt.events import EVENT_DTYPE
-from async_tnt.files import refuse_git_lfs, user_path
+from async_tnt.base.checks import is_whole, positive_int, short
+from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
 from async_tnt.sources.files.nmnist import read_nmnist
@@ -37,7 +36,8 @@ from async_tnt.sources.files.source import (
 )
 from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
-from async_tnt.sources.sensor import Sensor
+from async_tnt.volume.events import EVENT_DTYPE
+from async_tnt.volume.sensor import Sensor
 
 Reader = Callable[[Path, ReadOptions], Source]
 

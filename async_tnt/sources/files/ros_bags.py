@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import empty_columns
-from async_tnt.kernels.evt import INITIAL, decode_evt3
+from async_tnt.kernels.sources.evt import INITIAL, decode_evt3
 from async_tnt.sources.files.prophesee import decoded_words, refuse_unplaced
 from async_tnt.sources.files.ros_reader import Block, read_bag
 from async_tnt.sources.files.source import BLOCK_EVENTS, ReadOptions, Source, Topic, valid_blocks
 from async_tnt.sources.files.worker_source import WorkerSource
+from async_tnt.volume.events import empty_columns
 
 
 class RosBagSource(WorkerSource):

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.checks import short
-from async_tnt.event_forms import Four, check_order
-from async_tnt.events import structured
-from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.base.checks import short
+from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.sources.files.off_sensor import WIDE_DTYPE
-from async_tnt.sources.sensor import Sensor, checked_sensor
+from async_tnt.volume.event_forms import Four, check_order
+from async_tnt.volume.events import structured
+from async_tnt.volume.sensor import Sensor, checked_sensor
 
 BLOCK_EVENTS = 1 << 16
 ONLY_ASCII = bytes(range(128)) + b"?" * 128

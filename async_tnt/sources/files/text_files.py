@@ -31,9 +31,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.event_forms import NAMES, Four, likely_order, the_name
 from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
-from async_tnt.sources.sensor import Sensor
+from async_tnt.volume.event_forms import NAMES, Four, likely_order, the_name
+from async_tnt.volume.sensor import Sensor
 
 CHUNK_BYTES = 1 << 18
 FIRST_BYTES = 1 << 12

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import one_line
+from async_tnt.base.checks import one_line
+from async_tnt.base.worker import Worker
 from async_tnt.sources.files import library_readers
 from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
-from async_tnt.sources.worker import Worker
 
 SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
 AHEAD = 8  # calls that the worker has; blocks may be small

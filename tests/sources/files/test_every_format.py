@@ -25,8 +25,8 @@ from sources.files.written import (
     written,
 )
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.recording import open_recording
+from async_tnt.volume.events import EVENT_DTYPE
 from experiments.nmnist_files import write_nmnist
 
 

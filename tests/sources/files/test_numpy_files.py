@@ -10,11 +10,11 @@ import pytest
 from made import random_events
 from sources.files.written import columns_of
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files import numpy_files
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
-from async_tnt.sources.pixel_masks import load_mask
+from async_tnt.sources.pixels.pixel_masks import load_mask
+from async_tnt.volume.events import EVENT_DTYPE
 
 EVENTS = np.array([(10, 1, 2, 1), (20, 300, 4, 0), (20, 5, 6, 1)], EVENT_DTYPE)
 COLUMNS = columns_of(EVENTS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sources.files.written import dat, evt2, evt3, evt21, evt_header, made_events
 
-from async_tnt.kernels.evt import decode_evt2, decode_evt3, decode_evt21
+from async_tnt.kernels.sources.evt import decode_evt2, decode_evt3, decode_evt21
 from async_tnt.sources.files.recording import open_recording
 
 MAKE = {"2.0": (evt2, "<u4", 28), "2.1": (evt21, "<u8", 60), "3.0": (evt3, "<u2", 12)}

@@ -1,0 +1,1 @@
+"""Compiled code that says when a decision is due, and what it is."""

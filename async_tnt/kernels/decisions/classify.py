@@ -1,0 +1,142 @@
+"""From a window to its class, in one call; from a packet to all its decisions, in one call."""
+
+import numpy as np
+
+from async_tnt.kernels.decisions import trigger as T
+from async_tnt.kernels.jit import compiled, compiled_without_gil
+from async_tnt.kernels.lock import LARGE, release_gil, take_gil
+from async_tnt.kernels.network import program as P
+from async_tnt.kernels.network.empty_window import begin_window
+from async_tnt.kernels.network.forward import forward
+from async_tnt.kernels.network.sync_input import sync_input
+from async_tnt.kernels.volume import state as S
+from async_tnt.kernels.volume.absorb import absorb
+
+DONE, FULL, CLOSE, NOT_FINITE = range(4)  # why absorb_and_decide returned
+DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, class
+
+
+@compiled
+def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
+    """Logits and probabilities of a volume's `state`; only what has changed since the last call is
+    computed.
+
+    Returns
+    -------
+    int : the class, as `softmax` returns it.
+    """
+    ints = buffer.view(np.int64)
+    n_seen = program[P.N_SEEN] if program[P.EPOCH] == ints[S.EPOCH] else 0
+    lock = release_gil((ints[S.N_LOG] - n_seen >= LARGE) & (ints[S.WITHOUT_GIL] == 0))
+    begin_window(ints[S.EPOCH], program, weights, maps, places)
+    sync_input(buffer, program, maps, places)
+    forward(program, weights, maps, places)
+    at = np.uint64(program[P.OUTPUT])
+    for k in range(logits.size):
+        logits[k] = maps[at + np.uint64(k)]
+    best = softmax(logits, probabilities)
+    take_gil(lock)
+    return best
+
+
+@compiled_without_gil
+def absorb_and_decide(
+    buffer,
+    t,
+    x,
+    y,
+    p,
+    first,
+    last,
+    trigger,
+    program,
+    weights,
+    maps,
+    places,
+    logits,
+    probabilities,
+    notes,
+):
+    """Absorb events of the only open window, and decide where a trigger makes a decision due.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Updated in place.
+    t, x, y, p, first, last : as for `absorb`.
+    trigger : float64, see `trigger`. Updated in place.
+    program, weights, maps, places : the classifier's, see `program`. Updated in place.
+    logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, DECISION_FIELDS).
+        Overwritten, one row per decision.
+
+    Returns
+    -------
+    first : int. The first event not absorbed.
+    n : int. Decisions.
+    end : DONE, up to `last` or to the window's end; FULL: no room for more decisions; CLOSE: the
+        last decision reached the confidence level; NOT_FINITE: the logits in row n are not all
+        finite.
+    """
+    n, end = 0, DONE
+    ints, times = buffer.view(np.int64), trigger.view(np.int64)
+    end_us = ints[S.START_US] + np.int64(buffer[S.WINDOW_US])
+    ints[S.WITHOUT_GIL] = 1
+    while first < last:
+        if n == len(notes):
+            end = FULL
+            break
+        n_before = ints[S.N]
+        by_time = t[first] >= ints[S.LIMIT_US]
+        if by_time:
+            if times[T.DUE_US] >= end_us:
+                break
+            why = T.BY_TIME if n_before > times[T.N_AT_DECISION] else T.NOT_DUE
+        else:
+            stop = T.until_due(trigger, n_before, first, last)
+            first = absorb(buffer, t, x, y, p, first, stop)
+            why = T.why_due(trigger, n_before, ints[S.N])
+        if why != T.NOT_DUE:
+            best = classify_cells(
+                buffer, program, weights, maps, places, logits[n], probabilities[n]
+            )
+            if best < 0:
+                end = NOT_FINITE
+                break
+            if probabilities[n, best] >= trigger[T.CONFIDENCE]:
+                why = T.BY_CONFIDENCE
+            if why != T.ONLY_IF_SURE:
+                notes[n, 0] = times[T.N_AT_DECISION] = ints[S.N]
+                notes[n, 1] = ints[S.NEWEST_US]
+                notes[n, 2] = why
+                notes[n, 3] = best
+                n += 1
+                if why == T.BY_CONFIDENCE:
+                    end = CLOSE
+                    break
+        if by_time:
+            T.schedule(trigger, min(t[first], end_us), ints[S.START_US])
+            ints[S.LIMIT_US] = min(times[T.DUE_US], end_us)
+    ints[S.WITHOUT_GIL] = 0
+    return first, n, end
+
+
+@compiled
+def softmax(logits, probabilities):
+    """probabilities[k] = exp(logits[k] - max) / sum, in float64.
+
+    Returns
+    -------
+    int : the first class of the largest logit; -1, and nothing written, if a logit is not finite.
+    """
+    largest = 0
+    for k in range(logits.size):
+        if not np.isfinite(logits[k]):
+            return -1
+        if logits[k] > logits[largest]:
+            largest = k
+    total = 0.0
+    for k in range(logits.size):
+        probabilities[k] = np.exp(np.float64(logits[k]) - np.float64(logits[largest]))
+        total += probabilities[k]
+    for k in range(logits.size):
+        probabilities[k] /= total
+    return largest

@@ -1,0 +1,1 @@
+"""Compiled code for networks: what has changed, and what follows from it."""

@@ -1,0 +1,264 @@
+"""A network, step by step, where it is out of date.
+
+Each step lists the places that a change reaches, computes them, and notes, for the steps that read
+them, those whose bits differ. With everything out of date this is the plain forward pass. There is
+no second implementation of it, so an update and a whole pass cannot differ in a bit.
+"""
+
+import numpy as np
+
+from async_tnt.kernels.jit import compiled, compiled_without_gil, inlined
+from async_tnt.kernels.network import program as P
+from async_tnt.kernels.network.changes import (
+    EVERY_BIT,
+    FIRST_ROW,
+    LAST_ROW,
+    MAX_ROW,
+    WORDS,
+    add_changes,
+    forget_changes,
+    list_places,
+    note_changes,
+    note_rows,
+    seen_from,
+    words_of,
+)
+from async_tnt.kernels.network.tiles import PLACES, channel_tile, mix_tile
+from async_tnt.kernels.simd import LANES, trailing_zeros
+
+
+@compiled_without_gil
+def forward(program, weights, maps, places):
+    """Bring the output up to date with the input.
+
+    Parameters
+    ----------
+    program, weights, maps, places : the network's, see `program`. All but the weights are updated
+        in place.
+    """
+    bits = places.view(np.uint64)
+    for step in range(program[P.N_STEPS]):
+        at = P.FIRST_STEP + step * P.STEP_SIZE
+        forget_changes(program, at + P.CHANGED, bits)
+        n = _list_dirty(program, at, places, bits)
+        program[at + P.N_COMPUTED] = n
+        if n == 0:
+            continue
+        first, last = program[P.LIST], program[P.LIST] + n - 1
+        note_rows(
+            program, at + P.CHANGED, np.int64(places[first]) >> 16, np.int64(places[last]) >> 16
+        )
+        if program[at + P.KIND] == P.MIX:
+            mix(program, at, n, weights, maps, places, bits)
+        elif program[at + P.KIND] == P.SPREAD:
+            _spread(program, at, n, maps.view(np.uint32), places, bits)
+        else:
+            _by_channel(program, at, n, weights, maps, places, bits)
+        add_changes(program, at + P.TOUCHED, at + P.CHANGED, bits)
+    program[P.STALE] = 0
+
+
+@compiled
+def mix(program, at, n, weights, maps, places, bits):
+    """A convolution at the n places of the list."""
+    first_group, n_groups = program[at + P.WEIGHTS], program[at + P.GROUPS]
+    channels, columns = program[at + P.OUT_CHANNELS], program[at + P.COLUMNS]
+    n_products = program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]
+    # a tile may have one too many
+    places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]
+    k = 0
+    while k < n:
+        listed = program[P.LIST] + k
+        n_places = 1
+        block = first_group
+        if program[at + P.PLACE_WEIGHTS] == 0:
+            n_places = _tile_size(n - k)
+        else:
+            place = np.int64(places[listed])
+            block += ((place >> 16) * columns + (place & 0xFFFF)) * program[at + P.PLACE_WEIGHTS]
+        changed = np.int64(0)
+        for group in range(n_groups):
+            inputs = program[at + P.IN] + group * program[at + P.GROUP_CHANNELS]
+            for f in range(0, channels, 2 * LANES):
+                output = program[at + P.OUT] + group * channels + f
+                n_filters = min(channels - f, 2 * LANES)
+                changed |= mix_tile(
+                    program,
+                    at,
+                    places,
+                    listed,
+                    n_places,
+                    maps,
+                    inputs,
+                    output,
+                    weights,
+                    block,
+                    n_filters,
+                )
+                block += (n_products + 2) * (2 * LANES if n_filters > LANES else LANES) + LANES
+        _note_tile(program, at, places, bits, listed, min(n_places, n - k), changed)
+        k += n_places
+
+
+@inlined
+def _tile_size(n):
+    """How many of n places the next tile computes: one of `SIZES`, at most one more than n."""
+    if PLACES == 12 and n >= 11:
+        return 12
+    if PLACES == 12 and n >= 7:
+        return 8
+    if n >= 5:
+        return 6
+    return 4 if n >= 3 else n
+
+
+@inlined
+def _by_channel(program, at, n, weights, maps, places, bits):
+    """A sum, maximum or function of each channel, at the n places of the list."""
+    noted, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
+    for listed in range(program[P.LIST], program[P.LIST] + n):
+        place = np.int64(places[np.uint64(listed)])
+        changed = channel_tile(program, at, places, listed, maps, weights)
+        note_changes(bits, noted + (place >> 16) * words, place & 0xFFFF, np.uint64(changed))
+
+
+@inlined
+def _spread(program, at, n, words_of_maps, places, bits):
+    """Numbers of one place side by side in a block of places, at the n places of the list."""
+    block, channels = program[at + P.BLOCK], program[at + P.OUT_CHANNELS]
+    for listed in range(program[P.LIST], program[P.LIST] + n):
+        place = np.int64(places[np.uint64(listed)])
+        row, column = place >> 16, place & 0xFFFF
+        y, x = _quotient(row, block), _quotient(column, block)
+        source = (
+            program[program[at + P.RUNS]] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+        )
+        source += (row - y * block) * block + column - x * block
+        target = (
+            program[at + P.OUT] + row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
+        )
+        changed = np.uint32(0)
+        for c in range(channels):
+            number = words_of_maps[np.uint64(source + c * block * block)]
+            changed |= number ^ words_of_maps[np.uint64(target + c)]
+            words_of_maps[np.uint64(target + c)] = number
+        row_of_bits = program[at + P.CHANGED] + row * program[at + P.CHANGED + WORDS]
+        note_changes(bits, row_of_bits, column, np.uint64(changed != 0))
+
+
+@inlined
+def _note_tile(program, at, places, bits, listed, n_places, changed):
+    """Note which places of a tile have changed, a bit of `changed` each."""
+    changed = np.uint64(changed)
+    first, last = (
+        np.int64(places[np.uint64(listed)]),
+        np.int64(places[np.uint64(listed + n_places - 1)]),
+    )
+    base, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
+    if last - first == n_places - 1:  # side by side
+        changed &= EVERY_BIT >> np.uint64(64 - n_places)
+        note_changes(bits, base + (first >> 16) * words, first & 0xFFFF, changed)
+    else:
+        for p in range(n_places):
+            place = np.int64(places[np.uint64(listed + p)])
+            note_changes(
+                bits,
+                base + (place >> 16) * words,
+                place & 0xFFFF,
+                changed >> np.uint64(p) & np.uint64(1),
+            )
+
+
+@compiled
+def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for each element would cost more than its work)
+    """List the places of a step that a change of its sources reaches, row by row; returns how many.
+
+    They are those with y stride - padding + i dilation = y of the change for a tap i, and with the
+    same in x.
+    """
+    if program[P.STALE] != 0:
+        return _list_all(program, at, places)
+    if program[at + P.KIND] == P.SPREAD:
+        return _list_blocks(program, at, places, bits)
+    first_source, n_sources = program[at + P.SOURCES], program[at + P.N_SOURCES]
+    top, bottom, n_words = np.int64(MAX_ROW), np.int64(-1), np.int64(0)
+    for s in range(first_source, first_source + n_sources):
+        top, bottom = (
+            min(top, program[program[s] + FIRST_ROW]),
+            max(bottom, program[program[s] + LAST_ROW]),
+        )
+        n_words = max(n_words, program[program[s] + WORDS])
+    if bottom < 0:
+        return 0
+    kernel_y, kernel_x = program[at + P.KERNEL_Y], program[at + P.KERNEL_X]
+    stride_y, stride_x = program[at + P.STRIDE_Y], program[at + P.STRIDE_X]
+    padding_y, padding_x = program[at + P.PAD_Y], program[at + P.PAD_X]
+    dilation_y, dilation_x = program[at + P.DILATION_Y], program[at + P.DILATION_X]
+    first_row = _quotient(
+        max(0, top + padding_y - (kernel_y - 1) * dilation_y + stride_y - 1), stride_y
+    )
+    last_row = min(program[at + P.ROWS] - 1, _quotient(bottom + padding_y, stride_y))
+    columns, scratch, end = program[at + P.COLUMNS], program[P.SCRATCH], program[P.LIST]
+    for word in range(n_words, program[P.SCRATCH_WORDS]):
+        bits[np.uint64(scratch + word)] = 0
+    for row in range(first_row, last_row + 1):
+        some = np.uint64(0)
+        for word in range(n_words):
+            changed = np.uint64(0)
+            for s in range(first_source, first_source + n_sources):
+                record = program[s]
+                first, last, words = (
+                    program[record + FIRST_ROW],
+                    program[record + LAST_ROW],
+                    program[record + WORDS],
+                )
+                if word < words:
+                    for tap in range(kernel_y):
+                        y = row * stride_y - padding_y + tap * dilation_y
+                        if first <= y <= last:
+                            changed |= bits[np.uint64(program[record] + y * words + word)]
+            bits[np.uint64(scratch + word)] = changed
+            some |= changed
+        if some != 0:
+            for word in range(words_of(columns)):
+                seen = seen_from(bits, scratch, word, kernel_x, stride_x, padding_x, dilation_x)
+                end = list_places(seen, columns - 64 * word, row, word, places, end)
+    return end - program[P.LIST]
+
+
+@inlined
+def _list_blocks(program, at, places, bits):
+    """`_list_dirty` of a SPREAD: the blocks of the places of its one source that have changed."""
+    record, block, end = program[program[at + P.SOURCES]], program[at + P.BLOCK], program[P.LIST]
+    last_row = min((program[record + LAST_ROW] + 1) * block, program[at + P.ROWS])
+    for row in range(program[record + FIRST_ROW] * block, last_row):
+        first = program[record] + _quotient(row, block) * program[record + WORDS]
+        for word in range(program[record + WORDS]):
+            left = bits[np.uint64(first + word)]
+            while left != 0:
+                column = (64 * word + trailing_zeros(left)) * block
+                for x in range(column, min(column + block, program[at + P.COLUMNS])):
+                    places[np.uint64(end)] = row << 16 | x
+                    end += 1
+                left &= left - np.uint64(1)
+    return end - program[P.LIST]
+
+
+@inlined
+def _list_all(program, at, places):
+    end = program[P.LIST]
+    for y in range(program[at + P.ROWS]):
+        for x in range(program[at + P.COLUMNS]):
+            places[np.uint64(end)] = y << 16 | x
+            end += 1
+    return end - program[P.LIST]
+
+
+@inlined
+def _quotient(n, stride):
+    """n // stride; a division takes longer than all else there."""
+    if stride == 1:
+        return n
+    if stride == 2:
+        return n >> 1
+    return n // stride

@@ -1,0 +1,40 @@
+"""From the heatmap that a landmark network draws to the landmark.
+
+l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])          in grid pixels, float64
+"""
+
+import numpy as np
+
+from async_tnt.kernels.jit import compiled
+
+
+@compiled
+def centroid(exponent, pitch, width, height):
+    """The expectation (x, y) under a softmax over the heatmap's places; nan if an exponent is inf
+    or nan.
+
+    A common factor does not move the centroid: cells are relative to the largest, so exp cannot
+    overflow. Distances are taken from the middle: a uniform heatmap gives it exactly.
+
+    Parameters
+    ----------
+    exponent : float32, row after row, `pitch` numbers each, of which `width` count.
+    """
+    largest = exponent[0]
+    for y in range(height):
+        for x in range(width):
+            largest = max(largest, exponent[y * pitch + x])
+    middle_x = (width - 1) / 2
+    middle_y = (height - 1) / 2
+    total = 0.0
+    total_x = 0.0
+    total_y = 0.0
+    for y in range(height):
+        row = 0.0
+        for x in range(width):
+            h = np.exp(np.float64(exponent[y * pitch + x]) - np.float64(largest))
+            row += h
+            total_x += h * (x - middle_x)
+        total += row
+        total_y += row * (y - middle_y)
+    return middle_x + total_x / total, middle_y + total_y / total

@@ -1,0 +1,1 @@
+"""Compiled code for words of files and datagrams, clocks, and pixels."""

@@ -1,0 +1,1 @@
+"""Compiled code for simulation, re-synthesis and batches of volumes."""

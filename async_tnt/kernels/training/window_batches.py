@@ -1,0 +1,196 @@
+"""The volumes of many windows, and the gradient of a loss on them with respect to each window's
+landmark.
+
+Arguments that both kernels take:
+
+    buffer   float64, the volume's `state`. Updated in place.
+    scratch  columns t, x, y, p as long as the longest recording. Overwritten.
+    columns  t, x, y, p of all recordings, end to end.
+    windows  first, last : int64, (N,). Each window's recording: its events `first <= i < last`.
+             start_us, limit_us : int64, (N,). Each window.
+             matrix, keep, seed, nothing, place : how its events are moved and thinned, see
+                 `augment.Draws`.
+"""
+
+import numpy as np
+
+from async_tnt.kernels.jit import compiled, inlined
+from async_tnt.kernels.volume import state as S
+from async_tnt.kernels.volume.absorb import absorb
+from async_tnt.kernels.volume.landmark import displace_fixed
+from async_tnt.kernels.volume.readout import cell_at, cells_to_float32, empty_volume, mark_unread
+from async_tnt.kernels.volume.splat import grid_of, place_event
+
+SHOWN, SCATTERED, ONE_POLARITY, HOT_PIXELS, PATCH, EDGE = range(6)
+"""What is in a window: its recording, or one of the kinds of nothing of `_of_nothing`."""
+OWN, MEAN, GIVEN = 0, 1, 2
+"""Landmark: by the volume's mode; the centroid of the window's events; given for each window."""
+
+
+@compiled
+def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
+    """The volume of each window into `out`.
+
+    Parameters
+    ----------
+    buffer, scratch, columns, windows : see above.
+    about : OWN, MEAN or GIVEN.
+    landmarks : float64, (N, 2). Each window's landmark in sensor pixels, where they are given.
+    out : float32, (N, C, H, W). Updated in place.
+    """
+    ints = buffer.view(np.int64)
+    scratch_t, scratch_x, scratch_y, scratch_p = scratch
+    start_us, limit_us = windows[2], windows[3]
+    for i in range(out.shape[0]):
+        n = _select_events(ints, scratch, columns, windows, i)
+        mark_unread(ints)  # every volume goes to another array
+        empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # the epoch is not read
+        if about == GIVEN:
+            buffer[S.FIXED_X] = landmarks[i, 0]
+            buffer[S.FIXED_Y] = landmarks[i, 1]
+        elif about == MEAN and n > 0:
+            sum_x = 0
+            sum_y = 0
+            for k in range(n):
+                sum_x += np.int64(scratch_x[k])
+                sum_y += np.int64(scratch_y[k])
+            buffer[S.FIXED_X] = sum_x / n
+            buffer[S.FIXED_Y] = sum_y / n
+        absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n)
+        cells_to_float32(buffer, out[i])
+
+
+@compiled
+def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, out):
+    """dL/dl of each window into `out`, from dL/dV: the chain rule through
+
+        V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)        u_i = (x_i - l_x) / tau_i + c_x
+
+        dL/dl_x = sum_i dL/du_i du_i/dl_x
+                = sum_i -1/tau_i sum_b,y,x dL/dV[b, y, x] s_i k(b - b_i) k(y - v_i) k'(x - u_i)
+
+    with k' = -1 at the left and +1 at the right neighbour. Landmark and u are both in grid pixels,
+    so that 1/tau_i = window_us / (t_max dt).
+
+    Parameters
+    ----------
+    buffer, scratch, columns, windows : see above.
+    landmarks : float64, (N, 2). Each window's landmark in sensor pixels.
+    gradient : float32, (N, C, H, W). dL/dV.
+    out : float64, (N, 2). dL/d(l_x, l_y), l in grid pixels. Overwritten.
+    """
+    ints = buffer.view(np.int64)
+    scratch_t, scratch_x, scratch_y, scratch_p = scratch
+    start_us = windows[2]
+    per_time = buffer[S.SCALE_X] * (ints[S.SENSOR_W] - 1) / buffer[S.MAX_U]  # window_us / t_max
+    for i in range(out.shape[0]):
+        n = _select_events(ints, scratch, columns, windows, i)
+        grid = grid_of(buffer, ints)
+        total_x = 0.0
+        total_y = 0.0
+        for k in range(n):
+            dt = np.float64(scratch_t[k] - start_us[i])
+            num_x, num_y, den = displace_fixed(
+                np.int64(scratch_x[k]), np.int64(scratch_y[k]), dt, landmarks[i, 0], landmarks[i, 1]
+            )
+            corner, y_frac, x_frac, lower, upper, kept = place_event(
+                grid, dt, scratch_p[k] > 0, num_x, num_y, den
+            )
+            if not kept:
+                continue
+            b, y, x = cell_at(ints, np.int64(corner))
+            d_u = 0.0
+            d_v = 0.0
+            for is_upper in range(2):
+                weight = upper if is_upper else lower
+                if weight == 0.0:  # also at the last bin, which has none above it
+                    continue
+                g00 = _cell(gradient, i, b + is_upper, y, x)
+                g01 = _cell(gradient, i, b + is_upper, y, x + 1)
+                g10 = _cell(gradient, i, b + is_upper, y + 1, x)
+                g11 = _cell(gradient, i, b + is_upper, y + 1, x + 1)
+                d_u += weight * ((1.0 - y_frac) * (g01 - g00) + y_frac * (g11 - g10))
+                d_v += weight * ((1.0 - x_frac) * (g10 - g00) + x_frac * (g11 - g01))
+            total_x -= d_u * per_time / dt
+            total_y -= d_v * per_time / dt
+        out[i, 0] = total_x
+        out[i, 1] = total_y
+
+
+@inlined
+def _cell(gradient, i, b, y, x):
+    """dL/dV[b, y, x]; 0 one row or column beyond the grid, where nothing reads the volume."""
+    inside = (y < gradient.shape[2]) & (x < gradient.shape[3])
+    return np.float64(gradient[i, b, y, x]) if inside else 0.0
+
+
+@compiled
+def _select_events(ints, scratch, columns, windows, window):
+    """One window's events, moved and thinned, into the scratch columns; returns how many."""
+    scratch_t, scratch_x, scratch_y, scratch_p = scratch
+    t, x, y, p = columns
+    firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, nothings, places = windows
+    last, limit_us = lasts[window], limits_us[window]
+    matrix, keep, seed, nothing = matrices[window], keeps[window], seeds[window], nothings[window]
+    first = firsts[window] + np.searchsorted(t[firsts[window] : last], starts_us[window])
+    n = 0
+    i = first
+    while i < last and t[i] < limit_us:
+        if keep >= 1.0 or _uniform(seed, i - first) < keep:
+            x_moved = np.floor(matrix[0, 0] * x[i] + matrix[0, 1] * y[i] + matrix[0, 2] + 0.5)
+            y_moved = np.floor(matrix[1, 0] * x[i] + matrix[1, 1] * y[i] + matrix[1, 2] + 0.5)
+            polarity = p[i]
+            if nothing != SHOWN:
+                share = (t[i] - starts_us[window]) / (limit_us - starts_us[window])
+                x_moved, y_moved, is_on = _of_nothing(
+                    nothing, places[window], seed, i - first, share
+                )
+                polarity = np.uint8(is_on) if nothing != SCATTERED else polarity
+            if 0 <= x_moved < ints[S.SENSOR_W] and 0 <= y_moved < ints[S.SENSOR_H]:
+                scratch_t[n] = t[i]
+                scratch_x[n] = np.uint16(x_moved)
+                scratch_y[n] = np.uint16(y_moved)
+                scratch_p[n] = polarity
+                n += 1
+        i += 1
+    return n
+
+
+@compiled
+def _of_nothing(nothing, place, seed, i, share):
+    """Where event i of a window that shows nothing is, and whether it is ON.
+
+    place : float64, (8,), in sensor pixels.
+        SCATTERED, ONE_POLARITY, PATCH : left, top, width, height of where events are; and the share
+            of ON events.
+        HOT_PIXELS : x and y of three pixels; the share of ON events.
+        EDGE : a point of a straight line, its normal (cosine, sine), how far it moves along that in
+            the window, its thickness and length; the share of ON events.
+    share : of the window, from 0 to 1, that has passed.
+    """
+    u, v = _uniform(~seed, 2 * i), _uniform(~seed, 2 * i + 1)
+    is_on = _uniform(seed ^ np.uint64(0x5555555555555555), i) < place[7]
+    if nothing == HOT_PIXELS:
+        k = 2 * np.int64(3 * u)
+        return place[k], place[k + 1], is_on
+    if nothing == EDGE:
+        across = place[4] * (share - 0.5) + place[5] * (u - 0.5)
+        along = place[6] * (v - 0.5)
+        x = place[0] + place[2] * across - place[3] * along
+        y = place[1] + place[3] * across + place[2] * along
+        return np.floor(x), np.floor(y), is_on
+    return np.floor(place[0] + u * place[2]), np.floor(place[1] + v * place[3]), is_on
+
+
+@compiled
+def _uniform(seed, i):
+    """The i-th number in [0, 1) of the generator SplitMix64 with this seed.
+
+    Steele, Lea, Flood 2014, Fast Splittable Pseudorandom Number Generators, with their constants.
+    Each event gets the same number whichever others are drawn, and in whatever order.
+    """
+    z = seed + np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return np.float64(z >> np.uint64(11)) * 2.0**-53

@@ -1,0 +1,1 @@
+"""Compiled code for packets, landmarks and the cells of a volume."""

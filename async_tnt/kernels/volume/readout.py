@@ -1,0 +1,130 @@
+"""What happens to a volume's cells between events: emptied for a window, and rounded to the array
+that users read."""
+
+import numpy as np
+
+from async_tnt.kernels.jit import compiled, inlined
+from async_tnt.kernels.volume import state as S
+
+
+@compiled
+def empty_volume(buffer, array, start_us, limit_us, epoch):
+    """Open a window: no events, all cells zero. Counts go on.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Updated in place.
+    array : float32, shape (C, H, W). Updated in place, or left for the next read to update.
+    epoch : int. A number that no window had before.
+    """
+    ints = buffer.view(np.int64)
+    first = ints[S.LOG]
+    n_log = ints[S.N_LOG]
+    if n_log * S.CELLS_PER_LOGGED > first - S.CELLS:
+        for i in range(S.CELLS, first):
+            buffer[i] = 0.0
+        is_read = ints[S.N_READ] == 0
+    else:
+        row, second = ints[S.ROW], ints[S.SECOND]
+        for k in range(first, first + n_log):
+            for place in (ints[k], ints[k] + row, ints[k] + second, ints[k] + second + row):
+                buffer[place] = 0.0
+                buffer[place + 1] = 0.0
+        for k in range(first, first + ints[S.N_READ]):  # now that all cells are zero
+            _copy_around(buffer, ints, ints[k], array)
+        is_read = ints[S.N_READ] >= 0
+    ints[S.N_LOG] = 0
+    ints[S.EPOCH] = epoch
+    _note_read(ints)
+    if not is_read:
+        mark_unread(ints)
+    buffer[S.C_XF] = 0.0
+    buffer[S.C_YF] = 0.0
+    buffer[S.C_FF] = 0.0
+    ints[S.START_US] = start_us
+    ints[S.LIMIT_US] = limit_us
+    ints[S.N] = 0
+    ints[S.SUM_X] = 0
+    ints[S.SUM_Y] = 0
+    ints[S.SUM_T] = 0
+    ints[S.NEWEST_US] = -1
+    ints[S.DECIDED_FROM_US] = S.NEVER_US
+    ints[S.CLOSED_KEPT] = ints[S.KEPT]
+    ints[S.CLOSED_TAU_ZERO] = ints[S.TAU_ZERO]
+
+
+@compiled
+def cells_to_float32(buffer, array):
+    """Bring the array up to date:  array[b, y, x] = cells[b, y, x].
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. What has been read is noted in it.
+    array : float32, shape (C, H, W). Updated in place.
+    """
+    ints = buffer.view(np.int64)
+    n_changed = ints[S.N_LOG] - ints[S.N_READ]
+    if n_changed * S.CELLS_PER_LOGGED > array.size:
+        _copy_planes(buffer, ints, array)
+    else:
+        for k in range(ints[S.N_READ], ints[S.N_LOG]):
+            _copy_around(buffer, ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))], array)
+    _note_read(ints)
+
+
+@inlined
+def cell_at(ints, corner):
+    """Plane, row and column of the cell at this index, the `corner` of an event: the inverse of
+    `splat.place_event`."""
+    row, plane = ints[S.ROW], ints[S.PLANE]
+    place = corner - S.CELLS
+    b = place // plane
+    y = (place - b * plane) // row
+    return b, y, place - b * plane - y * row
+
+
+@inlined
+def row_at(ints, b, y):
+    """Index of the first cell of a row."""
+    return S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW]
+
+
+@inlined
+def mark_unread(ints):
+    """Let the next read copy all cells, whatever the array shows."""
+    ints[S.N_READ] = S.UNREAD
+    ints[S.INTERVAL_LO] = 0
+    ints[S.INTERVAL_HI] = S.NO_INTERVAL
+
+
+@inlined
+def _note_read(ints):
+    ints[S.N_READ] = ints[S.N_LOG]
+    ints[S.INTERVAL_LO] = S.NO_INTERVAL
+    ints[S.INTERVAL_HI] = -1
+
+
+@compiled
+def _copy_planes(buffer, ints, array):
+    """`cells_to_float32` for all cells of the bins that changed."""
+    n_channels, height, width = array.shape
+    n_bins = ints[S.OFF_SHIFT] // ints[S.PLANE] or n_channels
+    for b in range(n_channels):
+        if not ints[S.INTERVAL_LO] <= b % n_bins <= ints[S.INTERVAL_HI] + 1:
+            continue
+        for y in range(height):
+            at = np.uint64(row_at(ints, b, y))
+            for x in range(width):
+                array[b, y, x] = buffer[at + np.uint64(x)]
+
+
+@inlined
+def _copy_around(buffer, ints, corner, array):
+    """`cells_to_float32` for the cells that an event at this corner changed."""
+    n_channels, height, width = array.shape
+    b0, y0, x0 = cell_at(ints, corner)
+    for b in range(b0, min(b0 + 2, n_channels)):
+        for y in range(y0, min(y0 + 2, height)):
+            at = np.uint64(row_at(ints, b, y))
+            for x in range(x0, min(x0 + 2, width)):
+                array[np.uint64(b), np.uint64(y), np.uint64(x)] = buffer[at + np.uint64(x)]

@@ -1,0 +1,1 @@
+"""Networks as data: operations with their shapes, and the steps of a compiled program."""

@@ -1,0 +1,222 @@
+"""A model's networks, compiled: the classifier, which computes only what has changed, and the
+landmark regressor."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from async_tnt.base.checks import Running, one_at_a_time
+from async_tnt.kernels.decisions.classify import absorb_and_decide, classify_cells
+from async_tnt.kernels.decisions.objects import locate_cells, score_map
+from async_tnt.kernels.network.heatmap import centroid
+from async_tnt.kernels.network.program import EPOCH, OUTPUT_DY
+from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
+from async_tnt.networks.layers.program import Program, VolumeInput, make_program
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.objects import ObjectReader, new_tracks
+from async_tnt.volume.events import Columns
+from async_tnt.volume.volume import TNTVolume
+
+_packed: WeakKeyDictionary[Model, dict[str, dict[str, np.ndarray]]] = WeakKeyDictionary()
+"""Model -> its networks -> their packed weights, which all programs of the model share."""
+
+
+def _program_of(model: Model, network: str) -> Program:
+    """A program of one of a model's networks, with feature maps of its own."""
+    of_model = _packed.setdefault(model, {})
+    packed = of_model.setdefault(network, {})
+    return make_program(model.network[network], model.config.shape, model.weights, packed)
+
+
+class CompiledClassifier:
+    """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,), of a map model
+    (n_classes + 1, R, C).
+
+    Equal to torch to 1e-4. Called with an array it computes the whole network;
+    `refresh` computes what has changed in a volume since its last call. Both give the same logits,
+    bit for bit. Holds its feature maps: one instance per thread.
+
+    Parameters
+    ----------
+    model : a Model.
+
+    Attributes
+    ----------
+    shape : (C, H, W) of the volumes.
+    n_classes : number of classes.
+    sensor : (width, height).
+    places : of a map model: where on the sensor the places of its map lie; of others None.
+    network : the arrays that compiled code reads, see `kernels.program`.
+    steps : of each step of the program, the name of the layer that it computes or belongs to.
+
+    Raises
+    ------
+    ValueError : (when called) the volume's shape is not the model's.
+    RuntimeError : (when called) another call is running.
+
+    Examples
+    --------
+    >>> from async_tnt import TNTVolume, load_model
+    >>> model = load_model("digits")
+    >>> network, volume = CompiledClassifier(model), TNTVolume(model.config)
+    >>> for t in range(1, 100):
+    ...     _ = volume.update_one(t, t % 34, 17, 1)
+    ...     assert (network.refresh(volume) == CompiledClassifier(model)(volume.array)).all()
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.shape = model.config.shape
+        self.n_classes = len(model.classes)
+        self.places, self.sensor = model.places, model.config.sensor
+        self._running = Running("CompiledClassifier")
+        self._program = _program_of(model, CLASSIFIER)
+        self.network, self.steps = self._program.arrays, self._program.steps
+        self._input = VolumeInput(self.shape)
+        self.logits_shape = model.logits_shape
+        self.reader: ObjectReader | None = None
+        if self.places is not None:
+            self.reader = ObjectReader(
+                self.logits_shape, self._program.output_layout, self._program.output_changes
+            )
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        vars(self).pop("map", None)  # a view of what was copied
+        self.network.program[EPOCH] = 0  # in another process, another window may have this number
+
+    @one_at_a_time
+    def __call__(self, volume: np.ndarray) -> np.ndarray:
+        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new
+        array."""
+        logits = self._program.run(self._input(volume))
+        if self.reader is None:
+            return logits[: self.n_classes].copy()
+        score_map(self.network.maps, *self.reader.arrays[:3])
+        return self.map.copy()
+
+    def refresh(self, volume: TNTVolume) -> np.ndarray:
+        """Logits of a volume's open window, a new array; quick where little has changed since the
+        last call.
+
+        Parameters
+        ----------
+        volume : a TNTVolume of the model's shape; it may be another one than in the last call.
+
+        Returns
+        -------
+        float32, shape (n_classes,) or (n_classes + 1, R, C).
+
+        Raises
+        ------
+        ValueError : a volume of another shape.
+        """
+        if volume.config.shape != self.shape:
+            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")
+        if self.places is None:
+            return self.answer(volume)[1]
+        self.locate(volume, new_tracks(self.places, self.logits_shape, 0), 0, False)
+        return self.map.copy()
+
+    @cached_property  # made once: a view takes as long as a small network
+    def map(self) -> np.ndarray:
+        """Of a map model: its last map, (n_classes + 1, R, C), read-only; the next call changes
+        it."""
+        first, *strides = (4 * n for n in self._program.output_layout)
+        view = np.ndarray(
+            self.logits_shape, np.float32, self.network.maps, first, (strides[2], *strides[:2])
+        )
+        view.flags.writeable = False
+        return view
+
+    def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
+        """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not
+        finite), logits, and probabilities (float64, shape (n_classes,))."""
+        logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
+        self._running.begin()
+        try:
+            return (
+                classify_cells(volume.state(), *self.network, logits, probabilities),
+                logits,
+                probabilities,
+            )
+        finally:
+            self._running.now = False
+
+    @one_at_a_time
+    def locate(self, volume: TNTVolume, tracks: np.ndarray, time_us: int, keep: bool) -> int:
+        """`answer` of a map model: how many objects there are (-1 if a logit is not finite), which
+        `reader` has.
+
+        tracks, time_us, keep : see `kernels.objects.locate_on_map`.
+        """
+        assert self.reader is not None
+        n: int = locate_cells(
+            volume.state(), *self.network, *self.reader.arrays, tracks, time_us, keep
+        )
+        return n
+
+    @one_at_a_time
+    def decide_stretch(
+        self,
+        buffer: np.ndarray,
+        columns: Columns,
+        first: int,
+        last: int,
+        trigger: np.ndarray,
+        *answers: np.ndarray,
+    ) -> tuple[int, int, int]:
+        """`kernels.classify.absorb_and_decide`, which describes `buffer`, `columns`, `first`,
+        `last` and `trigger`; `answers` are its arrays for logits, probabilities and notes."""
+        found: tuple[int, int, int]
+        found = absorb_and_decide(
+            buffer, *columns[:4], first, last, trigger, *self.network, *answers
+        )
+        return found
+
+
+class CompiledRegressor:
+    """The landmark network of a model, compiled: raw volume (C, H, W) -> landmark (x, y) in grid
+    pixels.
+
+    Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. Equal to
+    torch to 1e-4 pixels. For the volume alone: `TNTVolume(model.config,
+    regressor=CompiledRegressor(model))`; `Processor(model)` makes its own. Holds scratch memory:
+    one instance per thread.
+
+    Parameters
+    ----------
+    model : a Model with landmark `regressor`.
+
+    Attributes
+    ----------
+    shape : (C, H, W) of the volumes.
+
+    Raises
+    ------
+    ValueError : the model has no regressor; (when called) the volume's shape is not the model's.
+    RuntimeError : (when called) another call is running.
+    """
+
+    def __init__(self, model: Model) -> None:
+        config = model.config
+        if not config.needs_regressor:
+            raise ValueError(
+                'the model has no regressor: that needs landmark="regressor" and transform="tnt", '
+                f"got landmark={config.landmark!r}, transform={config.transform!r}"
+            )
+        self.shape = config.shape
+        self._running = Running("CompiledRegressor")
+        self._program = _program_of(model, REGRESSOR)
+        self._input = VolumeInput(self.shape)
+
+    @one_at_a_time
+    def __call__(self, volume: np.ndarray) -> tuple[float, float]:
+        """The landmark of one raw volume, float64; nan where the network's float32 numbers
+        overflow."""
+        exponent, (_, height, width) = self._program.run(self._input(volume)), self.shape
+        x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
+        return x, y

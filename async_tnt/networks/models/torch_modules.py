@@ -1,0 +1,130 @@
+"""Torch modules as classifiers, and a Model's networks as torch modules of the reference.
+
+torch and `tnt_reference` are imported only when they are used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt.base.checks import needs_extra, positive_int
+from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
+from async_tnt.networks.models.model import Model
+from async_tnt.networks.models.objects import LOGITS, Places, logits_shape
+
+if TYPE_CHECKING:
+    import tnt_reference
+    import torch
+
+
+def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
+    """A model's classifier: volumes (N, C, H, W) -> logits (N, n_classes), in eval mode."""
+    return _network(model, CLASSIFIER)
+
+
+def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
+    """A model's landmark network: raw volumes (N, C, H, W) -> (N, 2) in grid pixels, in eval mode;
+    None without one."""
+    return _network(model, REGRESSOR) if model.config.needs_regressor else None
+
+
+def _network(model: Model, name: str) -> tnt_reference.LayerNetwork:
+    from tnt_reference import LayerNetwork
+
+    return LayerNetwork(model.network[name], model.weights).eval()
+
+
+def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:
+    """`torch_regressor` as a function of one raw volume (C, H, W): the landmark (x, y) in grid
+    pixels."""
+    import torch
+
+    network = torch_regressor(model)
+    assert network is not None
+
+    def landmark(raw_volume: np.ndarray) -> tuple[float, float]:
+        with torch.inference_mode():
+            x, y = network(torch.tensor(raw_volume)[None])[0].tolist()
+        return x, y
+
+    return landmark
+
+
+class TorchClassifier:
+    """A torch module as a classifier: volume (C, H, W) -> logits (n_classes,).
+
+    `Processor(config, classifier=TorchClassifier(module))` decides by any callable from a tensor
+    (1, C, H, W) to logits: a module, TorchScript, a `torch.export.ExportedProgram`, a plain
+    function of tensors. It is put into eval mode and called in inference mode, on the device and in
+    the floating type of its first parameter.
+
+    Parameters
+    ----------
+    module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1,
+        n_classes), or a map (1, n_classes + 1, R, C), see `Model`. Modules are put into eval mode
+        in place: call `module.train()` before training continues.
+    places : of a map: where its places lie; by default they divide the sensor evenly.
+    threads : given to `torch.set_num_threads`, once, here. That is process-wide: it also applies
+        to other classifiers and to training in this process. None leaves it unchanged.
+
+    Raises
+    ------
+    ImportError : torch is not installed.
+    TypeError : `module` cannot be called; (when called) it does not return a tensor.
+    ValueError : `threads` is less than 1; (when called) the logits have another shape.
+    """
+
+    def __init__(
+        self,
+        module: Callable[[torch.Tensor], torch.Tensor],
+        *,
+        threads: int | None = 1,
+        places: Places | None = None,
+    ) -> None:
+        with needs_extra("reference", "torch modules need torch"):
+            import torch
+        if isinstance(module, torch.export.ExportedProgram):
+            module = module.module()
+        if not callable(module):
+            raise TypeError(f"`module` must be callable, got {type(module).__name__}")
+        if threads is not None:
+            torch.set_num_threads(positive_int("threads", threads))
+        self.module, self.places = module, places
+        self._like = torch.empty(0)  # on the device and of the type of the module
+        if isinstance(module, torch.nn.Module):
+            # of an exported program, which keeps the mode it was exported in
+            with suppress(NotImplementedError):
+                module.eval()
+            weights = (
+                w for w in chain(module.parameters(), module.buffers()) if w.is_floating_point()
+            )
+            first = next(weights, self._like)
+            self._like = torch.empty(0, dtype=first.dtype, device=first.device)
+
+    def __call__(self, volume: np.ndarray) -> np.ndarray:
+        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new
+        array."""
+        import torch
+
+        # One copy, 1 us for 9 x 34 x 34: torch has no read-only tensors, and a module that works in
+        # place (a first layer `ReLU(inplace=True)`) or keeps its input would otherwise write into,
+        # or read from, the open window.
+        tensor = torch.from_numpy(np.array(volume, np.float32))[None].to(self._like)
+        with torch.inference_mode():
+            logits: Any = self.module(tensor)
+            if not isinstance(logits, torch.Tensor):
+                raise TypeError(
+                    f"the module must return a tensor of logits, got {type(logits).__name__}"
+                )
+            shape = logits_shape(tuple(logits.shape))
+            if shape is None:
+                raise ValueError(
+                    f"the module must return logits {LOGITS}, got shape {tuple(logits.shape)}"
+                )
+            answer: np.ndarray = logits.reshape(shape).to("cpu", torch.float32).numpy()
+        return answer.copy()  # the module may keep its tensor

@@ -1,0 +1,1 @@
+"""Events that arrive now: cameras, datagrams from the network, and their clocks."""

@@ -1,0 +1,308 @@
+"""Events from the network: `open_udp` and `UdpSource` listen for datagrams."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import selectors
+import socket
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+
+from async_tnt.base.checks import whole_number
+from async_tnt.sources.live.datagrams import Decoder
+
+ROOM = 1 << 16  # more than any datagram: none is ever cut off
+BATCH_BYTES = 1 << 18
+MAX_DATAGRAMS = 64  # in one packet
+# malformed events without a single good one, after which a warning names possible reasons
+WARN_AFTER = 1000
+LONGEST_S = 1e6  # the system sleeps for no longer than some weeks
+
+log = logging.getLogger("async_tnt.sources")
+
+
+@dataclass(frozen=True)
+class NetworkCounts:
+    """What a `UdpSource` has received so far."""
+
+    datagrams: int
+    """Datagrams received."""
+    bytes: int
+    """Bytes of these."""
+    events: int
+    """Events handed on."""
+    malformed: int
+    """Left out: cut off, off the sensor, an impossible polarity or time, a time that jumps."""
+    late: int
+    """Handed on, but older than one before: the network or the sender reordered them."""
+    jumped: int = 0
+    """How many of `malformed` have a time that jumps, see `Clock`."""
+    off_sensor: int = 0
+    """How many of `malformed` lie off the sensor."""
+    clock_restarts: int = 0
+    """How often the sender's clock moved back; times continue, see `Clock`."""
+
+
+class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
+    """Listens for datagrams of events.
+
+    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of the datagrams
+    that were waiting, 64 at most, or of the one that ended a wait. It ends when `close` is called,
+    from any thread, or after `timeout_s` without a valid event. Invalid events never raise; they
+    are dropped, see `counts`. One thread iterates at a time; asyncio reads it through a
+    `BackgroundReader`.
+
+    Parameters
+    ----------
+    address, port : where to listen; by default only this machine can send. Port 0 picks a free one:
+        read `port`.
+    format : one of `async_tnt.sources.EVENT_BYTES`.
+    sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
+    buffer_bytes : receive buffer to ask the system for; the attribute has what it gives.
+    timeout_s : seconds without a valid event, below 1e6, after which iterating ends; None waits
+        forever.
+    max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the
+        times of a sender that starts again. None: every time is trusted.
+
+    Raises
+    ------
+    OSError : the address is not this machine's, or taken.
+    ValueError : a setting out of range.
+
+    Examples
+    --------
+    >>> from async_tnt import EVENT_DTYPE
+    >>> from async_tnt.sources import encode
+    >>> with UdpSource(port=0, timeout_s=1) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
+    ...     _ = sender.sendto(encode(np.array([(258, 3, 4, 1)], EVENT_DTYPE)), (source.address, source.port))
+    ...     next(iter(source)).tolist(), source.counts.events
+    ([(258, 3, 4, 1)], 1)
+    """
+
+    def __init__(
+        self,
+        address: str = "127.0.0.1",
+        port: int = 3333,
+        format: str = "t64_x16_y16_on8",
+        sensor: tuple[int, int] | None = None,
+        *,
+        buffer_bytes: int = 1 << 22,
+        timeout_s: float | None = None,
+        max_jump_s: float | None = 10.0,
+    ) -> None:
+        port = whole_number("port", port, 0, 1 << 16)
+        buffer_bytes = whole_number("buffer_bytes", buffer_bytes, 1, 1 << 30, "in [1, 2**30)")
+        if timeout_s is not None and not 0 < timeout_s < LONGEST_S:
+            raise ValueError(
+                f"`timeout_s` must be a positive number of seconds below {LONGEST_S:g}, got "
+                f"{timeout_s}"
+            )
+        self.timeout_s = timeout_s
+        self.format, self.sensor = format, sensor
+        # before the decoder, which may have to be compiled: an address that is taken shows at once
+        self._socket = _bound_socket(address, port)
+        try:
+            self._decoder = Decoder(format, sensor, max_jump_s)
+        except BaseException:
+            self._socket.close()
+            raise
+        self._memory = memoryview(bytearray(BATCH_BYTES))
+        self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
+        self._datagrams = self._bytes = self._events = self._cut = 0
+        self._started_ns = time.monotonic_ns()
+        self._closed = self._has_warned = False
+        # Held while a thread reads or waits, so that `close` does not free the socket's number
+        # meanwhile: the system may give it to another socket. Re-entrant: a signal handler may
+        # close, too.
+        self._reading = threading.RLock()
+        self.address, self.port = self._socket.getsockname()[:2]
+        with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+        overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles what is asked for
+        self.buffer_bytes = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // overhead
+        # one end becomes readable when the other is closed
+        self._wake_out, self._wake_in = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._selector.register(self._wake_out, selectors.EVENT_READ)
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
+    @property
+    def counts(self) -> NetworkCounts:
+        """Counts up to now."""
+        decoder, clock = self._decoder, self._decoder.clock
+        return NetworkCounts(
+            self._datagrams,
+            self._bytes,
+            self._events,
+            self._cut + decoder.malformed,
+            clock.late,
+            clock.jumped,
+            decoder.off_sensor,
+            clock.restarts,
+        )
+
+    @property
+    def name(self) -> str:
+        """Where it listens, udp://HOST:PORT, with the port that it got."""
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        return f"udp://{host}:{self.port}"
+
+    def summary(self) -> str:
+        """The counts so far, in one line for people."""
+        counts = self.counts
+        of_them = f"{counts.jumped:,} of them time jumps, " if counts.jumped else ""
+        of_them += f"{counts.off_sensor:,} of them off the sensor, " if counts.off_sensor else ""
+        restarts = f", clock restarts: {counts.clock_restarts:,}" if counts.clock_restarts else ""
+        return (
+            f"{counts.datagrams:,} datagrams, {counts.events:,} events ({counts.malformed:,} "
+            f"malformed, {of_them}"
+            f"{counts.late:,} out of order{restarts})"
+        )
+
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else "open"
+        return f"UdpSource(udp://{self.address}:{self.port}?format={self.format}, {state}, {self.counts})"
+
+    # -- packets -----------------------------------------------------------------------------------
+
+    def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
+        """The next packet; None if none came within `timeout_s` (None: wait forever) or the source
+        was closed."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        most = MAX_DATAGRAMS
+        with self._reading:
+            while not self._closed:
+                events = self._drain(most)
+                if events is not None:
+                    return events
+                left = None if deadline is None else deadline - time.monotonic()
+                if left is not None and left <= 0:
+                    return None
+                with contextlib.suppress(OSError, ValueError):  # a signal handler closed the source
+                    self._selector.select(left)
+                # The datagram that ended the sleep is handed over alone: asking for more takes as
+                # long as a plain `recv`, once its data have left the processor's caches. The next
+                # call reads all the others.
+                most = 1
+        return None
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        while (events := self.receive(self.timeout_s)) is not None:
+            yield events
+
+    def _drain(self, most: int) -> np.ndarray | None:
+        """Up to `most` waiting datagrams as one packet; None if there is no event in it."""
+        size = self._decoder.event_bytes
+        memory, filled = self._memory, 0
+        ends: list[int] = []
+        arrivals: list[int] = []
+        receive_into, clock = self._socket.recv_into, time.monotonic_ns
+        try:
+            while len(ends) < most and filled + ROOM <= BATCH_BYTES:
+                n = receive_into(memory[filled:])
+                self._bytes += n
+                n_whole = n // size  # the next one goes where whole events end
+                self._cut += n_whole * size != n
+                filled += n_whole * size
+                ends.append(filled // size)
+                arrivals.append((clock() - self._started_ns) // 1000)
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            if self._socket.fileno() == -1 or error.errno == errno.EBADF:
+                return None
+            # Windows also reports a datagram that was too long, and an answer that was refused
+        if not ends:
+            return None
+        events = self._decoder.decode_datagrams(self._raw, ends, arrivals)
+        self._datagrams += len(ends)
+        self._events += len(events)
+        if not self._events and not self._has_warned and self._decoder.malformed >= WARN_AFTER:
+            self._has_warned = True
+            log.warning(
+                "udp://%s:%s: none of the first %s events can be used, %s of them lie off the "
+                "sensor; does the sender "
+                "use another format than %s (?format=...), or a larger camera?",
+                self.address,
+                self.port,
+                self._decoder.malformed,
+                self._decoder.off_sensor,
+                self.format,
+            )
+        return events if len(events) else None
+
+    # -- the end -----------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Stop listening and end every iteration, from any thread; counts stay. May be called
+        again."""
+        self._closed = True
+        self._wake_in.close()
+        with self._reading:  # a thread that waited has been woken
+            self._selector.close()
+            self._socket.close()
+            self._wake_out.close()
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+
+def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
+    """A `UdpSource` of a `url`, udp://HOST:PORT[?format=...&timeout_s=...]; `sensor` is its
+    argument.
+
+    Raises
+    ------
+    ValueError : not such a URL; the message says what is wrong.
+    OSError : the address is not this machine's, or taken.
+    """
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+        if (
+            parts.scheme != "udp"
+            or not host
+            or port is None
+            or parts.path not in ("", "/")
+            or "@" in parts.netloc
+        ):
+            raise ValueError("expected udp://HOST:PORT, such as udp://127.0.0.1:3333")
+        options: dict[str, Any] = dict(parse_qsl(parts.query, keep_blank_values=True))
+        if unknown := options.keys() - {"format", "timeout_s"}:
+            raise ValueError(f"unknown option {min(unknown)!r}, expected format or timeout_s")
+        if "timeout_s" in options:
+            options["timeout_s"] = float(options["timeout_s"])
+        return UdpSource(host, port, sensor=sensor, **options)
+    except ValueError as error:
+        raise ValueError(f"{url}: {error}") from None
+
+
+def _bound_socket(address: str, port: int) -> socket.socket:
+    """A socket that does not block; an OSError if there is no such host, or its address cannot be
+    used."""
+    try:
+        family, _, _, _, where = socket.getaddrinfo(address, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError, OverflowError) as error:
+        raise OSError(f"{address}:{port}: no such host or port ({error})") from None
+    bound = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        bound.setblocking(False)
+        bound.bind(where)
+    except OSError as error:
+        bound.close()
+        raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
+    return bound

@@ -1,0 +1,1 @@
+"""Which pixels count: regions, masks, and hot pixels that recordings show."""

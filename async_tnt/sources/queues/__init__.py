@@ -1,0 +1,1 @@
+"""Queues between a source and a consumer that may be slower."""

@@ -1,0 +1,311 @@
+"""A bounded queue of packets between threads that put them and a reader, in a loop or in
+asyncio."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from async_tnt.base.checks import positive_int
+from async_tnt.volume.event_forms import named_columns
+
+YIELD_AFTER_S = 1e-3  # how often asyncio's other tasks can run while the queue is never empty
+
+
+@dataclass(frozen=True, slots=True)
+class QueueCounters:
+    """Counts of a queue at one moment: received = handed_out + skipped + backlog."""
+
+    received: int
+    """Events put in."""
+    handed_out: int
+    """Events that the reader received."""
+    skipped: int
+    """Events discarded: too old for `latest=True`, or still waiting when the queue was closed."""
+    backlog: int
+    """Events that wait."""
+    longest_wait_us: int
+    """The longest that a packet waited before it was handed out, in microseconds."""
+
+
+class PacketQueue:
+    """A bounded queue of packets.
+
+    Any thread may `put`; one reader iterates, with `for` or with `async for`, until `end` was
+    called and the queue is empty.
+
+    Parameters
+    ----------
+    max_packets : packets that wait at most.
+    latest : what happens when the queue is full. False: `put` waits until there is room. True:
+        `put` never waits; the oldest packets are discarded and their events counted, so that the
+        reader skips ahead.
+    max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest
+        one, also while nobody reads.
+    copy : whether `put` copies packets, as drivers often reuse the memory of one for the next.
+        False is for sources that put each packet in new memory.
+
+    Attributes
+    ----------
+    backlog, n_skipped : events that wait, and events discarded.
+
+    Raises
+    ------
+    TypeError, ValueError : a limit that is not a whole number, or below 1; `max_delay_us` without
+        `latest`.
+
+    Example
+    -------
+    >>> queue = PacketQueue(max_packets=2, latest=True)
+    >>> for t in (10, 20, 30):
+    ...     _ = queue.put((t, 1, 1, 1))
+    >>> queue.end()
+    >>> list(queue), queue.n_skipped
+    ([(20, 1, 1, 1), (30, 1, 1, 1)], 1)
+    """
+
+    def __init__(
+        self,
+        *,
+        max_packets: int = 64,
+        latest: bool = False,
+        max_delay_us: int | None = None,
+        copy: bool = True,
+    ) -> None:
+        self.max_packets = positive_int("max_packets", max_packets)
+        self.max_delay_us = (
+            math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)
+        )
+        if max_delay_us is not None and not latest:
+            raise ValueError("`max_delay_us` discards packets, which `latest=True` must allow")
+        self.latest = bool(latest)
+        self.copy = bool(copy)
+        # One lock, re-entrant: a signal handler, which closes the queue, may run at any moment.
+        lock = threading.RLock()
+        self._came = threading.Condition(lock)  # a packet, or the end
+        self._room = threading.Condition(lock)
+        # packet, events, time of arrival in ns
+        self._waiting: deque[tuple[Any, int, int]] = deque()
+        self._sleepers: list[asyncio.Future[None]] = []
+        self._ended = self._closed = False
+        self._error: BaseException | None = None
+        self.backlog = self._received = self._handed_out = self.n_skipped = 0
+        self._newest_ns: int | None = None  # arrival of the newest packet handed out
+        self._longest_wait_ns = 0
+        self._yielded_s = 0.0  # when asyncio's other tasks last had a chance to run
+
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else "ended" if self._ended else "open"
+        return f"{type(self).__name__}({state}, {self.backlog} events waiting, {self.n_skipped} skipped)"
+
+    # -- packets in --------------------------------------------------------------------------------
+
+    def put(self, packet: Any) -> bool:
+        """Add a `packet`, in any form that `async_tnt.volume.event_forms` lists; without `latest`, wait
+        for room first.
+
+        Returns
+        -------
+        False if the queue is closed: the packet is discarded, and its events count as skipped.
+
+        Raises
+        ------
+        ValueError : after `end`.
+        """
+        arrived_ns = time.monotonic_ns()
+        packet, n = measured(packet, self.copy)
+        with self._came:
+            if not self.latest:
+                self.wait_for_room()
+            if self._ended and not self._closed:
+                raise ValueError(
+                    "a packet after the end: this queue's end() was called; make a new PacketQueue"
+                )
+            self._received += n
+            self.backlog += n
+            self._waiting.append((packet, n, arrived_ns))
+            if self._closed:
+                self._skip_all()
+                return False
+            while self.latest and len(self._waiting) > self.max_packets:
+                self._skip_oldest()
+            self._skip_outdated()  # here, too: while nobody reads, memory stays bounded
+            self._came.notify()
+            self._wake()
+        return True
+
+    def wait_for_room(self) -> bool:
+        """Wait until there is room; with `latest` there always is. Returns False if the queue is
+        closed."""
+        with self._room:
+            while not (self._ended or self.latest) and len(self._waiting) >= self.max_packets:
+                self._room.wait()
+            return not self._closed
+
+    def end(self, error: BaseException | None = None) -> None:
+        """Announce that no packets follow: the reader's loop ends after the last one, or raises
+        `error` there."""
+        with self._came:
+            # closing ends it, too: a source that fails because of that is no error
+            if not self._ended:
+                self._ended, self._error = True, error
+            self._wake_all()
+
+    def close(self) -> None:
+        """Stop now: discard waiting packets, accept no more, and end the reader's loop."""
+        with self._came:
+            self._ended = self._closed = True
+            self._error = None
+            self._skip_all()
+            self._wake_all()
+
+    # -- packets out -------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[Any]:
+        return self
+
+    def __next__(self) -> Any:
+        with self._came:
+            while not self._is_ready():
+                self._came.wait()
+            if self._waiting:
+                return self._hand_out()
+            self._raise_error()
+        raise StopIteration
+
+    def __aiter__(self) -> AsyncIterator[Any]:
+        return self
+
+    async def __anext__(self) -> Any:
+        loop = asyncio.get_running_loop()
+        if loop.time() - self._yielded_s > YIELD_AFTER_S:
+            await asyncio.sleep(0)
+            self._yielded_s = loop.time()
+        while True:
+            with self._came:
+                if self._is_ready():
+                    if self._waiting:
+                        return self._hand_out()
+                    self._raise_error()
+                    raise StopAsyncIteration
+                sleeper = loop.create_future()
+                self._sleepers.append(sleeper)
+            try:
+                await sleeper  # another task may be faster: hence the loop
+                self._yielded_s = loop.time()
+            finally:
+                with self._came:
+                    if sleeper in self._sleepers:  # cancelled
+                        self._sleepers.remove(sleeper)
+
+    # -- counts ------------------------------------------------------------------------------------
+
+    @property
+    def delay_us(self) -> int:
+        """Age of the newest packet handed out: microseconds from its arrival until now. 0 before
+        the first."""
+        return 0 if self._newest_ns is None else (time.monotonic_ns() - self._newest_ns) // 1000
+
+    @property
+    def counters(self) -> QueueCounters:
+        """All counts, at one moment."""
+        with self._came:
+            return QueueCounters(
+                self._received,
+                self._handed_out,
+                self.n_skipped,
+                self.backlog,
+                self._longest_wait_ns // 1000,
+            )
+
+    # -- with the lock held ------------------------------------------------------------------------
+
+    def _is_ready(self) -> bool:
+        return bool(self._waiting) or self._ended
+
+    def _hand_out(self) -> Any:
+        self._skip_outdated()
+        # a signal handler may have closed it meanwhile: then no packet
+        packet, n, arrived_ns = (
+            self._waiting.popleft() if self._waiting else (None, 0, time.monotonic_ns())
+        )
+        self.backlog -= n
+        self._handed_out += n
+        self._newest_ns = arrived_ns
+        self._longest_wait_ns = max(self._longest_wait_ns, time.monotonic_ns() - arrived_ns)
+        self._room.notify()
+        return packet
+
+    def _skip_outdated(self) -> None:
+        """Discard what has waited for too long, but for the newest packet."""
+        oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
+        while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
+            self._skip_oldest()
+
+    def _skip_oldest(self) -> None:
+        _, n, _ = self._waiting.popleft()
+        self.backlog -= n
+        self.n_skipped += n
+
+    def _skip_all(self) -> None:
+        while self._waiting:
+            self._skip_oldest()
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None  # raised once; then the loop ends
+        if error is not None:
+            raise error
+
+    def _wake_all(self) -> None:
+        self._came.notify_all()
+        self._room.notify_all()
+        self._wake()
+
+    def _wake(self) -> None:
+        sleepers, self._sleepers = self._sleepers, []
+        for sleeper in sleepers:
+            with contextlib.suppress(RuntimeError):  # that loop is closed, and its tasks are gone
+                sleeper.get_loop().call_soon_threadsafe(_resolve, sleeper)
+
+
+def _resolve(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
+
+
+def measured(packet: Any, copy: bool) -> tuple[Any, int]:
+    """A packet of any form that `async_tnt.volume.event_forms` lists, or a copy of it, and how many events
+    it holds.
+
+    A structured array and a tuple of four columns keep their form when they are copied; other
+    objects become a tuple of four columns (t, x, y, p). What is not a packet of events counts 0 and
+    is left to its reader to refuse.
+    """
+    if isinstance(packet, np.ndarray) and packet.dtype.names is not None and packet.ndim == 1:
+        return _copied(packet) if copy else packet, len(packet)
+    try:
+        columns = named_columns(packet)
+    except (TypeError, ValueError):
+        return packet, 0
+    if columns is None:
+        return packet, 0
+    is_one_event = isinstance(packet, tuple) and all(type(value) is int for value in packet)
+    return tuple(
+        column.copy() for column in columns
+    ) if copy and not is_one_event else packet, columns[0].size
+
+
+def _copied(packet: np.ndarray) -> np.ndarray:
+    if type(packet) is not np.ndarray or not packet.flags.c_contiguous or packet.dtype.hasobject:
+        return packet.copy()
+    # NumPy copies records field by field, 5x slower
+    return packet.view(np.uint8).copy().view(packet.dtype)

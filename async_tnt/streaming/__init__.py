@@ -1,0 +1,1 @@
+"""From events to decisions: which windows are open, when a decision is due, and what is decided."""

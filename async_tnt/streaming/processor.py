@@ -1,0 +1,589 @@
+"""Processor: from packets of events to decisions, window by window.
+
+A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb ->
+             kernels.absorb
+A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) ->
+             WindowClassifier.decide
+Both:        of our own network, in one compiled call (`_absorb_stretch`) ->
+             WindowClassifier.decide_stretch
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from async_tnt.base.checks import Method, Running, one_at_a_time, short
+from async_tnt.kernels.decisions.trigger import NOT_DUE, until_due, why_due
+from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE, REFUSED
+from async_tnt.kernels.volume.state import NEVER_US
+from async_tnt.networks.models.model import Model
+from async_tnt.streaming.compile_ahead import compile_for
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.restarts import OnRestart, RestartWatch, part_of
+from async_tnt.streaming.saved_state import dump_state, load_state
+from async_tnt.streaming.triggers import (
+    TriggerAttributes,
+    Triggers,
+    TriggerSettings,
+    warn_if_never_due,
+)
+from async_tnt.streaming.window_classifier import (
+    STRETCH,
+    TRIGGER_NAMES,
+    Classifier,
+    WindowClassifier,
+    networks_of,
+)
+from async_tnt.streaming.windows import WindowScheduler
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.counts import Counts
+from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
+from async_tnt.volume.state import Regressor
+from async_tnt.volume.volume import TNTVolume
+
+
+def _recovering(method: Method) -> Method:
+    """After an exception in this method of a Processor, make its state that of a stream again."""
+
+    @functools.wraps(method)
+    def recovering(self: Any, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(self, *args, **kwargs)
+        except BaseException:
+            self._recover()
+            raise
+
+    return cast(Method, recovering)
+
+
+class Processor(TriggerAttributes):
+    """Classifies windows of an event stream while the events arrive.
+
+    Windows lie end to end, from `start_us` or else from the first event. A window is classified
+    when it closes, and skipped if it holds no events; one of `window_events` begins with the first
+    event after the previous window, and is classified when its last event arrives. The decisions do
+    not depend on how the stream is cut into packets.
+
+    Parameters
+    ----------
+    model : a Model, its name or path, or a TNTConfig together with `classifier`.
+    classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during
+        the call) to finite logits; by default the model's own network, compiled, which computes
+        only what has changed since the last decision. Others are in `async_tnt.networks`.
+    classes : class names; by default the model's, or "0", "1", ...
+    start_us : start of the first window, in microseconds. It and `hop_us` cannot be given with
+        `window_events`.
+    hop_us : distance between the starts of windows, by default `window_us`. With a smaller one
+        windows overlap; triggers and `fire` then concern the oldest open window, the most complete
+        one.
+    every_us : decide also whenever this much time has passed since the window's start, if new
+        events have arrived. The decision is made when the first event at or after that moment
+        arrives, and only for the oldest window.
+    every_events : decide also after every this many events of the window.
+    confidence : close the window early, with a last decision, as soon as the likeliest class has
+        this probability. It is checked at every decision of the other triggers, or after every
+        event if there are none. Events that still arrive for the window are counted as
+        `dropped_decided`. Not for models that find objects.
+    regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
+    on_restart : what to do where the clock of the events begins again, as in a recording that is
+        read twice or after a camera was plugged in again, so that whole packets are older than the
+        open window. "warn": warn once; the events are dropped as late. "reset": decide about the
+        open windows, call `reset()`, and use these events. "raise": a ValueError, before any event
+        of the packet is used. See `async_tnt.streaming.restarts` for how a restart is told.
+
+    Copies and pickles continue the stream, bit for bit. The three triggers, from `every_us` to
+    `confidence`, and `classifier` are attributes, too, and may change between calls. A call while
+    another one is running, in another thread or further up in the same, is a RuntimeError.
+
+    Examples
+    --------
+    >>> processor = Processor(TNTConfig(window_us=1000), classifier=lambda volume: [volume.sum(), 0.0])
+    >>> processor.push(([0, 10, 999], [16, 17, 16], [16, 16, 17], [1, 1, 1]))
+    []
+    >>> [decision.events for decision in processor.push(([1000], [5], [5], [0]))]
+    [3]
+    """
+
+    __slots__ = (  # so that a mistyped trigger is an error
+        "__weakref__", "_absorb_one", "_accepts_late", "_begun_for", "_by_event", "_classifier", "_decoder",
+        "_in_stretches", "_late_before_us", "_restarts", "_running", "_seen_us", "_triggers", "_windows", "config",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        model: Model | TNTConfig | str | Path,
+        *,
+        classifier: Classifier | None = None,
+        regressor: Regressor | None = None,
+        classes: Sequence[str] | None = None,
+        start_us: int | None = None,
+        hop_us: int | None = None,
+        every_us: int | None = None,
+        every_events: int | None = None,
+        confidence: float | None = None,
+        late: Late = "accept",
+        on_restart: OnRestart = "warn",
+    ) -> None:
+        self.config, classifier, regressor, classes = networks_of(
+            model, classifier, regressor, classes
+        )
+        self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
+        self._running = Running("Processor")
+        self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
+        warn_if_never_due(self._triggers.settings, self.config)
+        self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
+        self._accepts_late = late == "accept"
+        self._restarts = RestartWatch(on_restart, self.config.window_us)
+        self._windows = WindowScheduler(self.config, hop_us, start_us, regressor)
+        self._prepare()
+        self.reset()
+
+    def __repr__(self) -> str:
+        return f"Processor({self.config}, {len(self._windows)} open windows, {self.counts.received} events received)"
+
+    @one_at_a_time
+    @_recovering
+    def reset(self) -> None:
+        """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
+        self._reset()
+
+    def _reset(self) -> None:
+        self._restarts.reset()
+        self._decoder.reset()
+        self._windows.reset()
+        self._classifier.forget()
+        self._begin_oldest(-1)
+        if self.start_us is not None:
+            self._open_windows(self.start_us)
+            self._seen_us = -1  # no event has come
+
+    def push(self, events: Any) -> list[Decision]:
+        """Process a packet of `events`, in any form that `async_tnt.volume.event_forms` lists.
+
+        Returns one decision for each window that the packet closes and for each trigger that fires.
+
+        Raises
+        ------
+        ValueError, TypeError : the packet is invalid. The message names field, rule, value and
+            event; nothing changes.
+
+        Errors of classifier and regressor pass through. The events before that decision have then
+        been processed, the others have not (but `late` has seen them: pushed again, they are late),
+        and the packet's earlier decisions are lost. The next push repeats one at a window's end or
+        of `every_us`; one that was due by an event is lost.
+        """
+        if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
+            return self.push_one(*events)
+        running = self._running  # `begin`, whose call would take another 30 ns
+        if running.now:
+            raise running.overlap()
+        running.now = True
+        try:
+            decoder = self._decoder
+            columns = decoder.decode(events, False)
+            if decoder.first_us < self._late_before_us:
+                return self._take_watched(columns)
+            return self._absorb(columns if self._accepts_late else decoder.apply_policy(columns))
+        except BaseException:
+            self._recover()
+            raise
+        finally:
+            running.now = False
+
+    def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
+        """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
+        -1/+1."""
+        running = self._running  # `begin`, whose call would take another 30 ns
+        if running.now:
+            raise running.overlap()
+        running.now = True
+        try:
+            n_before = self._windows.oldest.n_events if self._by_event else -1
+            answer = self._absorb_one(t, x, y, p)
+            if answer == ABSORBED and n_before < 0:
+                return []
+            decisions: list[Decision] = []
+            if answer == AT_LIMIT:
+                self._advance(t, decisions)
+                n_before = self._windows.oldest.n_events
+                answer = self._absorb_one(t, x, y, p)
+            if answer == LATE:
+                return decisions + self._look_at_late(t, x, y, p)
+            if answer != ABSORBED:
+                return decisions + self._take_watched(self._decoder.decode_one(t, x, y, p, False))
+            if self._by_event:
+                self._accept(
+                    self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions
+                )
+            return decisions
+        except BaseException:
+            self._recover()
+            raise
+        finally:
+            running.now = False
+
+    def _recover(self) -> None:
+        """After any exception, Ctrl-C in the middle of a step too: the state of a stream that ends
+        at some event of the packet. After one of a classifier, nothing is to be done."""
+        windows = self._windows
+        windows.recover()
+        self._triggers.set(self._triggers.settings)
+        self._choose_ways()
+        if self._begun_for != self._oldest_window():
+            self._begin_oldest(self._newest_us)
+        self._triggers.n_at_decision = min(self._triggers.n_at_decision, windows.oldest.n_events)
+        windows.set_limit(self._triggers.next_due_us)
+
+    def _oldest_window(self) -> tuple[TNTVolume, int] | None:
+        """The oldest open window, and its start, if there is any."""
+        windows = self._windows
+        return (windows.oldest, windows.oldest.start_us) if len(windows) else None
+
+    def _take_watched(self, columns: Columns) -> list[Decision]:
+        """Add checked events, after a look for a restart if the first of them is late."""
+        if self._decoder.first_us >= self._late_before_us:
+            return self._absorb(self._decoder.apply_policy(columns))
+        watch = self._restarts
+        first = watch.look(columns, self._newest_us, self._windows.oldest.n_events)
+        if first is not None:
+            return self._begin_again(columns, first)
+        decisions = self._absorb(self._decoder.apply_policy(columns))
+        watch.note(self._newest_us, self._windows.oldest.n_events)
+        return decisions
+
+    def _look_at_late(self, t: int, x: int, y: int, p: int) -> list[Decision]:
+        """Look whether the clock has begun again at a single event that has been counted as
+        late."""
+        columns = self._decoder.decode_one(t, x, y, p, False)
+        first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
+        return [] if first is None else self._begin_again(columns, first)
+
+    @property
+    def _newest_us(self) -> int:
+        """Time of the newest event so far; -1 if there was none."""
+        return max(self._seen_us, self._windows.oldest.newest_us)
+
+    def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
+        """End the stream, and begin another one with the packets that waited and with the event
+        `first`."""
+        waiting = self._restarts.waiting
+        decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
+        decisions += self._finish()
+        self._reset()
+        for packet in (*waiting, part_of(columns, first, columns.n)):
+            decisions += self._absorb(self._decoder.apply_policy(packet))
+        return decisions
+
+    def _absorb(self, columns: Columns) -> list[Decision]:
+        """Add checked events and make the decisions that become due."""
+        windows = self._windows
+        decisions: list[Decision] = []
+        first, n = 0, columns.n
+        # a window that was full before: the classifier raised an error
+        while first < n or windows.is_full:
+            if not len(windows):
+                self._open_windows(int(columns.t[first]))
+            if self._by_event:
+                first = self._absorb_until_decision(columns, first, decisions)
+            else:
+                first = windows.absorb(columns, first, n)
+            if windows.is_full:
+                self._close_oldest(windows.oldest.newest_us, decisions)
+            elif first < n and len(windows):
+                is_due = self._triggers.next_due_us < windows.oldest_end_us
+                if is_due and self._in_stretches and n - first >= STRETCH:
+                    first = self._absorb_stretch(columns, first, decisions)
+                else:
+                    self._advance(int(columns.t[first]), decisions)
+        return decisions
+
+    def _absorb_until_decision(
+        self, columns: Columns, first: int, decisions: list[Decision]
+    ) -> int:
+        """Add events until one makes a decision due (compiled code may add more); returns the first
+        one not added."""
+        if self._in_stretches:
+            return self._absorb_stretch(columns, first, decisions)
+        windows, oldest = self._windows, self._windows.oldest
+        n_before = oldest.n_events
+        last = min(columns.n, first + windows.room)
+        stop = until_due(self._triggers.state, n_before, first, last)
+        absorbed = windows.absorb(columns, first, stop)
+        if not windows.is_full:  # or else decided as a whole
+            self._accept(self._decide_if_due(n_before), oldest.newest_us, decisions)
+        return absorbed
+
+    def _absorb_stretch(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
+        """Add events up to the window's end, or to a decision that closes it; returns the first one
+        not added."""
+        oldest = self._windows.oldest
+        self._windows.begin_sharing(columns, first)
+        absorbed, new, error = self._classifier.decide_stretch(
+            oldest, self._triggers.state, columns, first, columns.n
+        )
+        self._windows.share()
+        if error is not None:
+            raise error
+        self._accept(new, oldest.newest_us, decisions)
+        return absorbed
+
+    def _decide_if_due(self, n_before: int) -> list[Decision]:
+        """Decide if the oldest window's newest event made that due; it held `n_before` events
+        before."""
+        oldest, triggers = self._windows.oldest, self._triggers
+        why = why_due(triggers.state, n_before, oldest.n_events)
+        if why == NOT_DUE:
+            return []
+        decision = self._classifier.decide(
+            oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence
+        )
+        return [decision] if decision.trigger else []
+
+    def _advance(self, t_us: int, decisions: list[Decision]) -> None:
+        """Let time pass to `t_us`: `every_us` fires, windows close and open on the way."""
+        windows, triggers = self._windows, self._triggers
+        while len(windows):
+            oldest, end_us = windows.oldest, windows.oldest_end_us
+            if triggers.next_due_us <= t_us and triggers.next_due_us < end_us:
+                new = []
+                if oldest.n_events > triggers.n_at_decision:
+                    new.append(
+                        self._classifier.decide(
+                            oldest, "every_us", confidence=triggers.settings.confidence
+                        )
+                    )
+                triggers.schedule(min(t_us, end_us), oldest.start_us)
+                self._accept(new, t_us, decisions)
+            elif end_us <= t_us:
+                self._close_oldest(end_us, decisions)
+            else:
+                break
+        self._open_windows(t_us)
+
+    def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
+        """The oldest window is complete: decide, unless it is empty, and close it."""
+        # first: should the classifier raise, the window stays open
+        if (oldest := self._windows.oldest).n_events:
+            decisions.append(self._classifier.decide(oldest, "window", complete=True))
+        self._seen_us = max(self._newest_us, now_us)
+        self._windows.close_oldest()
+        self._begin_oldest(now_us)
+
+    def _open_windows(self, t_us: int) -> None:
+        """Open the windows that are due at `t_us`."""
+        if self._windows.open_due(t_us):
+            self._begin_oldest(t_us)
+        self._windows.set_limit(self._triggers.next_due_us)
+
+    def _accept(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
+        """Append decisions about the oldest window; a complete one closes it early."""
+        decisions += new
+        if new:
+            self._triggers.n_at_decision = new[-1].events
+        if new and new[-1].complete:
+            self._seen_us = max(self._newest_us, now_us)
+            self._windows.close_oldest(early=True)
+            self._begin_oldest(now_us)
+            self._windows.set_limit(self._triggers.next_due_us)
+
+    def _begin_oldest(self, now_us: int) -> None:
+        """Another window has become the oldest, or none is open; `now_us`: no event so far is
+        younger."""
+        windows = self._windows
+        self._seen_us = now_us
+        self._late_before_us = NEVER_US if self._restarts.looks_at_all else windows.late_before_us
+        start_us = windows.oldest.start_us if len(windows) else None
+        self._triggers.begin_window(now_us if start_us is None else max(now_us, start_us), start_us)
+        self._begun_for = self._oldest_window()
+
+    def fire(self) -> Decision:
+        """Classify the open window as it is now; before the first event, an empty volume. Changes
+        nothing."""
+        self._running.begin()
+        try:
+            return self._classifier.decide(self._windows.oldest, "fire")
+        finally:
+            self._running.now = False
+
+    @one_at_a_time
+    @_recovering
+    def finish(self) -> list[Decision]:
+        """End the stream: classify the open windows that hold events, and close them.
+
+        Their `complete` is False and their trigger `end`. Events of these windows that follow are
+        late; where a window has a number of events, they begin another one.
+        """
+        return self._finish()
+
+    def _finish(self) -> list[Decision]:
+        decisions: list[Decision] = []
+        newest_us = self._newest_us
+        if self._windows.is_full:  # its decision failed
+            self._close_oldest(self._windows.oldest.newest_us, decisions)
+        while len(self._windows):
+            if (oldest := self._windows.oldest).n_events:
+                decisions.append(self._classifier.decide(oldest, "end"))
+            self._seen_us = newest_us
+            self._windows.close_oldest()
+            self._begin_oldest(newest_us)
+        return decisions
+
+    @one_at_a_time
+    def volume(self) -> np.ndarray:
+        """The (oldest) open window's volume as it is now: float32, shape (C, H, W), read-only. Copy
+        it to keep it."""
+        return self._windows.oldest.array
+
+    @property
+    def landmark(self) -> tuple[float, float]:
+        """The (oldest) open window's landmark (x, y), in grid pixels."""
+        return self._windows.oldest.landmark
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the events. Where windows overlap, `received`, `dropped_late` and
+        `dropped_decided` count an event once, the others once per window that contains it."""
+        return self._windows.counts(self._decoder.n_dropped)
+
+    @property
+    def classifier(self) -> Classifier:
+        """The callable from a volume to logits, used from the next decision on; one that cannot fit
+        is an error."""
+        return self._classifier.classifier
+
+    @classifier.setter
+    @one_at_a_time
+    def classifier(self, classifier: Classifier) -> None:
+        self._classifier.exchange(classifier, self._triggers.settings.confidence)
+        self._prepare()
+
+    @property
+    def classes(self) -> tuple[str, ...] | None:
+        """Class names; if none were given, known from the first decision on."""
+        return self._classifier.classes
+
+    @property
+    def start_us(self) -> int | None:
+        """Start of the first window, in microseconds; None: at the first event."""
+        return self._windows.start_us
+
+    @property
+    def late(self) -> Late:
+        """What is done with an event older than the newest one seen: `accept`, `drop` or
+        `raise`."""
+        return self._decoder.late
+
+    @property
+    def on_restart(self) -> OnRestart:
+        """What is done where the clock begins again: `warn`, `reset` or `raise`."""
+        return self._restarts.on_restart
+
+    @one_at_a_time
+    @_recovering
+    def _set_triggers(self, settings: TriggerSettings) -> None:
+        """Change the triggers; they apply to the open window, too."""
+        self._classifier.check_confidence(settings.confidence)
+        self._triggers.set(settings)
+        self._prepare()
+        if len(self._windows):
+            oldest = self._windows.oldest
+            self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
+        self._windows.set_limit(self._triggers.next_due_us)
+
+    def _prepare(self) -> None:
+        """Compile what these settings call, so that no event has to wait for it."""
+        settings = self._triggers.settings
+        compile_for(
+            self.config, self.classifier, self._windows.regressor, settings, self.late != "accept"
+        )
+        self._choose_ways()
+
+    def _choose_ways(self) -> None:
+        """Choose the ways of events that fit the settings."""
+        settings, overlap = self._triggers.settings, self._windows.overlap
+        direct = not overlap and self.late == "accept"
+        self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
+        self._by_event = settings.by_event
+        # else time passes for several windows at once
+        alone = settings.every_us is None or not overlap
+        self._in_stretches = alone and self._classifier.decides_in_stretches
+
+    @one_at_a_time
+    def save_state(self) -> bytes:
+        """The stream as it is now, without classifier and regressor: much smaller than a pickle of
+        the Processor.
+
+        `from_state` continues it, bit for bit, in any process of the same release. It is a pickle:
+        load none that you do not trust.
+        """
+        return dump_state(
+            super().__getstate__(), _networks(self.classifier, self._windows.regressor)
+        )
+
+    @classmethod
+    def from_state(
+        cls,
+        state: bytes,
+        model: Model | TNTConfig,
+        *,
+        classifier: Classifier | None = None,
+        regressor: Regressor | None = None,
+    ) -> Processor:
+        """A Processor that continues the stream of `save_state`, with the same settings.
+
+        `model`, `classifier` and `regressor` are those that it was made with.
+
+        Raises
+        ------
+        ValueError : the state is of another configuration or of other classes; or it is none.
+        """
+        config, classifier, regressor, classes = networks_of(model, classifier, regressor, None)
+        values = load_state(state, _networks(classifier, regressor))
+        if not (isinstance(values, tuple) and len(values) == 2 and isinstance(values[1], dict)):
+            raise ValueError(
+                f"`state` must be what `save_state` returned, got a pickle of "
+                f"{type(values).__name__}"
+            )
+        processor = cls.__new__(cls)
+        processor.__setstate__(values)
+        if processor.config != config:
+            raise ValueError(
+                f"`state` must be of the configuration {config}, got one of {processor.config}"
+            )
+        if classes is not None and processor.classes != tuple(classes):
+            raise ValueError(
+                f"`state` must be of the classes {short(classes)}, got {short(processor.classes)}"
+            )
+        return processor
+
+    def __copy__(self) -> Processor:
+        """A copy continues by itself; so does what `pickle` returns, in any process."""
+        return copy.deepcopy(self)
+
+    @one_at_a_time
+    def __getstate__(self) -> Any:
+        return copy.deepcopy(super().__getstate__())  # while no other call runs
+
+    def __setstate__(self, state: tuple[None, dict[str, Any]]) -> None:
+        for name, value in state[1].items():
+            setattr(self, name, value)
+        self._prepare()  # perhaps in a process that has compiled nothing yet
+
+
+def _networks(classifier: Classifier, regressor: Regressor | None) -> dict[str, Any]:
+    """What a saved state has by name."""
+    return {
+        "classifier": classifier,
+        "reader": getattr(classifier, "reader", None),
+        "regressor": regressor,
+    }
+
+
+def _refuse(t: int, x: int, y: int, p: int) -> int:
+    return REFUSED

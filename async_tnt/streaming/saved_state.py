@@ -1,0 +1,51 @@
+"""The state of a stream without the networks that decide about it: small, and continued with the
+model given again."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from typing import Any
+
+from async_tnt.base.checks import one_line
+
+
+def dump_state(values: Any, networks: dict[str, Any]) -> bytes:
+    """Pickle values, and of each of these networks (name -> object, None: there is none) the name
+    alone."""
+    buffer = io.BytesIO()
+    pickler = _Pickler(buffer, pickle.HIGHEST_PROTOCOL)
+    pickler.names = {id(network): name for name, network in networks.items() if network is not None}
+    pickler.dump(values)
+    return buffer.getvalue()
+
+
+def load_state(state: bytes, networks: dict[str, Any]) -> Any:
+    """The values that `dump_state` has pickled, with these networks.
+
+    Raises
+    ------
+    ValueError : not such a state.
+    """
+    unpickler = _Unpickler(io.BytesIO(state))
+    unpickler.networks = networks
+    try:
+        return unpickler.load()
+    except Exception as error:  # a damaged pickle raises any
+        raise ValueError(
+            f"`state` must be what `save_state` of this release returned: {one_line(error)}"
+        ) from None
+
+
+class _Pickler(pickle.Pickler):
+    names: dict[int, str]
+
+    def persistent_id(self, value: Any) -> str | None:
+        return self.names.get(id(value))
+
+
+class _Unpickler(pickle.Unpickler):
+    networks: dict[str, Any]
+
+    def persistent_load(self, name: Any) -> Any:
+        return self.networks[name]

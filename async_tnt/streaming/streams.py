@@ -1,0 +1,216 @@
+"""stream and astream: a source of events in, decisions out; `volumes`: the windows' volumes
+alone."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypedDict, Unpack
+
+import numpy as np
+
+from async_tnt.base.checks import short
+from async_tnt.networks.loading import load_model
+from async_tnt.networks.models.model import Model
+from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.processor import Processor
+from async_tnt.streaming.restarts import OnRestart
+from async_tnt.streaming.window_classifier import Classifier
+from async_tnt.streaming.windows import TimeUnitCheck
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.events import LARGER_CAMERA, EventDecoder, Late
+from async_tnt.volume.state import Regressor
+
+PIECE = 256  # events
+
+
+class Settings(TypedDict, total=False):
+    """The keyword arguments of `Processor`, for type checkers."""
+
+    classifier: Classifier | None
+    regressor: Regressor | None
+    classes: Sequence[str] | None
+    start_us: int | None
+    hop_us: int | None
+    every_us: int | None
+    every_events: int | None
+    confidence: float | None
+    late: Late
+    on_restart: OnRestart
+
+
+def stream(
+    source: Iterable[Any],
+    model: Model | TNTConfig | str | Path | Processor,
+    *,
+    finish: bool = True,
+    **settings: Unpack[Settings],
+) -> Iterator[Decision]:
+    """Classify a source of events, lazily.
+
+    Parameters
+    ----------
+    source : an iterable of packets, or of single events, in any form that `async_tnt.volume.event_forms`
+        lists.
+    model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` if its
+        landmark needs one), or a Processor, which continues its stream.
+    finish : when the source ends, decide about the windows still open and close them: events of
+        these windows that come later are late. False: leave them open for the next source that goes
+        to the same Processor.
+    settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`,
+        `late`, `on_restart`, ...
+
+    Yields
+    ------
+    Decision : for each window that closes and each trigger; when the source ends, for the windows
+        still open.
+
+    Examples
+    --------
+    >>> from async_tnt.sources import open_recording, sample_recordings
+    >>> [decision.label for decision in stream(open_recording(sample_recordings()[3]), "digits")]
+    ['3', '3', '3']
+    """
+    _check_source(source)
+    # here: errors come before the first event
+    return _stream(source, as_processor(model, **settings), finish)
+
+
+def _check_source(source: Any) -> None:
+    if isinstance(source, (str, Path)):
+        raise TypeError(
+            f"`source` must yield events, got the path {source}; open_recording(path) reads a file"
+        )
+    if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
+        raise TypeError(
+            f"`source` must be an iterable of packets or of events, got {type(source).__name__}"
+        )
+
+
+def _stream(source: Iterable[Any], processor: Processor, finish: bool) -> Iterator[Decision]:
+    time_unit = TimeUnitCheck(processor.config)
+    for events in source:
+        yield from time_unit.watch(processor.push(events))
+    if finish:
+        yield from processor.finish()
+
+
+def astream(
+    source: AsyncIterable[Any],
+    model: Model | TNTConfig | str | Path | Processor,
+    *,
+    finish: bool = True,
+    **settings: Unpack[Settings],
+) -> AsyncIterator[Decision]:
+    """`stream` for an asynchronous `source`. The classifier runs in the event loop, for
+    microseconds at a time.
+
+    `model`, `finish` and `settings` are those of `stream`.
+
+    Raises
+    ------
+    TypeError : `source` is not asynchronous.
+    """
+    if not hasattr(source, "__aiter__"):
+        raise TypeError(
+            f"`source` must be asynchronous, got {type(source).__name__}; `stream` takes iterables "
+            "that are not"
+        )
+    # here: errors come before the first event
+    return _astream(source, as_processor(model, **settings), finish)
+
+
+async def _astream(
+    source: AsyncIterable[Any], processor: Processor, finish: bool
+) -> AsyncIterator[Decision]:
+    time_unit = TimeUnitCheck(processor.config)
+    async for events in source:
+        for decision in time_unit.watch(processor.push(events)):
+            yield decision
+    for decision in processor.finish() if finish else ():
+        yield decision
+
+
+class WindowVolume(NamedTuple):
+    """What `volumes` yields: a window's volume, float32, shape (C, H, W), its start, and the number
+    of its events."""
+
+    volume: np.ndarray
+    start_us: int
+    events: int
+
+
+def volumes(
+    source: Iterable[Any], config: TNTConfig, **settings: Unpack[Settings]
+) -> Iterator[WindowVolume]:
+    """The volumes of a source's windows, for networks and programs of one's own.
+
+    Parameters
+    ----------
+    source : as of `stream`.
+    config : how events become volumes.
+    settings : of `stream`, but for `classifier` and `confidence`. A trigger such as `every_us`
+        yields the window's volume so far at each of its moments, too.
+
+    Examples
+    --------
+    >>> from async_tnt.sources import open_recording, sample_recordings
+    >>> for window in volumes(open_recording(sample_recordings()[3]), TNTConfig(bins=5)):
+    ...     print(window.volume.shape, window.start_us, window.events)
+    (5, 34, 34) 3075 1887
+    (5, 34, 34) 108075 1721
+    (5, 34, 34) 213075 1344
+    """
+    if not isinstance(config, TNTConfig):
+        raise TypeError(
+            f"`config` must be a TNTConfig, got {short(config)}; a model has one as `config`"
+        )
+    if settings.keys() & {"classifier", "classes", "confidence"}:
+        raise TypeError(
+            "`classifier`, `classes` and `confidence` are for decisions; volumes have none"
+        )
+    _check_source(source)
+    late = settings.pop("late", "accept")
+    decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
+    waiting: list[np.ndarray] = []
+
+    def pieces() -> Iterator[tuple[np.ndarray, ...]]:
+        """Few events at once, which close few windows: all volumes of a long packet might not fit
+        into the memory."""
+        for packet in source:
+            if (
+                late == "accept"
+                and type(packet) is tuple
+                and len(packet) == 4
+                and type(packet[0]) is int
+            ):
+                yield packet  # quick for Python integers
+                continue
+            columns = decoder.decode(packet)
+            for first in range(0, columns.n, PIECE):
+                yield tuple(column[first : min(first + PIECE, columns.n)] for column in columns[:4])
+
+    def keep(volume: np.ndarray) -> list[float]:
+        waiting.append(volume.copy())
+        return [0.0]
+
+    settings["classifier"] = keep
+    # here: errors are raised before the first event
+    decisions = stream(pieces(), config, **settings)
+    return (
+        WindowVolume(waiting.pop(0), decision.window_start_us, decision.events)
+        for decision in decisions
+    )
+
+
+def as_processor(
+    model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
+) -> Processor:
+    """A Processor from the arguments of `stream`."""
+    if isinstance(model, Processor):
+        if settings:
+            raise TypeError(f"a Processor has its settings already, got also {', '.join(settings)}")
+        return model
+    if isinstance(model, (str, Path)):
+        model = load_model(model)
+    return Processor(model, **settings)

@@ -1,0 +1,2 @@
+"""The incremental volume: its configuration, packets of events decoded and checked, the cells of a
+window."""

@@ -1,0 +1,333 @@
+"""TNTVolume: the incremental representation, O(1) work per event."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+
+from async_tnt.base.checks import Running, checked_time, one_at_a_time
+from async_tnt.kernels.volume import state as S
+from async_tnt.kernels.volume.absorb import LATE, REFUSED, absorb, absorb_one
+from async_tnt.kernels.volume.readout import cells_to_float32, empty_volume
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.counts import Counts
+from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
+from async_tnt.volume.state import Regressor, ReplayBuffer, check_regressor, new_state, next_epoch
+
+UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or after it
+
+
+class TNTVolume:
+    """The event volume of one open window, up to date after every event.
+
+    Windows lie end to end, from the start given to `open` or else from the first event. An event at
+    or after the window's end closes it; the volume then holds the window of that event. (To see
+    every closed window, use `Processor`.) A window of `window_events` is closed by the event after
+    its last, with which the next one begins.
+
+    Parameters
+    ----------
+    config : TNTConfig.
+    late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen.
+        Events before the open window are always dropped and counted.
+    regressor : for landmark `regressor` only: any callable from the window's raw volume (without
+        the transform: float32, shape (C, H, W), read-only, valid during the call) to a finite
+        landmark (x, y) in grid pixels. A model's own is `CompiledRegressor(model)`. It is called
+        when `array`, `landmark` or `counts` is read after new events, and when a window closes. Its
+        errors pass through, and leave the window as it was.
+
+    Raises
+    ------
+    ValueError, TypeError : an invalid setting; a regressor for another landmark than `regressor`,
+        or none for it. When the volume is read: the regressor's answer is not a finite (x, y).
+
+    Examples
+    --------
+    >>> volume = TNTVolume(TNTConfig(landmark="center", t_max=8.0))
+    >>> volume.open(0)
+    >>> volume.update_one(t=13_125, x=16, y=17, p=1)  # TNT time 1: one pixel is one pixel
+    0
+    >>> float(volume.array[1, 17, 16]), volume.landmark
+    (1.0, (16.5, 16.5))
+    """
+
+    def __init__(
+        self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None
+    ) -> None:
+        check_regressor(config, regressor)
+        self.config = config
+        self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
+        self._buffer = new_state(config)
+        self._ints = self._buffer.view(np.int64)
+        self._array = np.zeros(config.shape, np.float32)
+        self._view = _read_only(self._array)
+        self._running = Running("TNTVolume")
+        self._replay = ReplayBuffer(config, regressor) if config.needs_replay else None
+        # one event may go straight to the kernel
+        self._is_plain = late == "accept" and self._replay is None
+        self.reset()
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._running.now:
+            raise self._running.overlap()
+        return {name: value for name, value in vars(self).items() if name not in ("_ints", "_view")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        # views of the copied buffer, not copies of the views
+        self._ints = self._buffer.view(np.int64)
+        # from now on it differs from the volume that it was copied from
+        self._ints[S.EPOCH] = next_epoch()
+        self._view = _read_only(self._array)
+
+    def __copy__(self) -> TNTVolume:
+        return copy.deepcopy(self)
+
+    def __repr__(self) -> str:
+        return f"TNTVolume({self.config}, {self.n_events} events from {self.start_us} us on)"
+
+    # -- events in ---------------------------------------------------------------------------------
+
+    @one_at_a_time
+    def open(self, start_us: int) -> None:
+        """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to
+        end.
+
+        `start_us` is in microseconds.
+        """
+        start_us = checked_time("start_us", start_us)
+        self._empty(start_us, start_us + self.config.window_us)
+
+    @one_at_a_time
+    def close(self) -> None:
+        """Close the open window: the volume is empty until an event, or `open`, opens the next
+        one."""
+        self._empty(0, UNOPENED)
+
+    def set_limit(self, limit_us: int) -> None:
+        """Make `absorb` stop before events at or after `limit_us`, or at the window's end if that
+        comes first."""
+        self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
+
+    def set_decided_from(self, start_us: int) -> None:
+        """Count late events at or after `start_us` as `dropped_decided`, for as long as the open
+        window is open."""
+        self._ints[S.DECIDED_FROM_US] = start_us
+
+    def _empty(self, start_us: int, limit_us: int) -> None:
+        if self._replay is not None:
+            self._replay.close(self._buffer, self._array)
+        empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
+
+    def update(self, events: Any) -> int:
+        """Add a packet of `events`, in any form that `async_tnt.volume.event_forms` lists.
+
+        Returns how many windows the packet closed, not counting those without events.
+
+        Raises
+        ------
+        ValueError, TypeError : the packet is invalid. None of it is added then.
+        """
+        self._running.begin()
+        try:
+            return self._update(self._decoder.decode(events))
+        finally:
+            self._running.now = False
+
+    def _update(self, columns: Columns) -> int:
+        n = columns.n
+        first = self.absorb(columns, 0, n)
+        n_closed = 0
+        while first < n:
+            n_closed += self._open_next(int(columns.t[first]))
+            first = self.absorb(columns, first, n)
+        return n_closed
+
+    def update_one(self, t: int, x: int, y: int, p: int) -> int:
+        """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
+        -1/+1."""
+        try:  # as `absorb_one`, whose call would cost another 40 ns
+            is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
+            if (
+                is_plain
+                and not self._running.now
+                and absorb_one(self._buffer, t, x, y, p * 1) <= LATE
+            ):
+                return 0
+        except (TypeError, OverflowError):
+            pass
+        self._running.begin()
+        try:
+            return self._update(self._decoder.decode_one(t, x, y, p))
+        finally:
+            self._running.now = False
+
+    def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
+        """`update_one` for callers that manage windows themselves; `t`, `x`, `y`, `p` are four
+        Python integers.
+
+        Returns
+        -------
+        ABSORBED; LATE if it is before the window, and only counted; AT_LIMIT if it is valid but at
+        or past the limit; REFUSED if the decoder has to look at it: it is invalid, or not four
+        Python integers, or this volume drops late events or stores events for a replay.
+        """
+        try:
+            # Numba would compile for a bool, a float or a NumPy scalar
+            if type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain:
+                answer: int = absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1
+                return answer
+        except (TypeError, OverflowError):
+            pass  # the decoder names the mistake
+        return REFUSED
+
+    def absorb(self, columns: Columns, first: int, last: int) -> int:
+        """Add the events from `first` to before `last` of checked `columns`, up to the limit;
+        returns the first one not added."""
+        if self._replay is not None:
+            return self._replay.store(self._buffer, columns, first, last)
+        absorbed: int = absorb(
+            self._buffer, columns.t, columns.x, columns.y, columns.p, first, last
+        )
+        return absorbed
+
+    def _open_next(self, t_us: int) -> int:
+        """Open the window that holds `t_us`, at or after the open window's end; returns how many
+        that closes."""
+        closed = int(self.n_events > 0)
+        if self._ints[S.LIMIT_US] != UNOPENED and self.config.window_events is None:
+            t_us -= (t_us - self.start_us) % self.config.window_us
+        self._empty(t_us, t_us + self.config.window_us)
+        return closed
+
+    @one_at_a_time
+    def reset(self) -> None:
+        """Back to the state after construction: no window open, all counts zero."""
+        if self._replay is not None:  # first: it is refused while another thread reads the volume
+            self._replay.reset()
+        self._decoder.reset()
+        for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED):
+            self._ints[slot] = 0
+        self._empty(0, UNOPENED)
+
+    # -- results -------------------------------------------------------------------------------
+
+    @property
+    def array(self) -> np.ndarray:
+        """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
+
+        A read-only view of the same memory each time, brought up to date by each access to this
+        property; a new window may empty it. Copy it to keep it.
+        """
+        self._running.begin()
+        try:
+            buffer = self.state()
+            if self._ints[S.N_LOG] > self._ints[S.N_READ]:
+                cells_to_float32(buffer, self._array)
+            return self._view
+        finally:
+            self._running.now = False
+
+    def state(self) -> np.ndarray:
+        """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; do
+        not write to it."""
+        if self._replay is not None:
+            self._replay.run(self._buffer, self._array)
+        return self._buffer
+
+    @property
+    def buffer(self) -> np.ndarray:
+        """The array of `state()`, without a replay of stored events: for compiled code that adds
+        events to it."""
+        return self._buffer
+
+    @property
+    def landmark(self) -> tuple[float, float]:
+        """The landmark (x, y) in grid pixels after the newest event; the grid's centre before the
+        first one, and without the transform."""
+        n = int(self._ints[S.N])
+        center = (self.config.grid[0] - 1) / 2, (self.config.grid[1] - 1) / 2
+        if n == 0 or self.config.landmark == "center" or self.config.transform == "none":
+            return center
+        if self._replay is not None and self.config.defers_landmark:
+            return self._replay.landmark(self._buffer)
+        x = int(self._ints[S.SUM_X]) / n
+        y = int(self._ints[S.SUM_Y]) / n
+        if self.config.landmark == "line":
+            slope_x, slope_y = self._slopes()  # first: a replay may set the sums
+            mean_f = int(self._ints[S.SUM_T]) / n / float(self._buffer[S.WINDOW_US])
+            x -= slope_x * mean_f
+            y -= slope_y * mean_f
+        return self.config.to_grid(x, y)
+
+    @property
+    def flow(self) -> tuple[float, float]:
+        """Landmark `line` only: the fitted flow (x, y) in grid pixels per window (of
+        `window_events`: so far)."""
+        if self.config.landmark != "line" or self.config.transform != "tnt":
+            got = f"landmark={self.config.landmark!r}, transform={self.config.transform!r}"
+            raise ValueError(f'`flow` needs landmark="line" and transform="tnt", got {got}')
+        return self.config.to_grid(*self._slopes())
+
+    def _slopes(self) -> tuple[float, float]:
+        buffer = self.state()
+        c_ff = float(buffer[S.C_FF]) + 1.0
+        return float(buffer[S.C_XF]) / c_ff, float(buffer[S.C_YF]) / c_ff
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the events, see `Counts`."""
+        ints, by_decoder = self.state().view(np.int64), self._decoder.n_dropped
+        received, kept, tau_zero = (int(ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.TAU_ZERO))
+        late, decided = self.n_late, self.n_dropped_decided
+        return Counts(
+            received=received + by_decoder,
+            kept=kept,
+            dropped_outside=received - kept - tau_zero - late - decided,
+            dropped_tau_zero=tau_zero,
+            dropped_late=late + by_decoder,
+            dropped_decided=decided,
+        )
+
+    @property
+    def n_events(self) -> int:
+        """Events in the open window so far."""
+        return int(self._ints[S.N])
+
+    @property
+    def n_received(self) -> int:
+        """Events that came, late ones too."""
+        return int(self._ints[S.RECEIVED])
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a window is open."""
+        return int(self._ints[S.LIMIT_US]) != UNOPENED
+
+    @property
+    def n_late(self) -> int:
+        """Events dropped because they were older than the open window."""
+        return int(self._ints[S.LATE])
+
+    @property
+    def n_dropped_decided(self) -> int:
+        """Events dropped because their window had been closed early."""
+        return int(self._ints[S.DECIDED])
+
+    @property
+    def start_us(self) -> int:
+        """Start of the open window; 0 before the first."""
+        return int(self._ints[S.START_US])
+
+    @property
+    def newest_us(self) -> int:
+        """Time of the newest event in the open window; -1 if it has none."""
+        return int(self._ints[S.NEWEST_US])
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    view = array.view()
+    view.flags.writeable = False
+    return view
