@@ -7,10 +7,11 @@ import functools
 import json
 import math
 import operator
+import re
 import reprlib
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Real
 from typing import Any, TypeVar, cast
@@ -18,6 +19,56 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+class ParameterError(Exception):
+    """A parameter has a value that it must not have. Raised as one of the two classes below.
+
+    The program writes the names as its options; an error about what a file states is none of these.
+
+    Parameters
+    ----------
+    name : of the parameter.
+    rule : what its value must be, such as "must be at least 1". Names of other parameters stand in
+        braces: "must not be longer than {window_us}".
+    got : what came, as text, by `short` perhaps; None where the rule says it all.
+
+    Examples
+    --------
+    >>> error = ParameterValueError("hop_us", "must be at most {window_us}", 7)
+    >>> print(error)
+    `hop_us` must be at most `window_us`, got 7
+    >>> error.text({"hop_us": "--hop-us"})
+    '--hop-us must be at most `window_us`, got 7'
+    """
+
+    def __init__(self, name: str, rule: str, got: object = None) -> None:
+        super().__init__(name, rule, got)
+        self.name = name
+        self.rule = rule
+        self.got = got
+
+    def text(self, written: Mapping[str, str] | None = None) -> str:
+        """The message, in which parameters are named as `written` says, or else in backticks."""
+        known = written or {}
+
+        def name_of(match: re.Match[str]) -> str:
+            return known.get(match[1], f"`{match[1]}`")
+
+        rule = re.sub(r"\{(\w+)\}", name_of, self.rule)
+        named = known.get(self.name, f"`{self.name}`")
+        return f"{named} {rule}" if self.got is None else f"{named} {rule}, got {self.got}"
+
+    def __str__(self) -> str:
+        return self.text()
+
+
+class ParameterValueError(ParameterError, ValueError):
+    """The value of a parameter is outside of what the parameter allows."""
+
+
+class ParameterTypeError(ParameterError, TypeError):
+    """The value of a parameter is of a wrong type."""
 
 
 def is_whole(value: Any) -> bool:
@@ -34,7 +85,7 @@ def is_whole(value: Any) -> bool:
 def real_number(name: str, value: Any) -> float:
     """A real number of any type, which True and False are not; one beyond float is infinite."""
     if not isinstance(value, Real) or isinstance(value, bool):
-        raise TypeError(f"`{name}` must be a number, got {short(value)}")
+        raise ParameterTypeError(name, "must be a number", short(value))
     try:
         return float(value)
     except OverflowError:
@@ -44,9 +95,10 @@ def real_number(name: str, value: Any) -> float:
 def whole_number(name: str, value: Any, low: int, end: int, rule: str = "") -> int:
     """A whole number in [low, end), or as `rule` puts it."""
     if not is_whole(value):
-        raise TypeError(f"`{name}` must be a whole number, got {short(value)}")
+        raise ParameterTypeError(name, "must be a whole number", short(value))
     if not low <= value < end:
-        raise ValueError(f"`{name}` must be {rule or f'in [{low}, {end - 1}]'}, got {short(value)}")
+        expected = rule or f"in [{low}, {end - 1}]"
+        raise ParameterValueError(name, f"must be {expected}", short(value))
     return int(value)
 
 

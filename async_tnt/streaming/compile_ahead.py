@@ -15,11 +15,11 @@ from typing import Any
 
 from async_tnt.base.checks import short
 from async_tnt.base.package import available_cores
-from async_tnt.streaming.entry_points import ENTRY_POINTS, MAP_PARTS, PARTS
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.models.model import Model
+from async_tnt.streaming.entry_points import ENTRY_POINTS, MAP_PARTS, PARTS
 from async_tnt.streaming.triggers import TriggerSettings
 from async_tnt.volume.config import TNTConfig
 

@@ -13,8 +13,9 @@ import pytest
 from made import random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, load_model
-from async_tnt.networks import onnx_export, to_onnx
+from async_tnt.networks import to_onnx
 from async_tnt.networks.layers.conversion_check import compare
+from async_tnt.networks.onnx import export as onnx_export
 
 
 def test_what_an_onnx_file_cannot_hold_is_refused(monkeypatch):

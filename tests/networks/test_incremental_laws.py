@@ -25,10 +25,10 @@ from async_tnt import (
     Processor,
     TNTConfig,
     TNTVolume,
-    volume_state,
 )
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.volume import state as S
+from async_tnt.volume import state as volume_state
 
 DUPLICATES = {
     "copy": copy.copy,

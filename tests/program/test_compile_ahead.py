@@ -8,9 +8,9 @@ import sys
 import pytest
 
 import async_tnt
-from async_tnt import compile_ahead
 from async_tnt.kernels import jit
 from async_tnt.sources import sample_recordings
+from async_tnt.streaming import compile_ahead
 
 STREAMS = """
 import sys

@@ -160,7 +160,7 @@ def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):
     env = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
     assert python(STORE_ONE, env=env, cwd=tmp_path) == "1"
-    state = package / "kernels" / "state.py"
+    state = package / "kernels" / "volume" / "state.py"
     state.write_text(state.read_text().replace("RECEIVED = 31", "RECEIVED = 45"))
     assert python(STORE_ONE, env=env, cwd=tmp_path) == "0"
 

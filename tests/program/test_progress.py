@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from async_tnt import progress as module
+from async_tnt.base import progress as module
 from async_tnt.base.progress import Bar, progress
 
 

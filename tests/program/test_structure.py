@@ -70,7 +70,7 @@ def test_sources_know_nothing_of_what_is_done_with_their_events():
         if layer_of(module) == "sources"
         for name in IMPORTS[module] & SOURCES.keys()
     }
-    assert known & set(LAYERS) <= {"sources", "kernels", "events", "event_forms", "config"}
+    assert known & set(LAYERS) <= {"sources", "volume", "kernels", "base"}
 
 
 def test_there_is_no_circle():
@@ -78,6 +78,21 @@ def test_there_is_no_circle():
     left = {module: IMPORTS[module] & plain for module in plain}
     while ends := {module for module, others in left.items() if not others & left.keys()}:
         left = {module: others for module, others in left.items() if module not in ends}
+    assert left == {}
+
+
+def test_no_folders_import_each_other():
+    """Neither directly nor by way of others; a folder within another is one of its own."""
+    folder_of = {
+        module: module.rpartition(".")[0]
+        for module, path in SOURCES.items()
+        if path.name != "__init__.py"
+    }
+    left = {folder: set() for folder in folder_of.values()}
+    for module, folder in folder_of.items():
+        left[folder] |= {folder_of[name] for name in IMPORTS[module] & folder_of.keys()} - {folder}
+    while ends := {folder for folder, others in left.items() if not others & left.keys()}:
+        left = {folder: others for folder, others in left.items() if folder not in ends}
     assert left == {}
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from made import events_of, random_events
 
-from async_tnt.sources import playback, replay
+from async_tnt.sources import replay
+from async_tnt.sources.files import playback
 
 EVENTS = random_events(2500, duration_us=50_000, start_us=7_000_000)
 
