@@ -38,8 +38,8 @@ class ParameterError(Exception):
     >>> error = ParameterValueError("hop_us", "must be at most {window_us}", 7)
     >>> print(error)
     `hop_us` must be at most `window_us`, got 7
-    >>> error.text({"hop_us": "--hop-us"})
-    '--hop-us must be at most `window_us`, got 7'
+    >>> error.text({"hop_us": "HOP"})
+    'HOP must be at most `window_us`, got 7'
     """
 
     def __init__(self, name: str, rule: str, got: object = None) -> None:
