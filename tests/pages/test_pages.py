@@ -151,6 +151,15 @@ def test_links_lead_to_files_and_headings(page):
             }, link
 
 
+def test_ci_runs_the_two_commands_of_the_readme():
+    """To the letter, so that a step that is missing in README shows there."""
+    install = dict(sections(ROOT / "README.md"))["Install"]
+    commands = [line for block in blocks(install, "sh") for line in block.splitlines()]
+    assert len(commands) == 2
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    assert set(commands) <= set(ci)
+
+
 def test_pages_and_files_that_are_named_exist():
     for path in [
         *ROOT.glob("async_tnt/**/*.py"),
