@@ -52,7 +52,10 @@ def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
     of_truth = (n * z[np.arange(n), labels] + z.sum(1)) / (n + n_classes)
 
     def slope(beta: float) -> float:
-        """The loss is convex in beta = 1 / T. Its slope is the mean of E_p[z] - z_truth."""
+        """The slope of the loss in beta = 1 / T: the mean of E_p[z] - z_truth.
+
+        The loss is convex in beta.
+        """
         p = np.exp(beta * (z - z.max(1, keepdims=True)))
         return float(((p * z).sum(1) / p.sum(1) - of_truth).mean())
 

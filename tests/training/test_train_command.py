@@ -1,5 +1,6 @@
 """`async-tnt train DATASET`: from a folder of class folders to a model that knows them."""
 
+import argparse
 import json
 import re
 import shutil
@@ -177,6 +178,12 @@ def test_errors_are_one_line(words, message, is_early, program, tmp_path, monkey
     code, _, err = program("train", "set", *words)
     assert code == 2 and message in err and err.count("\n") == 1, err
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+def test_an_option_that_was_removed_is_none():
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    assert command.REMOVED and not command.REMOVED.keys() & parser._option_string_actions.keys()
 
 
 def test_files_of_others_beside_the_model_stay(tmp_path, train):
