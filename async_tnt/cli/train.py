@@ -122,7 +122,9 @@ def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
             f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither"
         )
     parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()]
-    for part in parts or [args.dataset]:
+    if not parts:
+        parts = [args.dataset]
+    for part in parts:
         if run_folder.resolve().is_relative_to(part.resolve()):
             raise ValueError(
                 f"--out must lie outside of {part}, in which a folder is a class; got {args.out}"
