@@ -19,7 +19,6 @@ from async_tnt.base.package import available_cores
 from async_tnt.base.progress import progress
 from async_tnt.networks.models.model import Model
 from async_tnt.training.augment import Augmentation
-from async_tnt.training.data import TrainingData
 from async_tnt.training.evaluation import evaluate
 from async_tnt.training.fitting import Fitted, fit, moments_ms
 from async_tnt.training.moved_windows import MotionSettings
@@ -27,6 +26,7 @@ from async_tnt.training.pipeline import pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
+from async_tnt.training.training_data import TrainingData
 from async_tnt.volume.config import TNTConfig
 from experiments.digits_data import digits_data
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser

@@ -26,9 +26,13 @@ import torch
 
 from async_tnt.base.progress import progress
 from async_tnt.sources.pixels.pixel_selection import PixelSelection
-from async_tnt.training.data import TrainingData, dataset_data
+from async_tnt.training.data import dataset_data
 from async_tnt.training.fitting import fit
+from async_tnt.training.held_out import Split
 from async_tnt.training.settings import default_config, settings_for
+from async_tnt.training.training_data import TrainingData
+from async_tnt.training.volume_choice import VolumeChoice
+from async_tnt.training.work import Work
 from experiments.bench_timing import machine
 from experiments.made_objects import SENSOR, WINDOW_US, Session, write
 from experiments.script_options import (
@@ -63,11 +67,10 @@ def read(
     """A folder of recordings, or `part` of it; the last `validation` of each class are held out."""
     return dataset_data(
         folder / part,
-        config,
+        VolumeChoice(config, fitted=("grid", "window_us", "bins")),
         pixels=PixelSelection(sensor=sensor),
-        validation=validation,
-        fitted=("grid", "window_us", "bins"),
-        progress=progress,
+        split=Split(validation),
+        work=Work(progress=progress),
     )
 
 

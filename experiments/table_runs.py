@@ -24,6 +24,7 @@ from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import plot_curves
 from async_tnt.training.settings import TrainSettings
+from async_tnt.training.training_data import TrainingData
 from async_tnt.training.windows import Windows
 from experiments.digits_data import CLASSES, saccade
 from experiments.set_manifest import MovingMnist
@@ -114,9 +115,8 @@ def run_network(
     motions = motions_of(run.row, run.trained_on, data, settings, folder)
     folder = folder / run.name
     # quick for a finished run: its checkpoint, if it has these settings, is at the end
-    trained = train(
-        row.config, training, held_out, settings, folder, classes=CLASSES, motions=motions
-    )
+    shown = TrainingData(row.config, CLASSES, training, held_out)
+    trained = train(shown, settings, folder, motions=motions)
     tested_on = {
         column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on
     }

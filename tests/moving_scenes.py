@@ -15,11 +15,9 @@ def blobs(rng, sensor=SENSOR, n=6, spread=7.0):
     the sensor."""
     size = min(sensor) / 34
     centres = (np.array(sensor) - 1) / 2 + rng.uniform(-spread, spread, (n, 2)) * size
-    angles, lengths, depths = (
-        rng.uniform(0, np.pi, n),
-        rng.uniform(0, 8, n) * size,
-        rng.uniform(0.5, 1.6, n),
-    )
+    angles = rng.uniform(0, np.pi, n)
+    lengths = rng.uniform(0, 8, n) * size
+    depths = rng.uniform(0.5, 1.6, n)
 
     def at(x, y):
         total = np.zeros(np.broadcast(x, y).shape)
@@ -27,9 +25,8 @@ def blobs(rng, sensor=SENSOR, n=6, spread=7.0):
             along = np.cos(angle) * (x - cx) + np.sin(angle) * (y - cy)
             across = np.cos(angle) * (y - cy) - np.sin(angle) * (x - cx)
             beyond = np.maximum(np.abs(along) - length / 2, 0)
-            total = np.maximum(
-                total, depth * np.exp(-(beyond**2 + across**2) / (2 * (1.2 * size) ** 2))
-            )
+            away = (beyond**2 + across**2) / (2 * (1.2 * size) ** 2)
+            total = np.maximum(total, depth * np.exp(-away))
         return -total
 
     return at
@@ -59,9 +56,9 @@ def noiseless_events(light, times, threshold_on, threshold_off, reference=None, 
     """Events of noiseless pixels with known thresholds; the level begins at the first frame, or at
     `reference`."""
     level = light[0] if reference is None else reference
-    of_pixels = (
+    of_pixels = [
         np.full(light[0].shape, value, float) for value in (threshold_on, threshold_off, level)
-    )
+    ]
     found = structured(pixel_events(light, np.array(times, float), *of_pixels, refractory_us))
     return found[np.lexsort((found["x"], found["y"], found["t"]))]
 
@@ -69,7 +66,9 @@ def noiseless_events(light, times, threshold_on, threshold_off, reference=None, 
 def noise(rng, n, sensor=SENSOR, window_us=WINDOW_US):
     """Columns of `n` events anywhere, any time."""
     t = np.sort(rng.integers(0, window_us, n))
-    x, y = (rng.integers(0, side, n).astype(np.uint16) for side in sensor)
+    width, height = sensor
+    x = rng.integers(0, width, n).astype(np.uint16)
+    y = rng.integers(0, height, n).astype(np.uint16)
     return t, x, y, rng.integers(0, 2, n).astype(np.uint8)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,36 +14,56 @@ from async_tnt.base.checks import needs_extra
 from async_tnt.base.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.base.package import available_cores
 from async_tnt.base.progress import progress
-from async_tnt.cli.options import command_words, model_of, of_windows, reading_of, volume_of
-from async_tnt.cli.output import note, say
+from async_tnt.cli.options import command_words, reading_of, volume_of
+from async_tnt.cli.output import note
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
-from async_tnt.cli.train_options import DESCRIPTION, add_arguments
-from async_tnt.networks.models.model import Model
+from async_tnt.cli.train_options import DESCRIPTION, REMOVED, add_arguments
+from async_tnt.cli.train_summary import print_summary
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.files.labelled_recordings import has_test
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.volume.config import TNTConfig
+from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.volume.sensor import format_size
 
 if TYPE_CHECKING:
-    from async_tnt.training.data import TrainingData
+    from async_tnt.simulation.measured_pixels import MeasuredPixels
+    from async_tnt.training.fitting import Fitted
     from async_tnt.training.moved_windows import Motions
     from async_tnt.training.settings import TrainSettings
+    from async_tnt.training.training_data import TrainingData
 
-__all__ = ["DESCRIPTION", "add_arguments", "main"]
+__all__ = ["DESCRIPTION", "REMOVED", "add_arguments", "main"]
 
-NUMBERS, CURVES = ".json", ".curves.png"
-"""What is written beside the model."""
 FEW_PATHS = 0.2
 """Share of windows whose motion is found, below which there is a warning."""
-FEW = 20
-"""Held-out recordings of a class below which its windows are reported, too."""
-TITLES = {
-    "validation": "held out",
-    "validation_motions": "held out, in other motions",
-    "test": "Test",
-}
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """Where a training writes.
+
+    Parameters
+    ----------
+    model : the model's file.
+    """
+
+    model: Path
+
+    @property
+    def numbers(self) -> Path:
+        """The results and the history, as JSON."""
+        return self.model.with_suffix(".json")
+
+    @property
+    def curves(self) -> Path:
+        """A picture of loss and accuracy against epochs."""
+        return self.model.with_suffix(".curves.png")
+
+    @property
+    def run_folder(self) -> Path:
+        """What is kept for resuming."""
+        return self.model.parent / "runs" / self.model.stem
 
 
 def main(args: argparse.Namespace) -> int:
@@ -51,268 +71,215 @@ def main(args: argparse.Namespace) -> int:
     with needs_extra("train", "training needs torch"):
         import torch  # noqa: F401
         from tnt_reference import Classifier  # noqa: F401
+
+    outputs = _Outputs(args.out)
+    _check_outputs(outputs)
+    _check_options(args, outputs.run_folder)
+    try:
+        with locked_folder(outputs.run_folder, "command.lock"):
+            _train(args, outputs)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted; what is finished is kept in {outputs.run_folder}. Give the same command "
+            "again to resume."
+        ) from None
+    return 0
+
+
+def _check_outputs(outputs: _Outputs) -> None:
+    """Refuse to write over the files of another program."""
     from async_tnt.training.run_folder import CHECKPOINT, RUN_FILES
 
-    run_folder = args.out.parent / "runs" / args.out.stem
+    run_folder = outputs.run_folder
     # q.pt and q.safetensors would share a run folder and q.json
-    check_writable(args.out, (".safetensors",))
-    beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, CURVES)]
-    check_ours([*beside, args.out], ('"held_out"', '"summary"', '"history"'))
+    check_writable(outputs.model, (".safetensors",))
+    check_ours(
+        [outputs.numbers, outputs.curves, outputs.model], ('"held_out"', '"summary"', '"history"')
+    )
     check_folder(run_folder, RUN_FILES)
     if run_folder.is_dir() and not (run_folder / CHECKPOINT).exists():
         check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
-    _check_options(args, run_folder)
-    restart = args.restart
-    try:
-        with locked_folder(run_folder, "command.lock"):
-            return _train(args, run_folder)
-    except KeyboardInterrupt:
-        if args.restart:
-            raise KeyboardInterrupt(
-                f"interrupted before anything learned in {run_folder} was discarded"
-            ) from None
-        again = f"again{', without --restart,' * restart} to resume"
-        kept = f"what is finished is kept in {run_folder}. Give the same command {again}."
-        raise KeyboardInterrupt(f"interrupted; {kept}") from None
 
 
 def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
     """Refuse options that do not go together, before anything is read."""
     from async_tnt.training.simulated_pictures import find_pictures
 
-    if args.everywhere and (args.teacher or args.motions != "recorded"):
-        name = "--teacher" if args.teacher else "--motions"
+    if args.everywhere and args.motions != "recorded":
         raise ValueError(
-            f"{name} must come without --everywhere, which learns scenes from the beginning"
+            "--motions must come without --everywhere, which learns scenes from the beginning"
         )
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError(
             "--roi must come with --crop where motions are re-synthesized: objects leave the region"
         )
     if find_pictures(args.dataset):
-        if args.motions == "resynthesized":
-            raise ValueError(
-                "--motions resynthesized is for recordings: pictures are recorded in all motions "
-                "anyway"
-            )
-        if args.mask or (args.roi and not args.crop):
-            raise ValueError(
-                "--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too"
-            )
-        if args.test and (args.dataset / "Test").is_dir() and find_pictures(args.dataset / "Test"):
-            raise ValueError(
-                "--test needs recordings of a camera in DATASET/Test; pictures there are not "
-                "recorded"
-            )
-    elif args.camera or args.follow or args.light != "both" or args.size != SceneSettings.size:
-        raise ValueError(
-            "--camera, --follow, --light and --size are for pictures; DATASET holds none"
-        )
+        _check_options_of_pictures(args)
+    elif args.camera or args.size != SceneSettings.size:
+        raise ValueError("--camera and --size are for pictures; DATASET holds none")
     if args.test and not has_test(args.dataset):
         raise FileNotFoundError(
             f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither"
         )
-    parts = [
-        args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()
-    ] or [args.dataset]
-    if any(run_folder.resolve().is_relative_to(part.resolve()) for part in parts):
+    parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()]
+    if not parts:
+        parts = [args.dataset]
+    for part in parts:
+        if run_folder.resolve().is_relative_to(part.resolve()):
+            raise ValueError(
+                f"--out must lie outside of {part}, in which a folder is a class; got {args.out}"
+            )
+
+
+def _check_options_of_pictures(args: argparse.Namespace) -> None:
+    """Refuse options that a data set with pictures does not allow."""
+    from async_tnt.training.simulated_pictures import find_pictures
+
+    if args.motions == "resynthesized":
         raise ValueError(
-            f"--out must lie outside of {parts[0]}, in which a folder is a class; got {args.out}"
+            "--motions resynthesized is for recordings: pictures are recorded in all motions anyway"
+        )
+    if args.mask or (args.roi and not args.crop):
+        raise ValueError(
+            "--mask, and --roi without --crop, are for recordings; DATASET holds pictures, too"
+        )
+    test = args.dataset / "Test"
+    if args.test and test.is_dir() and find_pictures(test):
+        raise ValueError(
+            "--test needs recordings of a camera in DATASET/Test; pictures there are not recorded"
         )
 
 
-def _train(args: argparse.Namespace, run_folder: Path) -> int:
-    from async_tnt.training.early_end import COOLING, PATIENCE
+def _train(args: argparse.Namespace, outputs: _Outputs) -> None:
+    """Read the data set, train, and write the model."""
     from async_tnt.training.fitting import fit
-    from async_tnt.training.run_folder import begin_again, plot_curves
 
-    teachers = [of_windows(model_of(name), name) for name in args.teacher]
-    data, settings = _read(args, teachers, run_folder)
-    if args.restart:  # not before everything has been read and tried
-        begin_again(run_folder)
-        args.restart = False
-    for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
-        note(line)
+    data, settings = _read(args, outputs.run_folder)
+    for line in data.left_out:
+        note(f"left out: {line}")
+    note(*data.notes)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
-    draw_pictures(args, data, run_folder / "pictures" / "pictures.png")
-    # as given, without paths; but --mask is kept, as it decides what is learned
-    command = command_words("async-tnt train", args, add_arguments, leave_out=("json", "restart"))
+    draw_pictures(args, data, outputs.run_folder / "pictures" / "pictures.png")
+    n_epochs = settings.n_epochs(len(data.training))
     fitted = fit(
         data,
         settings,
-        run_folder,
-        motions=_other_motions(args, data, settings, teachers, run_folder),
-        teachers=teachers,
-        record={"command": command if args.mask is None else f"{command} --mask MASK"},
+        outputs.run_folder,
+        motions=_other_motions(args, data, settings, outputs.run_folder),
         progress=progress,
-        report=_reporter(settings.n_epochs(len(data.training))),
-    )
-
-    n_epochs, n_done = settings.n_epochs(len(data.training)), len(fitted.history)
-    if n_done < n_epochs:
-        note(
-            f"ended after {n_done} of {n_epochs} epochs: all that is held out was right in the "
-            "last "
-            f"{PATIENCE + COOLING}, and its loss fell no more; --epochs N makes N"
-        )
-
-    def save() -> list[Path]:
-        """The model with its record so far, and the numbers beside it."""
-        about = {
-            "held_out": list(data.held_out),
-            "summary": fitted.model.record,
-            "history": fitted.history,
-        }
-        numbers = args.out.with_suffix(NUMBERS)
-        # first: it tells whose the model is
-        write_text(numbers, json.dumps((fitted.scores or {}) | about, indent=1))
-        return [fitted.model.save(args.out), numbers]
-
-    written = save()  # before Test, which may take long; once more with its accuracy
-    if plot_curves(fitted.history, args.out.with_suffix(CURVES)):
-        written.append(args.out.with_suffix(CURVES))
-    else:
-        note("no picture of curves: matplotlib is not installed (pip install 'async_tnt[plot]')")
-    if data.tests:
-        note("evaluating on Test")
-        fitted = fitted.tested(data)
-        save()
-    for line in data.left_out:  # once more: the first time may be hours ago
-        note(f"left out: {line}")
-    _print_summary(fitted.model.record, fitted.scores or {}, args, written)
-    return 0
+        report=_reporter(n_epochs),
+    ).with_record(command=_command(args))
+    _note_early_end(len(fitted.history), n_epochs)
+    _write(fitted, data, outputs, args)
 
 
-def _read(
-    args: argparse.Namespace, teachers: list[Model], run_folder: Path
-) -> tuple[TrainingData, TrainSettings]:
+def _command(args: argparse.Namespace) -> str:
+    """The command as it was given, without paths. --mask stays, as it decides what is learned."""
+    command = command_words("async-tnt train", args, add_arguments, leave_out=("json",))
+    return command if args.mask is None else f"{command} --mask MASK"
+
+
+# -- reading ---------------------------------------------------------------------------------------
+
+
+def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, TrainSettings]:
     """The windows of DATASET, and how to train on them.
 
     What the options rule out, and a run with another volume, network or seed, is refused before any
     recording is read.
     """
-    from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.data import dataset_data
-    from async_tnt.training.groups import groups_by_pattern
-    from async_tnt.training.networks import find_network
-    from async_tnt.training.pipeline import check_network
-    from async_tnt.training.run_folder import discard_made, load_checkpoint
-    from async_tnt.training.scenes import SceneMaker
-    from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
-    from async_tnt.training.simulated_pictures import find_pictures, measure_camera
+    from async_tnt.training.held_out import Split
+    from async_tnt.training.plan import Plan
+    from async_tnt.training.simulated_pictures import find_pictures
+    from async_tnt.training.volume_choice import VolumeChoice
+    from async_tnt.training.work import Work
 
+    pixels = _pixels(args)
+    volume = VolumeChoice.of(
+        grid=args.grid,
+        window_us=args.window_us,
+        in_bins=args.motions == "resynthesized",
+        **volume_of(args.volume),
+    )
+    _check_volume(args, volume.config.transform)
+    plan = Plan(
+        volume,
+        network=args.network,
+        epochs=args.epochs,
+        seed=args.seed,
+        everywhere=args.everywhere,
+        mirror=args.mirror,
+        has_pictures=bool(find_pictures(args.dataset)),
+    )
+    plan.check()
+    split = Split(args.validation, args.groups, args.test, args.seed)
+    camera = _camera(args, volume.config.window_us)
+    plan.check_run(run_folder, None if pixels.crop else pixels.sensor)
+    data = dataset_data(
+        args.dataset,
+        volume,
+        pixels=pixels,
+        reading=ReadOptions(**reading_of(args)),
+        split=split,
+        scenes={"size": args.size, "camera": camera},
+        work=Work(run_folder, available_cores(), progress),
+    )
+    return data, plan.settings_for(data)
+
+
+def _pixels(args: argparse.Namespace) -> PixelSelection:
+    """The pixels that are learned from."""
     pixels = selection_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
             "--roi with --crop: the region is the model's sensor and must have sides of at least 2 "
-            "pixels, "
-            f"got {format_size(pixels.region)}"
+            f"pixels, got {format_size(pixels.region)}"
         )
-    given = {
-        name: getattr(args, name)
-        for name in ("grid", "window_us")
-        if getattr(args, name) is not None
-    }
-    named = volume_of(args.volume)
-    config = default_config(**given, **named)
-    if config.transform == "none" and not {"landmark", "t_max"}.isdisjoint(named):
+    return pixels
+
+
+def _check_volume(args: argparse.Namespace, transform: str) -> None:
+    """Refuse fields of --volume that a volume without the transform does not use."""
+    if transform == "none" and not {"landmark", "t_max"}.isdisjoint(volume_of(args.volume)):
         raise ValueError("--volume: landmark and t_max need transform=tnt")
-    in_bins = args.motions == "resynthesized" and not args.volume
-    config = with_bins(config) if in_bins else config
-    BatchVolumes(config)
-    augmentation = {"mirror": args.mirror, **(OF_PICTURES if find_pictures(args.dataset) else {})}
-    wanted = {"seed": args.seed, "everywhere": args.everywhere, "augmentation": augmentation}
-    wanted |= {
-        name: getattr(args, name)
-        for name in ("epochs", "network")
-        if getattr(args, name) is not None
-    }
-    settings = settings_for(config, 1, **wanted)
 
-    def seen(config: TNTConfig) -> TNTConfig:
-        return SceneMaker(config).config if args.everywhere else config
 
-    if ":" in settings.network:  # it may suit the data alone
-        find_network(settings.network)
-    else:
-        check_network(settings.network, seen(config), everywhere=args.everywhere)
-    groups_by_pattern((), args.groups or "")
-    kinds = {(teacher.config.sensor, teacher.classes) for teacher in teachers}
-    sensor = pixels.region or pixels.sensor
-    if len(kinds) > 1 or (kinds and sensor not in (None, teachers[0].config.sensor)):
-        raise ValueError(
-            "--teacher: all must have the same classes, in the same order, and this training's "
-            "sensor"
-        )
-    camera = None
-    if args.camera is not None:
-        if pixels.sensor is None:
-            raise ValueError("--camera needs --sensor WxH, the camera's pixels")
-        camera = measure_camera(args.camera, config.window_us, pixels.sensor, **reading_of(args))
-        note(
-            f"{args.camera.name}: thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, "
-            "after-pulses "
-            f"{camera.after_share:.0%}, noise {camera.noise_hz:.2g} events a pixel and second, "
-            "refractory time up to "
-            f"{camera.refractory_us:.0f} us (0 of these two: not known)"
-        )
-    fitted = {"grid", "window_us"} - given.keys()
-    fitted |= set() if args.volume or in_bins else {"bins"}
-    later = {"sensor", *fitted} | ({"representation"} if "bins" in fitted else set())
-    volume = {name: value for name, value in config.to_dict().items() if name not in later}
-    if pixels.sensor is not None and not pixels.crop:
-        volume["sensor"] = pixels.sensor
-    if not args.restart:
-        load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network})
-    data = dataset_data(
-        args.dataset,
-        config,
-        pixels=pixels,
-        reading=ReadOptions(**reading_of(args)),
-        sensor_source="`sensor`" if args.sensor else "--mask",
-        classes=teachers[0].classes if teachers else None,
-        validation=args.validation,
-        groups=args.groups,
-        fitted=fitted,
-        test=args.test,
-        seed=args.seed,
-        store=run_folder,
-        begin=partial(discard_made, run_folder, "pictures") if args.restart else lambda: None,
-        scenes={"size": args.size, "light": args.light, "follow": args.follow, "camera": camera},
-        workers=available_cores(),
-        progress=progress,
+def _camera(args: argparse.Namespace, window_us: int) -> MeasuredPixels | None:
+    """What the recording of --camera tells of its pixels; None without one."""
+    from async_tnt.training.simulated_pictures import measure_camera
+
+    if args.camera is None:
+        return None
+    if args.sensor is None:
+        raise ValueError("--camera needs --sensor WxH, the camera's pixels")
+    camera = measure_camera(args.camera, window_us, args.sensor, **reading_of(args))
+    note(
+        f"{args.camera.name}: thresholds of ON to OFF {camera.step_on / camera.step_off:.2f}, "
+        f"after-pulses {camera.after_share:.0%}, noise {camera.noise_hz:.2g} events a pixel and "
+        f"second, refractory time up to {camera.refractory_us:.0f} us (0 of these two: not known)"
     )
-    check_network(
-        settings.network, seen(data.config), len(data.classes), everywhere=args.everywhere
-    )
-    return data, settings_for(data.config, len(data.training), **wanted)
+    return camera
+
+
+# -- other motions ---------------------------------------------------------------------------------
 
 
 def _other_motions(
-    args: argparse.Namespace,
-    data: TrainingData,
-    settings: TrainSettings,
-    teachers: list[Model],
-    run_folder: Path,
+    args: argparse.Namespace, data: TrainingData, settings: TrainSettings, run_folder: Path
 ) -> Motions | None:
     """The windows under other motions, made in the run folder or found there; None with --motions
     recorded."""
-    from async_tnt.resynthesis.calibration import side_by_side, unlike
     from async_tnt.training.moved_windows import MotionSettings
     from async_tnt.training.resynthesis import resynthesize
     from async_tnt.training.run_folder import identity_of, load_checkpoint
 
     if args.motions == "recorded":
         return None
-    motion_settings = MotionSettings(seed=args.seed).for_epochs(
-        settings.n_epochs(len(data.training))
-    )
+    n_epochs = settings.n_epochs(len(data.training))
+    motion_settings = MotionSettings(seed=args.seed).for_epochs(n_epochs)
     # refuses another run before the work
-    windows = data.training, data.validation
-    identity = identity_of(
-        data.config, settings, *windows, None, data.classes, motion_settings, teachers
-    )
-    load_checkpoint(run_folder, identity)
+    load_checkpoint(run_folder, identity_of(data, settings, motions=motion_settings))
     motions = resynthesize(
         data.training,
         data.validation,
@@ -323,40 +290,47 @@ def _other_motions(
         workers=available_cores(),
         progress=progress,
     )
-    record = motions.record
-    without = ", ".join(f"{reason} {n}" for reason, n in record["without_path"].items())
+    _note_motions(motions.record)
+    draw_motions(motions, data, run_folder / "motions" / "motions.png")
+    return motions
+
+
+def _note_motions(record: dict[str, Any]) -> None:
+    """Tell how many motions were found, and how well they match the recordings."""
+    from async_tnt.resynthesis.calibration import side_by_side, unlike
+
+    text = f"motion found in {record['with_path']} of {record['windows']} windows"
+    if record["with_neighbours"]:
+        text += f", in {record['with_neighbours']} only with those beside them"
+    text += "; the others are used as recorded only"
+    if record["without_path"]:
+        reasons = [f"{reason} {n}" for reason, n in record["without_path"].items()]
+        text += f" ({', '.join(reasons)})"
     note(
-        f"motion found in {record['with_path']} of {record['windows']} windows"
-        + (
-            f", in {record['with_neighbours']} only with those beside them"
-            if record["with_neighbours"]
-            else ""
-        )
-        + "; the others are used as recorded only"
-        + (f" ({without})" if without else ""),
+        text,
         "recorded windows, and the same motion simulated again:",
         *side_by_side(record["match"]).splitlines(),
     )
     if record["with_path"] < FEW_PATHS * record["windows"]:
         note(
             "warning: so few motions hardly change what is learned. Re-synthesis needs windows in "
-            "which one object "
-            "moves as a whole by two pixels and more, with a few hundred events: try another "
-            "--window-us, or --roi "
-            "with --crop"
+            "which one object moves as a whole by two pixels and more, with a few hundred events: "
+            "try another --window-us, or --roi with --crop"
         )
-    if names := unlike(record["match"]):
+    names = unlike(record["match"])
+    if names:
         note(
             f"warning: recorded and simulated windows differ in {', '.join(names)}: compare "
             "motions.png, and held out"
         )
-    draw_motions(motions, data, run_folder / "motions" / "motions.png")
-    return motions
+
+
+# -- training and writing --------------------------------------------------------------------------
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
-    """Prints a line after an epoch, at most one a second: hundreds of short epochs need no line
-    each."""
+    """A function that prints a line after an epoch, at most one a second: hundreds of short epochs
+    need no line each."""
     printed_at = -1.0
 
     def report(row: dict[str, float]) -> None:
@@ -368,7 +342,8 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
         if "f1" in row:
             text += f"  held out: F1 {row['f1']:.4f}"
         if "per_window" in row:
-            text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
+            text += f"  held out: {row['per_window']:.4f} by window"
+            text += f", {row['per_recording']:.4f} by recording"
         if "motions_per_window" in row:
             text += f"; in other motions {row['motions_per_window']:.4f} by window"
         note(text)
@@ -376,50 +351,44 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
     return report
 
 
-def _print_summary(
-    summary: Mapping[str, Any],
-    numbers: Mapping[str, Any],
-    args: argparse.Namespace,
-    written: list[Path],
-) -> None:
-    if args.json:
-        say(json.dumps({"out": str(args.out), **summary}))
-        return
-    for name, title in TITLES.items():
-        if name in summary:
-            found = summary[name]
-            if "f1" in found:
-                early = ", ".join(
-                    f"{f1:.4f} after {ms} ms" for ms, f1 in found["f1_against_time_ms"].items()
-                )
-                say(
-                    f"{title}: F1 {found['f1']:.4f} of {found['objects']} objects in scenes "
-                    f"({early})"
-                )
-                continue
-            by_recording = ""
-            if "recordings" in found:
-                by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"
-            if name == "validation" and (pictures := summary["data"].get("pictures")):
-                by_recording += f" (simulated ones: of {pictures['held_out']} pictures)"
-            say(
-                f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} "
-                "right"
-            )
-    network = (
-        f"{summary['network']}, {summary['multiplications']:,} multiplications a complete window"
-    )
-    say(f"network {network}; temperature {summary.get('temperature', 1):.3f}")
-    if numbers and max(map(sum, numbers["confusion"])) < FEW:
-        for k, name in enumerate(numbers["classes"]):
-            windows, n_recordings = numbers["window_confusion"][k], sum(numbers["confusion"][k])
-            say(
-                f"  {name}: {windows[k]} of {sum(windows)} windows of {n_recordings} held-out "
-                "recordings right"
-            )
-    if "held_out_in_time" in summary["data"]:
-        say(
-            "held out in time: of the sessions that were learned from; only another session tells "
-            "how well it works"
+def _note_early_end(n_done: int, n_epochs: int) -> None:
+    """Tell that a training ended before its last epoch, and why."""
+    from async_tnt.training.early_end import COOLING, PATIENCE
+
+    if n_done < n_epochs:
+        note(
+            f"ended after {n_done} of {n_epochs} epochs: all that is held out was right in the "
+            f"last {PATIENCE + COOLING}, and its loss fell no more; --epochs N makes N"
         )
-    say(f"wrote {', '.join(map(str, written))}")
+
+
+def _write(fitted: Fitted, data: TrainingData, outputs: _Outputs, args: argparse.Namespace) -> None:
+    """Write the model and what belongs to it, test it with --test, and print the results."""
+    from async_tnt.training.run_folder import plot_curves
+
+    # before the test, which may take long; once more with its accuracy
+    written = _save(fitted, data, outputs)
+    if plot_curves(fitted.history, outputs.curves):
+        written.append(outputs.curves)
+    else:
+        note("no picture of curves: matplotlib is not installed (pip install 'async_tnt[plot]')")
+    if data.tests:
+        note("evaluating on Test")
+        fitted = fitted.tested(data)
+        _save(fitted, data, outputs)
+    for line in data.left_out:  # once more: the first time may be hours ago
+        note(f"left out: {line}")
+    print_summary(fitted, args.out, written, as_json=args.json)
+
+
+def _save(fitted: Fitted, data: TrainingData, outputs: _Outputs) -> list[Path]:
+    """Write the model with its record so far, and the numbers beside it. Returns their files."""
+    numbers = {
+        **(fitted.scores or {}),
+        "held_out": list(data.held_out),
+        "summary": fitted.model.record,
+        "history": fitted.history,
+    }
+    # first: it tells whose the model is
+    write_text(outputs.numbers, json.dumps(numbers, indent=1))
+    return [fitted.model.save(outputs.model), outputs.numbers]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from async_tnt.base.files import user_path
@@ -15,7 +16,7 @@ from async_tnt.cli.options import (
     whole_number,
 )
 from async_tnt.cli.pixel_options import add_selection
-from async_tnt.simulation.picture_scene import LIGHTS, SceneSettings
+from async_tnt.simulation.picture_scene import SceneSettings
 
 USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"
 DESCRIPTION = """\
@@ -30,9 +31,19 @@ pictures, which are recorded by simulated cameras in many motions, or of both:
   async-tnt run --model gestures.safetensors camera     # use it
 
 Beside the model it writes gestures.json and, with the extra `plot`, a picture of
-its curves. Stop with Ctrl-C and give the same command again: it
-resumes from runs/gestures, and on the same machine ends with the same weights.
+its curves. Stop with Ctrl-C and give the same command again: it resumes from
+runs/gestures, and on the same machine ends with the same weights. To begin
+again, remove runs/gestures.
 """
+
+
+REMOVED = {
+    "--teacher": "in Python, give `teachers` to async_tnt.training.fit",
+    "--follow": "in Python, give scenes={'follow': True} to async_tnt.training.dataset_data",
+    "--light": "in Python, give scenes={'light': 'positive'} to async_tnt.training.dataset_data",
+    "--restart": "remove the folder of the run, runs/NAME beside the model",
+}
+"""Option of the version before -> what to do instead."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,111 +70,110 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the trained model (default: %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON on stdout")
-    held_out = parser.add_argument_group("what is held out")
-    held_out.add_argument(
+    _add_held_out(parser.add_argument_group("what is held out"))
+    _add_seen(parser.add_argument_group("what is learned from"))
+    _add_pictures(parser.add_argument_group("how pictures are recorded"))
+    _add_network(parser.add_argument_group("volume and network"))
+
+
+def _add_held_out(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
         "--validation",
         type=_share,
         default=0.2,
         metavar="SHARE",
         help="share of each class's recordings (default: 0.2)",
     )
-    held_out.add_argument(
+    group.add_argument(
         "--groups",
         metavar="PATTERN",
-        help=r"a regular expression, such as 'user\d+': files in whose names it finds the same text stay together "
-        "(default: the last of each class by number, or at random)",
+        help=r"a regular expression, such as 'user\d+': files in whose names it finds the same "
+        "text stay together (default: the last of each class by number, or at random)",
     )
-    held_out.add_argument(
-        "--test", action="store_true", help="at the end, classify the folder Test"
-    )
-    seen = parser.add_argument_group("what is learned from")
-    add_selection(seen)
-    seen.add_argument(
+    group.add_argument("--test", action="store_true", help="at the end, classify the folder Test")
+
+
+def _add_seen(group: argparse._ActionsContainer) -> None:
+    add_selection(group)
+    group.add_argument(
         "--mirror", action="store_true", help="mirror half of the windows, if that keeps the class"
     )
-    seen.add_argument(
+    group.add_argument(
         "--motions",
         choices=("recorded", "resynthesized"),
         default="recorded",
-        help="resynthesized: also simulate what was seen in motions that were not recorded (default: recorded)",
+        help="resynthesized: also show what was recorded in other motions, which are simulated "
+        "(default: recorded)",
     )
-    pictures = parser.add_argument_group("how pictures are recorded")
-    pictures.add_argument(
+
+
+def _add_pictures(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
         "--size",
         type=_range,
         default=SceneSettings.size,
         metavar="MIN-MAX",
-        help="longer side / sensor's shorter side (default: 0.4-0.8)",
+        help="the picture's longer side, as a share of the sensor's shorter side "
+        "(default: 0.4-0.8)",
     )
-    pictures.add_argument(
-        "--light",
-        choices=LIGHTS,
-        default="both",
-        metavar="LIGHT",
-        help="positive, negative, or both (default)",
-    )
-    pictures.add_argument(
+    group.add_argument(
         "--camera",
         type=user_path,
         metavar="RECORDING",
-        help="a minute of anything from your camera, to measure it",
+        help="a minute of anything from your camera, to measure its noise and refractory time",
     )
-    pictures.add_argument("--follow", action="store_true", help="as crops that follow the object")
-    network = parser.add_argument_group("volume and network")
-    network.add_argument(
+
+
+def _add_network(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
         "--window-us",
         type=positive_int,
         metavar="US",
-        help="length (default: 105000, or the longest recording)",
+        help="length of a window (default: 105000, or the longest recording)",
     )
-    network.add_argument(
+    group.add_argument(
         "--grid",
         type=size_of,
         metavar="WxH",
-        help="of the volume (default: at most 120 pixels long)",
+        help="size of the volume (default: the sensor's, at most 120 on its longer side)",
     )
-    add_volume(network, "ON and OFF counts, or 5 bins, by the data")
-    network.add_argument(
-        "--everywhere", action="store_true", help="find objects anywhere: learn from scenes"
+    add_volume(group, "ON and OFF counts, or 5 bins, by the data")
+    group.add_argument(
+        "--everywhere",
+        action="store_true",
+        help="a model that finds objects anywhere; it learns from scenes of several recordings",
     )
-    network.add_argument(
+    group.add_argument(
         "--network",
         metavar="NAME",
-        help="residual (default), wide, conv4, separable, thesis, map (with --everywhere), or FILE.py:FUNCTION, your "
-        "own, of channels, (width, height), n_classes",
+        help="residual (default), wide, conv4, separable, thesis, map (with --everywhere), or "
+        "FILE.py:FUNCTION, a function of yours of channels, (width, height) and n_classes",
     )
-    network.add_argument(
-        "--teacher",
-        nargs="+",
-        default=[],
-        metavar="MODEL",
-        help="half of the target is what these models say",
-    )
-    network.add_argument(
+    group.add_argument(
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="passes, of few windows several in one (default: 20, or as many as make 4000 steps; fewer where all that "
+        help="number of epochs (default: 20, or as many as make 4000 steps; fewer where all that "
         "is held out stays right and its loss falls no more)",
     )
-    network.add_argument(
+    group.add_argument(
         "--seed",
         type=whole_number,
         default=0,
         metavar="N",
         help="of weights, order and held-out groups (default: 0)",
     )
-    network.add_argument(
-        "--restart", action="store_true", help="begin again, instead of resuming what is there"
-    )
 
 
 def _range(text: str) -> tuple[float, float]:
+    """An argparse type: `0.4-0.8` as two numbers, and `0.5` as twice the same."""
     low, _, high = text.partition("-")
     try:
-        least, most = float(low), float(high or low)
+        least = float(low)
+        most = float(high or low)
     except ValueError:
-        least, most = 0.0, 0.0
+        least = math.nan
+        most = math.nan
     if not 0 < least <= most <= 1:
         raise argparse.ArgumentTypeError(
             f"expected a range such as 0.4-0.8, within 0 and 1, got {text!r}"
@@ -172,4 +182,5 @@ def _range(text: str) -> tuple[float, float]:
 
 
 def _share(text: str) -> float:
+    """An argparse type: a number in [0, 1)."""
     return number(text, lambda value: 0 <= value < 1, "a share in [0, 1)")

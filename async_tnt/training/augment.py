@@ -3,21 +3,23 @@
 A window is moved in time and on the sensor, thinned, and sometimes mirrored, cut short, or made to
 show nothing:
 
-    start      a live stream's windows start at its first event, some milliseconds into N-MNIST's
-               saccade; TNT magnifies what happens near the start, so the network must not rely on
-               it
-    position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale * mirror, c the middle of the pixels
-               between the recording's outermost events: what is mirrored stays where it was
-    thinning   each event is kept with a probability that is drawn per window
+    start      the window's start is shifted. A live stream's windows start at its first event, some
+               milliseconds into N-MNIST's saccade; TNT magnifies what happens near the start, so
+               the network must not rely on it
+    position   (x', y') = A (x - c) + c + shift
+               A = rotation * shear * scale * mirror
+               c is the middle between the recording's outermost events: what is mirrored stays
+               where it was
+    thinning   each event is kept with a probability that is drawn for each window
     partial    the window ends early, as training for decisions before its end
     late start the window begins in the middle of what happens
-    nothing    the events stand somewhere else: anywhere, as noise, at hot pixels, on a patch that
-               twinkles, or along a straight edge that crosses the sensor. No class is there, but
-               there are as many events as ever
+    nothing    the events stand somewhere else: anywhere, as noise; at hot pixels; on a patch that
+               twinkles; or along a straight edge that crosses the sensor. No class is there, but as
+               many events as before
 
-After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume,
-so augmented events are on a sensor `FINE` times finer (see `fineness`) with the same corners; as
-the grid is mapped from corner to corner, it stays the same.
+After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume.
+So augmented events are on a sensor with the same corners that is `FINE` times finer, see
+`fineness`. As the grid is mapped from corner to corner, it stays the same.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.kernels.training.window_batches import (
     EDGE,
     HOT_PIXELS,
@@ -45,13 +48,19 @@ KINDS = {
     "on a patch": PATCH,
     "along an edge": EDGE,
 }
-"""Of windows that show no class: name -> what `Draws.nothing` holds."""
-PATCH_SIDE = 0.1, 0.5
-EDGE_WAY, EDGE_THICKNESS, EDGE_LENGTH = (0.2, 1.2), (0.01, 0.1), (0.4, 2.0)
-"""Ranges, as shares of the sensor's side."""
+"""Kinds of windows that show no class: name -> what `Draws.nothing` holds."""
+PATCH_SIDE = (0.1, 0.5)
+"""Range of a patch's width and height, as shares of the sensor's."""
+EDGE_WAY = (0.2, 1.2)
+"""Range of the way that an edge moves in a window, as a share of the sensor's longer side."""
+EDGE_THICKNESS = (0.01, 0.1)
+"""Range of an edge's thickness, as a share of the sensor's longer side."""
+EDGE_LENGTH = (0.4, 2.0)
+"""Range of an edge's length, as a share of the sensor's longer side."""
 FINE = 32
+"""Positions of an augmented event in the width of a pixel."""
 LATEST = 0.6
-"""Of a window: how far its start may be moved, as a share of its length."""
+"""How far a late start is moved at most, as a share of the window's length."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +73,10 @@ class Draws:
     until_us : int64, (N,). Events at or after this time since the window's start are dropped.
     matrix : float64, (N, 2, 3). (x', y') = matrix @ (x, y, 1), rounded, in pixels of `sensor`.
     keep : float64, (N,). Probability that an event is kept.
-    seed : uint64, (N,). Decides which events are kept, and where those of nothing are.
-    nothing : int64, (N,). SHOWN, or what stands in place of the recording, see
-        `kernels.window_batches`.
+    seed : uint64, (N,). Decides which events are kept, and where events stand in a window that
+        shows nothing.
+    nothing : int64, (N,). SHOWN, or what a window shows instead of its recording, see
+        `kernels.training.window_batches`.
     place : float64, (N, 8). Where that is, in pixels of `sensor`.
     sensor : (width, height) of the augmented events' sensor; events beyond it are dropped.
     """
@@ -82,8 +92,8 @@ class Draws:
 
 
 def fineness(sensor: tuple[int, int]) -> int:
-    """How many times finer the sensor of augmented events is: `FINE`, or less for a sensor of over
-    1024 pixels.
+    """How many times finer the sensor of augmented events is: `FINE`, or less for a sensor with a
+    side of over 1024 pixels.
 
     Examples
     --------
@@ -96,22 +106,25 @@ def fineness(sensor: tuple[int, int]) -> int:
 def unchanged(n: int, config: TNTConfig) -> Draws:
     """No augmentation: `n` unchanged windows."""
     matrix = np.zeros((n, 2, 3))
-    matrix[:, 0, 0] = matrix[:, 1, 1] = 1.0
+    matrix[:, 0, 0] = 1.0
+    matrix[:, 1, 1] = 1.0
     return Draws(
-        np.zeros(n, np.int64),
-        np.full(n, config.window_us, np.int64),
-        matrix,
-        np.ones(n),
-        np.zeros(n, np.uint64),
-        np.full(n, SHOWN, np.int64),
-        np.zeros((n, 8)),
-        config.sensor,
+        start_us=np.zeros(n, np.int64),
+        until_us=np.full(n, config.window_us, np.int64),
+        matrix=matrix,
+        keep=np.ones(n),
+        seed=np.zeros(n, np.uint64),
+        nothing=np.full(n, SHOWN, np.int64),
+        place=np.zeros((n, 8)),
+        sensor=config.sensor,
     )
 
 
 def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
-    """The same for an image of times, which takes an event between pixels for one of all of
-    them."""
+    """The same changes with whole pixels, if the volume is an image of times; otherwise `draws`.
+
+    Such an image takes an event between pixels for an event of each of them.
+    """
     if config.representation not in TIME_IMAGES:
         return draws
     return replace(
@@ -122,39 +135,47 @@ def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
 
 
 def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
-    """The same windows, but that they show nothing where `kinds`, int64 of shape (N,), is not
-    SHOWN."""
-    n, sensor = len(kinds), np.array(draws.sensor, np.float64)
+    """The same windows, some of which show nothing.
+
+    kinds : int64, (N,): SHOWN, or what a window shows instead, see `Draws.nothing`.
+    """
+    n = len(kinds)
+    sensor = np.array(draws.sensor, np.float64)
     place = np.zeros((n, 8))
     place[:, 2:4] = sensor  # all of it, from (0, 0) on
-    on = rng.uniform(0.0, 1.0, n)
-    on[kinds == ONE_POLARITY] = rng.random((kinds == ONE_POLARITY).sum()) < 0.5
+    on_share = rng.uniform(0.0, 1.0, n)
+    of_one = kinds == ONE_POLARITY
+    on_share[of_one] = rng.random(of_one.sum()) < 0.5
+
     patch = kinds == PATCH
     place[patch, 2:4] = sensor * rng.uniform(*PATCH_SIDE, (patch.sum(), 2))
     place[patch, :2] = (sensor - place[patch, 2:4]) * rng.random((patch.sum(), 2))
+
     hot = kinds == HOT_PIXELS
     place[hot, :6] = np.floor(np.tile(sensor, 3) * rng.random((hot.sum(), 6)))
-    some = rng.integers(1, 4, hot.sum())  # one, two or three different ones
+    n_different = rng.integers(1, 4, hot.sum())  # one, two or three different pixels
     for k in (1, 2):
-        place[hot, 2 * k : 2 * k + 2] = np.where(
-            (some > k)[:, None], place[hot, 2 * k : 2 * k + 2], place[hot, :2]
-        )
+        own = place[hot, 2 * k : 2 * k + 2]
+        place[hot, 2 * k : 2 * k + 2] = np.where((n_different > k)[:, None], own, place[hot, :2])
+
     edge = kinds == EDGE
     angle = rng.uniform(0.0, 2 * np.pi, edge.sum())
     place[edge, :2] = sensor * rng.uniform(0.25, 0.75, (edge.sum(), 2))
-    place[edge, 2], place[edge, 3] = np.cos(angle), np.sin(angle)
+    place[edge, 2] = np.cos(angle)
+    place[edge, 3] = np.sin(angle)
     place[edge, 4] = sensor.max() * rng.uniform(*EDGE_WAY, edge.sum())
     place[edge, 5] = sensor.max() * rng.uniform(*EDGE_THICKNESS, edge.sum())
     place[edge, 6] = sensor.max() * rng.uniform(*EDGE_LENGTH, edge.sum())
     # often of one polarity
-    on[edge] = np.where(rng.random(edge.sum()) < 0.5, np.rint(on[edge]), on[edge])
-    place[:, 7] = on
+    is_of_one = rng.random(edge.sum()) < 0.5
+    on_share[edge] = np.where(is_of_one, np.rint(on_share[edge]), on_share[edge])
+    place[:, 7] = on_share
     return replace(draws, nothing=kinds, place=place)
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """The largest changes; every draw is uniform, but for the ends of partial windows.
+    """The largest changes. Every draw is uniform, except for the ends of partial windows.
 
     Parameters
     ----------
@@ -170,8 +191,11 @@ class Augmentation:
         their length is uniform.
     late_start : fraction of windows that begin up to `LATEST` of their length later.
     mirror : half of the windows are mirrored from left to right.
-    nothing : fraction of windows that show nothing, of `KINDS` in equal parts. They belong to no
-        class.
+    nothing : fraction of windows that show nothing, of all `KINDS` alike. They belong to no class.
+
+    Raises
+    ------
+    ValueError : a negative value, or a fraction above 1.
     """
 
     start_ms: float = 5.0
@@ -188,15 +212,12 @@ class Augmentation:
     nothing: float = 0.0
 
     def __post_init__(self) -> None:
+        fractions = ("scale", "drop", "partial", "late_start", "mirror", "nothing")
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            limit = (
-                1.0
-                if name in ("scale", "drop", "partial", "late_start", "mirror", "nothing")
-                else np.inf
-            )
+            limit = 1.0 if name in fractions else np.inf
             if not 0 <= value <= limit:
-                raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
+                raise ParameterValueError(name, f"must be in [0, {limit}]", value)
 
     @classmethod
     def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
@@ -205,7 +226,7 @@ class Augmentation:
 
         Parameters
         ----------
-        config : has that sensor and window.
+        config : a configuration with that sensor and window.
         changes : values of other fields.
         """
         larger = (min(config.sensor) - 1) / 33
@@ -226,15 +247,15 @@ class Augmentation:
 
         start_us = np.rint(spread(1e3 * self.start_ms)).astype(np.int64)
         angle = np.deg2rad(spread(self.rotation_deg))
-        scale, shear = 1.0 + spread(self.scale), spread(self.shear)
+        scale = 1.0 + spread(self.scale)
+        shear = spread(self.shear)
         shift = np.stack([spread(self.shift_px), spread(self.shift_px)], axis=1)  # (n, 2)
         if self.translate_px:
             shift += rng.integers(-self.translate_px, self.translate_px + 1, (n, 2))
         keep = 1.0 - rng.uniform(0.0, self.drop, n)
-        shortest = np.clip(1e3 * self.partial_from_ms, 1.0, config.window_us)
-        until_us = np.rint(
-            np.exp(rng.uniform(np.log(shortest), np.log(config.window_us), n))
-        ).astype(np.int64)
+        shortest_us = np.clip(1e3 * self.partial_from_ms, 1.0, config.window_us)
+        log_until = rng.uniform(np.log(shortest_us), np.log(config.window_us), n)
+        until_us = np.rint(np.exp(log_until)).astype(np.int64)
         until_us[rng.random(n) >= self.partial] = config.window_us
         if self.late_start:
             later_us = np.rint(rng.uniform(0.0, LATEST * config.window_us, n)).astype(np.int64)
@@ -242,26 +263,31 @@ class Augmentation:
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
         side = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
 
-        cos, sin = scale * np.cos(angle), scale * np.sin(angle)
+        cos = scale * np.cos(angle)
+        sin = scale * np.sin(angle)
         matrix = np.empty((n, 2, 3))
-        matrix[:, 0, 0], matrix[:, 0, 1] = cos * side, cos * shear - sin
-        matrix[:, 1, 0], matrix[:, 1, 1] = sin * side, sin * shear + cos
+        matrix[:, 0, 0] = cos * side
+        matrix[:, 0, 1] = cos * shear - sin
+        matrix[:, 1, 0] = sin * side
+        matrix[:, 1, 1] = sin * shear + cos
         center = windows.recordings.middles[windows.recording]  # (n, 2)
         matrix[:, :, 2] = center + shift - np.einsum("nij,nj->ni", matrix[:, :, :2], center)
-        # an image of times takes an event between pixels for one of all of them
+
+        # an image of times takes an event between pixels for an event of each of them
         fine = 1 if config.representation in TIME_IMAGES else fineness(config.sensor)
         sensor = ((config.sensor[0] - 1) * fine + 1, (config.sensor[1] - 1) * fine + 1)
         draws = Draws(
-            start_us,
-            until_us,
-            fine * matrix,
-            keep,
-            seed,
-            np.full(n, SHOWN, np.int64),
-            np.zeros((n, 8)),
-            sensor,
+            start_us=start_us,
+            until_us=until_us,
+            matrix=fine * matrix,
+            keep=keep,
+            seed=seed,
+            nothing=np.full(n, SHOWN, np.int64),
+            place=np.zeros((n, 8)),
+            sensor=sensor,
         )
         if not self.nothing:
             return draws
         kinds = rng.choice(list(KINDS.values()), n)
-        return of_nothing(draws, np.where(rng.random(n) < self.nothing, kinds, SHOWN), rng)
+        kinds = np.where(rng.random(n) < self.nothing, kinds, SHOWN)
+        return of_nothing(draws, kinds, rng)

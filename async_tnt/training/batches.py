@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.kernels.training.window_batches import (
     GIVEN,
     MEAN,
@@ -29,7 +30,7 @@ class BatchVolumes:
 
     Parameters
     ----------
-    config : TNTConfig.
+    config : how events become volumes.
 
     Raises
     ------
@@ -42,9 +43,9 @@ class BatchVolumes:
                 f"windows of a duration can be trained on, but not of {config.window_events} events"
             )
         self.config = config
-        self._about = (
-            {"window": MEAN, "regressor": GIVEN}[config.landmark] if config.defers_landmark else OWN
-        )
+        self._about = OWN
+        if config.defers_landmark:
+            self._about = {"window": MEAN, "regressor": GIVEN}[config.landmark]
         self._states: dict[tuple[int, int], np.ndarray] = {}
         self._scratch = empty_columns(1 << 12)[:4]
         self._out = np.empty((0, *config.shape), np.float32)
@@ -67,15 +68,14 @@ class BatchVolumes:
         n = len(windows)
         draws = unchanged(n, self.config) if draws is None else draws
         if (landmarks is not None) != (self._about == GIVEN):
-            raise ValueError(
-                "`landmarks` must be given with landmark 'regressor', and with no other"
+            raise ParameterValueError(
+                "landmarks", "must be given with landmark 'regressor', and with no other"
             )
         if n > len(self._out):
             self._out = np.empty((n, *self.config.shape), np.float32)
         out = self._out[:n]
-        window_volumes(
-            *self._arguments(windows, draws), self._about, self._to_sensor(landmarks, n, draws), out
-        )
+        about = self._to_sensor(landmarks, n, draws)
+        window_volumes(*self._arguments(windows, draws), self._about, about, out)
         return out
 
     def landmark_gradient(
@@ -86,6 +86,7 @@ class BatchVolumes:
 
         Parameters
         ----------
+        windows, draws : as for a call.
         landmarks : float64, shape (N, 2), (x, y) in grid pixels.
         gradient : float32, shape (N, C, H, W): dL/dV.
 
@@ -97,19 +98,16 @@ class BatchVolumes:
         draws = unchanged(n, self.config) if draws is None else draws
         out = np.empty((n, 2))
         gradient = np.ascontiguousarray(gradient, np.float32)
-        landmark_gradients(
-            *self._arguments(windows, draws), self._to_sensor(landmarks, n, draws), gradient, out
-        )
+        about = self._to_sensor(landmarks, n, draws)
+        landmark_gradients(*self._arguments(windows, draws), about, gradient, out)
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
         """The first arguments of both kernels."""
         recordings = windows.recordings
-        first, last = (
-            recordings.offsets[windows.recording],
-            recordings.offsets[windows.recording + 1],
-        )
-        longest = int((last - first).max(initial=0))
+        first = recordings.offsets[windows.recording]
+        end = recordings.offsets[windows.recording + 1]
+        longest = int((end - first).max(initial=0))
         if longest > self._scratch[0].size:
             self._scratch = empty_columns(2 * longest)[:4]
         start_us = windows.start_us + draws.start_us
@@ -120,7 +118,7 @@ class BatchVolumes:
             (recordings.t, recordings.x, recordings.y, recordings.p),
             (
                 first,
-                last,
+                end,
                 start_us,
                 limit_us,
                 draws.matrix,
@@ -132,16 +130,17 @@ class BatchVolumes:
         )
 
     def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:
+        """Landmarks in pixels of the events' sensor; zeros where none are given."""
         if landmarks is None:
             return np.zeros((n, 2))
-        return np.ascontiguousarray(
-            landmarks * (np.array(draws.sensor) - 1) / (np.array(self.config.grid) - 1)
-        )
+        sensor = np.array(draws.sensor) - 1
+        grid = np.array(self.config.grid) - 1
+        return np.ascontiguousarray(landmarks * sensor / grid)
 
     def _state(self, sensor: tuple[int, int]) -> np.ndarray:
         """The kernels' state, with the parameters for events of this sensor."""
         if sensor not in self._states:
-            # its position is set for each window
+            # the position of a landmark that is not the volume's own is set for each window
             fixed = self.config.landmark if self._about == OWN else "center"
             self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=fixed))
         return self._states[sensor]

@@ -4,10 +4,12 @@ can improve.
 The weights of the last epoch are kept, and the learning rate falls to 0 by then. So a training does
 not stop where it stands: it is given `COOLING` more epochs, over which the rate falls.
 
-    settled at epoch e   every share of what is held out was 1 after each of the epochs e - PATIENCE
-                         + 1 .. e, and no held-out loss has fallen in these by the share GAIN or
-                         more of what it was when it last did
-    last epoch           min(e + COOLING, as many as were asked for), of the first such e
+    settled      after the first epoch e that fulfils both conditions in all of the epochs
+                 e - PATIENCE + 1 .. e:
+                 - every share of what is held out is 1
+                 - no held-out loss gains, that is, falls by the share GAIN or more below its value
+                   at its last gain
+    last epoch   min(e + COOLING, the epochs that were asked for)
 
 All of it follows from the history alone, so that a training that was interrupted ends in the same
 epoch. Without anything held out, a training never settles.
@@ -18,16 +20,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 PATIENCE = 10
-"""Epochs."""
+"""Epochs without an improvement after which a training has settled."""
 GAIN = 0.1
-"""Share of the held-out loss. Where few windows are held out, all are soon right, and only their
-loss still tells that the network learns: of three of N-MNIST's digits, with 18 windows held out,
-.876 of 540 others were right after 15 epochs, .898 after 34 and .915 after 98, though all that were
-held out were right from the tenth on."""
+"""Share by which a held-out loss must fall to count as an improvement. Where few windows are held
+out, all are soon right, and only their loss still tells that the network learns. An example is a
+training on three of N-MNIST's digits with 18 windows held out. All of these were right from epoch
+10 on, yet of 540 other windows .876 were right after 15 epochs, .898 after 34 and .915 after 98."""
 COOLING = 5
 """Epochs over which the learning rate falls to 0."""
 SHARES = ("per_window", "per_recording", "f1", "motions_per_window")
+"""Names, in the history, of shares of what is held out."""
 LOSSES = ("validation_loss", "motions_validation_loss")
+"""Names, in the history, of held-out losses."""
 
 
 def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
@@ -36,16 +40,19 @@ def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
 
     Parameters
     ----------
-    history : of `train`, a row for each epoch.
+    history : a row for each epoch, as `train` returns it.
 
     Examples
     --------
     >>> perfect = {"per_window": 1.0, "per_recording": 1.0, "validation_loss": 0.1}
-    >>> settled_at([perfect] * 10), settled_at([perfect] * 11), settled_at([perfect | {"per_window": 0.9}] * 99)
-    (None, 11, None)
+    >>> settled_at([perfect] * 10), settled_at([perfect] * 11)
+    (None, 11)
+    >>> settled_at([perfect | {"per_window": 0.9}] * 99) is None
+    True
     """
     lowest = dict.fromkeys(LOSSES, float("inf"))
-    n_perfect = n_without_gain = 0
+    n_perfect = 0
+    n_without_gain = 0
     for epoch, row in enumerate(history, 1):
         shares = [row[name] for name in SHARES if name in row]
         is_perfect = bool(shares) and min(shares) == 1.0
@@ -60,8 +67,9 @@ def settled_at(history: Sequence[Mapping[str, float]]) -> int | None:
 
 
 def share_while_cooling(step: int, first: int, last: int) -> float:
-    """The share that is left of the learning rate of step `first`, at a step in first .. last - 1.
-    It falls to 0.
+    """The share of the learning rate of step `first` that is left at a step before `last`.
+
+    At step `last` it is 0.
 
     Examples
     --------

@@ -1,5 +1,5 @@
-"""How well a network classifies windows: by window, by recording, against time, and whether it
-knows how well."""
+"""How well a network classifies windows: by window, by recording, against time, and whether its
+probabilities are right."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.evaluation.scores import calibration_of, share_right
 from async_tnt.kernels.training.window_batches import SHOWN
 from async_tnt.training.augment import KINDS, of_nothing, unchanged
@@ -17,9 +18,10 @@ from async_tnt.training.temperature import fit_temperature, softened
 from async_tnt.training.windows import Windows
 
 BATCH = 64
-"""Windows at a time. With 256, layers no longer fit into caches: 240 us a window in place of
-150."""
+"""Windows that are classified at a time. With 256, layers no longer fit into caches: a window takes
+240 us instead of 150."""
 SURE = 0.9
+"""Probability from which on a class counts as decided."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +33,9 @@ class Evaluation:
     ----------
     windows : the N windows.
     times_ms : M moments, in milliseconds since a window's start; the last one is its end.
-    probabilities : float64, shape (M, N, n_classes). At these moments.
-    nothing : kind, of `augment.KINDS` -> float64, shape (N, n_classes). At the windows' ends, their
-        events somewhere else, so that nothing is shown.
+    probabilities : float64, shape (M, N, n_classes), at these moments.
+    nothing : a kind of `augment.KINDS` -> float64, shape (N, n_classes): probabilities at the
+        windows' ends when their events stand somewhere else, so that nothing is shown.
     """
 
     windows: Windows
@@ -49,7 +51,7 @@ class Evaluation:
 
     @property
     def against_time(self) -> dict[float, float]:
-        """Moment -> share of windows that are right by then."""
+        """Moment -> share of windows that are classified right then."""
         right = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
         return dict(zip(self.times_ms, right.tolist(), strict=True))
 
@@ -60,7 +62,8 @@ class Evaluation:
 
     @property
     def recording_confusion(self) -> np.ndarray:
-        """The same of recordings, each decided by the mean of its windows' probabilities."""
+        """(n_classes, n_classes): recordings by true class (row) and decided class (column). The
+        mean of its windows' probabilities decides a recording."""
         return confusion_by_recording(self.complete, self.windows)
 
     @property
@@ -75,23 +78,23 @@ class Evaluation:
 
     @property
     def calibration_error(self) -> float:
-        """Expected difference between a decision's probability and the share right, over all
-        moments together."""
-        probabilities, labels = self._everywhere
+        """Expected difference between a decision's probability and the share that is right, over
+        all moments together."""
+        probabilities, labels = self._all_moments
         return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 
     @property
     def sure_of_nothing(self) -> dict[str, float]:
-        """Kind of nothing -> share of windows with a class of probability `SURE`."""
-        return {
-            kind: float((probabilities.max(1) >= SURE).mean())
-            for kind, probabilities in self.nothing.items()
-        }
+        """A kind of nothing -> share of windows in which a class has probability `SURE` or more."""
+        shares = {}
+        for kind, probabilities in self.nothing.items():
+            shares[kind] = float((probabilities.max(1) >= SURE).mean())
+        return shares
 
     @property
     def temperature(self) -> float:
-        """What the logits should be divided by, see `fit_temperature`: for all moments together."""
-        return fit_temperature(*self._everywhere)
+        """The number to divide the logits by, see `fit_temperature`, over all moments together."""
+        return fit_temperature(*self._all_moments)
 
     def at_temperature(self, temperature: float) -> Evaluation:
         """The same with all logits divided by `temperature`."""
@@ -101,7 +104,7 @@ class Evaluation:
         )
 
     @property
-    def _everywhere(self) -> tuple[np.ndarray, np.ndarray]:
+    def _all_moments(self) -> tuple[np.ndarray, np.ndarray]:
         """Probabilities at all moments, and their labels."""
         n_moments, _, n_classes = self.probabilities.shape
         return self.probabilities.reshape(-1, n_classes), np.tile(self.windows.labels, n_moments)
@@ -129,11 +132,13 @@ def class_probabilities(
 
     Parameters
     ----------
-    until_us : only the events of each window's first `until_us` microseconds; all by default.
-    nothing : what stands in the place of the recordings, see `Draws`.
+    pipeline : the model; it may be in training.
+    windows : what to classify.
+    until_us : only the events of each window's first `until_us` microseconds count; all by default.
+    nothing : what the windows show instead of their recordings, see `Draws`.
     """
     if len(windows) == 0:
-        raise ValueError("`windows` must hold at least one window, got none")
+        raise ParameterValueError("windows", "must hold at least one window", "none")
     parts = []
     was_training = pipeline.training
     pipeline.eval()
@@ -162,6 +167,7 @@ def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.nd
 
 
 def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
+    """(n_classes, n_classes): how many by true class (row) and likeliest class (column)."""
     confusion = np.zeros((probabilities.shape[1], probabilities.shape[1]), np.int64)
     np.add.at(confusion, (labels, probabilities.argmax(1)), 1)
     return confusion
@@ -176,15 +182,16 @@ def evaluate(
     ----------
     pipeline : the model, see `pipeline_of`.
     windows : what to classify.
-    times_ms : milliseconds since the window's start; those from its end on are left out. A window
-        without any event by then is decided from the empty volume.
+    times_ms : moments, in milliseconds since the window's start; moments from its end on are left
+        out. A window without any event by then is decided from the empty volume.
     """
     end_ms = pipeline.config.window_us / 1e3
-    times = (*(float(ms) for ms in times_ms if ms < end_ms), end_ms)
-    probabilities = np.stack(
-        [class_probabilities(pipeline, windows, until_us=round(1e3 * ms)) for ms in times]
-    )
-    nothing = {
-        name: class_probabilities(pipeline, windows, nothing=kind) for name, kind in KINDS.items()
-    }
-    return Evaluation(windows, times, probabilities, nothing)
+    moments = [float(ms) for ms in times_ms if ms < end_ms]
+    times = (*moments, end_ms)
+    probabilities = [
+        class_probabilities(pipeline, windows, until_us=round(1e3 * ms)) for ms in times
+    ]
+    nothing = {}
+    for name, kind in KINDS.items():
+        nothing[name] = class_probabilities(pipeline, windows, nothing=kind)
+    return Evaluation(windows, times, np.stack(probabilities), nothing)

@@ -1,5 +1,5 @@
-"""From windows to a finished model: trained, calibrated on what was held out, with a record of how
-it was made."""
+"""A finished model from windows: trained, calibrated on what was held out, with a record of how it
+was made."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from typing import Any
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.scores import scores_of
 from async_tnt.networks.models.model import Model
-from async_tnt.training.data import TrainingData
 from async_tnt.training.evaluation import evaluate
-from async_tnt.training.loop import train
+from async_tnt.training.loop import TrainResult, train
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
 from async_tnt.training.objectives import SceneScores
 from async_tnt.training.pipeline import pipeline_of
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
+from async_tnt.training.training_data import TrainingData
 
 STARTED_FROM = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
-"""What the new model's record keeps of the record of the model that its training continued."""
+"""Entries of the record of the model that a training continues, which the new model's record
+keeps."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,10 @@ class Fitted:
 
     Parameters
     ----------
-    model : calibrated; its record says what it was trained on, how, and how accurate it is on what
+    model : calibrated. Its record says what it was trained on, how, and how accurate it is on what
         was held out.
-    scores : of the held-out recordings, see `scores_of`; None where nothing is held out, and of a
-        map model.
+    scores : the scores of the held-out recordings, see `scores_of`; None where nothing is held out,
+        and for a map model.
     history : one dict per epoch, see `train`.
     """
 
@@ -43,16 +44,21 @@ class Fitted:
     scores: dict[str, Any] | None
     history: list[dict[str, float]]
 
+    def with_record(self, **more: Any) -> Fitted:
+        """The same with more in the model's record."""
+        return replace(self, model=replace(self.model, record={**self.model.record, **more}))
+
     def tested(self, data: TrainingData) -> Fitted:
         """The same with the accuracy on `data.tests` in the record. This may take long."""
-        pipeline, record = pipeline_of(self.model), dict(self.model.record)
+        pipeline = pipeline_of(self.model)
+        found = {}
         for name, (windows, more) in data.tests.items():
             if self.model.places is not None:
-                found = SceneScores(data.config, self.model, windows).to_dict(pipeline)
+                scores = SceneScores(data.config, self.model, windows).to_dict(pipeline)
             else:
-                found = evaluate(pipeline, windows, times_ms=moments_ms(self.model)).to_dict()
-            record[name] = {**found, **more}
-        return replace(self, model=replace(self.model, record=record))
+                scores = evaluate(pipeline, windows, times_ms=moments_ms(self.model)).to_dict()
+            found[name] = {**scores, **more}
+        return self.with_record(**found)
 
 
 def fit(
@@ -63,7 +69,6 @@ def fit(
     start: Model | None = None,
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
-    record: dict[str, Any] | None = None,
     progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
@@ -72,62 +77,73 @@ def fit(
 
     Parameters
     ----------
-    record : more for the model's record.
-    data, settings, run_folder, start, motions, teachers, progress, report : see `train`, whose
+    data, settings, run_folder, start, motions, teachers, progress, report : see `loop.train`, whose
         errors pass through.
     """
     result = train(
-        data.config,
-        data.training,
-        data.validation,
+        data,
         settings,
         run_folder,
-        classes=data.classes,
         start=start,
         motions=motions,
         teachers=teachers,
         progress=progress,
         report=report,
     )
-    model, history = result.model, result.history
-    summary: dict[str, Any] = {
-        "data": data.record,
-        **(record or {}),
-        "network": Path(settings.network).name
-        if start is None
-        else "that of the model it started from",
-        "multiplications": model.multiplications,
-        "seed": settings.seed,
-        "epochs": len(history),
-        "iterations": int(history[-1]["iterations"]),
-        "versions": {"python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "numba", "torch")},
-    }
-    if motions is not None:
-        summary["motions"] = motions.record
-    if start is not None:
-        summary["started_from"] = {
-            name: start.record[name] for name in STARTED_FROM if name in start.record
-        }
+    model = result.model
+    record = _record(data, settings, result, start, motions)
     scores = None
     if settings.everywhere and len(data.validation):
-        summary["validation"] = SceneScores(data.config, model, data.validation).to_dict(
-            pipeline_of(model)
-        )
+        found_objects = SceneScores(data.config, model, data.validation)
+        record["validation"] = found_objects.to_dict(pipeline_of(model))
     elif len(data.validation):
         found = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
         model, temperature = calibrated(model, found.temperature)
         found = found.at_temperature(temperature)
-        summary |= {"validation": found.to_dict(), "temperature": round(temperature, 5)}
+        record["validation"] = found.to_dict()
+        record["temperature"] = round(temperature, 5)
         scores = scores_of(data.classes, found.recording_confusion, found.confusion)
     if motions is not None and len(motions.validation) >= MIN_MOVED:
-        moved = evaluate(
-            pipeline_of(model), motions.validation, times_ms=moments_ms(model)
-        ).to_dict()
-        summary["validation_motions"] = {
-            name: moved[name] for name in moved if "recording" not in name
-        }
-    return Fitted(replace(model, record=summary), scores, history)
+        record["validation_motions"] = _scores_in_motions(model, motions)
+    return Fitted(replace(model, record=record), scores, result.history)
+
+
+def _record(
+    data: TrainingData,
+    settings: TrainSettings,
+    result: TrainResult,
+    start: Model | None,
+    motions: Motions | None,
+) -> dict[str, Any]:
+    """How a model was trained, for its record."""
+    network = "that of the model it started from"
+    if start is None:
+        network = Path(settings.network).name
+    versions = {"python": platform.python_version()}
+    for package in ("numpy", "numba", "torch"):
+        versions[package] = version(package)
+    record: dict[str, Any] = {
+        "data": data.record,
+        "network": network,
+        "multiplications": result.model.multiplications,
+        "seed": settings.seed,
+        "epochs": len(result.history),
+        "iterations": int(result.history[-1]["iterations"]),
+        "versions": versions,
+    }
+    if motions is not None:
+        record["motions"] = motions.record
+    if start is not None:
+        kept = [name for name in STARTED_FROM if name in start.record]
+        record["started_from"] = {name: start.record[name] for name in kept}
+    return record
+
+
+def _scores_in_motions(model: Model, motions: Motions) -> dict[str, Any]:
+    """The accuracy on held-out windows under other motions, for the record."""
+    found = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
+    # each of these windows is a recording of its own
+    return {name: value for name, value in found.items() if "recording" not in name}
 
 
 def moments_ms(model: Model) -> tuple[float, ...]:

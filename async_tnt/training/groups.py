@@ -1,8 +1,8 @@
-"""Which recordings stay together when some are held out: those of one person, car or session look
-alike.
+"""Groups of recordings that stay together when some are held out.
 
-An accuracy on held-out recordings says what new recordings will give only as far as these differ
-from the learned ones as new ones will.
+The recordings of one person, car or session look alike. The accuracy on held-out recordings says
+how good a model is on new recordings only if the held-out ones differ from the learned ones as much
+as new ones will.
 """
 
 from __future__ import annotations
@@ -13,15 +13,16 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.sources.files.labelled_recordings import file_of
 
 MIN_WINDOWS = 10
-"""Of a session, to hold out its last ones."""
+"""Fewest windows of a session whose last windows are held out."""
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
-    """What a regular expression finds in each name, `class/file`: its groups in parentheses, or
-    else all of it.
+    """The text that a regular expression finds in each name, `class/file`: that of its parentheses,
+    if it has any, or else all of it.
 
     Raises
     ------
@@ -30,17 +31,20 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
     try:
         compiled = re.compile(pattern)
     except re.error as error:
-        raise ValueError(
-            f"`groups` must be a regular expression, got {pattern!r}: {error}"
+        raise ParameterValueError(
+            "groups", "must be a regular expression", f"{pattern!r}: {error}"
         ) from None
     groups = []
     for name in names:
-        if (found := compiled.search(name)) is None:
-            raise ValueError(
-                f"`groups` must be found in the name of every recording, but {pattern!r} is not in "
-                f"{name}"
+        found = compiled.search(name)
+        if found is None:
+            raise ParameterValueError(
+                "groups",
+                "must be found in the name of every recording",
+                f"{pattern!r}, which is not in {name}",
             )
-        groups.append("/".join(part or "" for part in found.groups()) or found[0])
+        in_parentheses = "/".join(part or "" for part in found.groups())
+        groups.append(in_parentheses or found[0])
     return groups
 
 
@@ -49,9 +53,15 @@ def hold_out_last(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Hold out the last recordings of each class by number; None where recordings are not numbered.
 
-    They are if those of a class differ in numbers only; several numbers count from left to right.
-    Parts of sessions are not. What leaks are the neighbours where a class is cut, and people or
-    places that recur.
+    Recordings are numbered if the names of each class differ in numbers only; several numbers
+    compare from left to right. Parts of sessions are not numbered. The two sides may still resemble
+    each other: the neighbours where a class is cut, and people or places that recur.
+
+    Parameters
+    ----------
+    names : `class/file`, of each recording.
+    labels : int64, of each recording.
+    share : share of each class, rounded to whole recordings but at least one; 0: none.
 
     Returns
     -------
@@ -64,16 +74,15 @@ def hold_out_last(
         members = np.flatnonzero(labels == label).tolist()
         if len(members) == 1:  # is not held out, whatever its name
             continue
-        texts = {re.sub(r"\d+", "0", PurePosixPath(names[r]).stem) for r in members}
-        if len(texts) != 1 or "0" not in texts.pop():
+        stems = [PurePosixPath(names[r]).stem for r in members]
+        without_numbers = {re.sub(r"\d+", "0", stem) for stem in stems}
+        if len(without_numbers) != 1 or "0" not in without_numbers.pop():
             return None
-        numbers = [
-            [int(number) for number in re.findall(r"\d+", PurePosixPath(names[r]).stem)]
-            for r in members
-        ]
+        numbers = [[int(digits) for digits in re.findall(r"\d+", stem)] for stem in stems]
         ordered = [r for _, r in sorted(zip(numbers, members, strict=True))]
-        wanted = max(1, round(share * len(ordered))) if share else 0
-        held_out[ordered[max(1, len(ordered) - wanted) :]] = True
+        n_wanted = max(1, round(share * len(ordered))) if share else 0
+        first = max(1, len(ordered) - n_wanted)  # one is learned from, at least
+        held_out[ordered[first:]] = True
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
@@ -84,46 +93,51 @@ def hold_out_groups(
 
     Parameters
     ----------
-    labels, groups : of each recording.
-    share : of each class, rounded to whole recordings but at least one; 0: none. Large groups give
-        more.
+    labels, groups : label and group of each recording.
+    share : share of each class, rounded to whole recordings but at least one; 0: none. Where groups
+        are large, more are held out.
+    rng : draws the order of the groups.
 
     Returns
     -------
-    train, held_out : int64 indices, increasing. Each class keeps a recording to train on: one that
-        has a single group is not held out.
+    train, held_out : int64 indices, increasing. Each class keeps a recording to train on: a class
+        with a single group is not held out.
     """
-    of = np.unique(np.asarray(groups), return_inverse=True)[1]
-    place = np.argsort(rng.permutation(of.max(initial=-1) + 1))  # of each group in a random order
-    by_group = np.argsort(place[of], kind="stable")
-    members = np.split(by_group, np.cumsum(np.bincount(place[of]))[:-1])
+    group_of = np.unique(np.asarray(groups), return_inverse=True)[1]
+    # the place of each recording's group in a random order of the groups
+    place = np.argsort(rng.permutation(group_of.max(initial=-1) + 1))[group_of]
+    by_place = np.argsort(place, kind="stable")
+    members = np.split(by_place, np.cumsum(np.bincount(place))[:-1])
     n = np.bincount(labels)
-    wanted = np.where(n > 0, np.maximum(np.round(share * n), 1), 0) if share else np.zeros(len(n))
+    wanted = np.zeros(len(n))
+    if share:
+        wanted = np.where(n > 0, np.maximum(np.round(share * n), 1), 0)
     left = n.copy()
     held_out = np.zeros(len(labels), bool)
     for label in np.flatnonzero(n):
-        for group in np.unique(place[of[labels == label]]):
+        for group in np.unique(place[labels == label]):
             if n[label] - left[label] >= wanted[label]:
                 break
             counts = np.bincount(labels[members[group]], minlength=len(n))
-            if not held_out[members[group][0]] and ((left > counts) | (counts == 0)).all():
+            leaves_some = ((left > counts) | (counts == 0)).all()
+            if leaves_some and not held_out[members[group][0]]:
                 held_out[members[group]] = True
                 left -= counts
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
 def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Hold out the last of the windows of one session, or of one after the other.
+    """Hold out the last windows of one session, or of several one after the other.
 
     Parameters
     ----------
-    n_windows : which begin in this order.
-    share : rounded to whole windows.
+    n_windows : number of windows, which are in the order of their starts.
+    share : the share to hold out, rounded to whole windows.
 
     Returns
     -------
-    train, held_out : indices. A window between them is in neither: its neighbours share no moment.
-        With fewer than `MIN_WINDOWS`, nothing is held out.
+    train, held_out : indices of windows. The window between them is in neither, so that the two
+        sides share no moment. With fewer than `MIN_WINDOWS`, nothing is held out.
 
     Examples
     --------
@@ -132,7 +146,9 @@ def hold_out_end(n_windows: int, share: float) -> tuple[np.ndarray, np.ndarray]:
     (array([0, 1, 2, 3, 4, 5, 6]), array([8, 9]))
     """
     order = np.arange(n_windows)
-    n_held_out = min(round(share * n_windows), n_windows - 2) if n_windows >= MIN_WINDOWS else 0
+    n_held_out = 0
+    if n_windows >= MIN_WINDOWS:
+        n_held_out = min(round(share * n_windows), n_windows - 2)
     if n_held_out == 0:
         return order, order[:0]
     return order[: -n_held_out - 1], order[-n_held_out:]

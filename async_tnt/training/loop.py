@@ -15,16 +15,23 @@ import numpy as np
 import torch
 from torch.optim.swa_utils import AveragedModel
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.files import locked_folder
 from async_tnt.base.progress import Bar
 from async_tnt.networks.models.model import Model
 from async_tnt.training.augment import Draws
 from async_tnt.training.early_end import COOLING, settled_at, share_while_cooling
 from async_tnt.training.moved_windows import MIN_MOVED, Motions
-from async_tnt.training.objectives import ClassOfWindows, ObjectsInScenes
-from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export
+from async_tnt.training.objectives import BatchLoss, ClassOfWindows, ObjectsInScenes
+from async_tnt.training.pipeline import (
+    Pipeline,
+    export,
+    new_pipeline,
+    pipeline_before_export,
+)
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
+from async_tnt.training.training_data import TrainingData
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
@@ -38,13 +45,10 @@ class TrainResult:
 
 
 def train(
-    config: TNTConfig,
-    training: Windows,
-    validation: Windows,
+    data: TrainingData,
     settings: TrainSettings,
     run_folder: Path,
     *,
-    classes: tuple[str, ...],
     start: Model | None = None,
     motions: Motions | None = None,
     teachers: Sequence[Model] = (),
@@ -59,12 +63,10 @@ def train(
 
     Parameters
     ----------
-    config : how events become volumes.
-    training : windows to learn from.
-    validation : windows whose accuracy each epoch tells. They choose nothing but, where
-        `settings.ends_early`, the last epoch. May be empty.
+    data : windows to learn from, and windows whose accuracy each epoch tells. The latter choose
+        nothing but, where `settings.ends_early`, the last epoch.
+    settings : how to train.
     run_folder : for checkpoint and history; made if missing.
-    classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.
     motions : other motions of the training windows, shown among these.
     teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015,
@@ -78,153 +80,218 @@ def train(
         folder holds a run with other settings or data.
     BlockingIOError : another process is training there.
     """
-    _check(config, training, validation, classes, start, teachers)
-    if settings.everywhere and (start is not None or motions is not None or teachers):
-        raise ValueError(
-            "`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on "
-            "scenes"
-        )
-    windowed = ClassOfWindows(config, validation, settings, len(classes), teachers)
-    objective = (
-        ObjectsInScenes(config, validation, settings, classes) if settings.everywhere else windowed
-    )
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    pipeline = (
-        new_pipeline(
-            config,
-            len(classes),
-            settings.seed,
-            training,
-            settings.network,
-            logarithm=settings.logarithm,
-            grid=objective.config.grid,
-        )
-        if start is None
-        else pipeline_before_export(start, training)
-    ).to(device)
-    placed: Any = pipeline  # the stubs of `to` know no memory_format
-    placed.to(memory_format=torch.channels_last)  # a third faster
-    averaged = AveragedModel(
-        pipeline, avg_fn=partial(_average, settings.averaging), use_buffers=True
-    )
-    final: Any = averaged.module if settings.averaging else pipeline
-    optimizer = _optimizer(pipeline, settings)
-    identity = identity_of(
-        config,
-        settings,
-        training,
-        validation,
-        start,
-        classes,
-        motions and motions.settings,
-        teachers,
-    )
-    state = load_checkpoint(run_folder, identity)
-    history: list[dict[str, float]] = []
-    if state is not None:
-        pipeline.load_state_dict(state["pipeline"])
-        averaged.load_state_dict(state["averaged"])
-        optimizer.load_state_dict(state["optimizer"])
-        history = state["history"]
-
-    fast = settings.precision == "auto" and _is_fast_at_bfloat16(device)
-    in_16_bits = fast or settings.precision == "bfloat16"
-    steps = settings.n_steps(len(training))
-    n_iterations = settings.n_iterations(len(training))
-    n_epochs = settings.n_epochs(len(training))
+    _check(data, settings, start, motions, teachers)
+    run = _Run(data, settings, run_folder, start, motions, teachers)
     with (
         locked_folder(run_folder, "training.lock"),
         torch.random.fork_rng(devices=[]),
-        progress(n_iterations, "training", done=len(history) * steps) as bar,
+        progress(run.n_iterations, "training", done=len(run.history) * run.n_steps) as bar,
     ):
-        for epoch in range(len(history), n_epochs):
-            settled = settled_at(history) if settings.ends_early else None
+        for epoch in range(len(run.history), run.n_epochs):
+            settled = settled_at(run.history) if settings.ends_early else None
             if settled is not None and epoch >= settled + COOLING:
                 break
-            cooling = None if settled is None else (settled * steps, (settled + COOLING) * steps)
-            pipeline.train()
-            # of dropout
-            torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])
-            total_loss, n_right, n_counted, n_seen = 0.0, 0, 0, 0
-            n_steps = min(steps, n_iterations - epoch * steps)
-            batches = batches_of(config, training, settings, epoch, motions)
-            for step, (windows, draws) in enumerate(islice(batches, n_steps)):
-                _set_rate(optimizer, settings, epoch * steps + step, n_iterations, cooling)
-                with torch.autocast(device, torch.bfloat16, enabled=in_16_bits):
-                    found = objective.loss(pipeline, windows, draws)
-                optimizer.zero_grad(set_to_none=True)
-                found.loss.backward()
-                optimizer.step()
-                if settings.averaging:
-                    averaged.update_parameters(pipeline)
-                total_loss += found.loss.item() * len(windows)
-                n_right, n_counted = n_right + found.n_right, n_counted + found.n
-                n_seen += len(windows)
-                bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
-            if not math.isfinite(total_loss):
-                raise ValueError(
-                    f"the loss of epoch {epoch + 1} is not finite: the network's numbers grow too "
-                    "large"
-                )
-            del windows, draws, batches  # the events of an epoch, before those of the next are read
-            history.append(
-                {
-                    "epoch": epoch + 1,
-                    "iterations": epoch * steps + n_steps,
-                    "loss": total_loss / n_seen,
-                    "training": n_right / max(1, n_counted),
-                    **objective.validate(final),
-                }
-            )
-            if motions is not None and len(motions.validation) >= MIN_MOVED:
-                moved = windowed.of_windows(final, motions.validation)
-                history[-1] |= {
-                    f"motions_{name}": moved[name] for name in moved if name != "per_recording"
-                }
-            checkpoint = {
-                "identity": identity,
-                "pipeline": pipeline.state_dict(),
-                "averaged": averaged.state_dict(),
-                "optimizer": optimizer.state_dict(),
-                "history": history,
-            }
-            save_checkpoint(run_folder, checkpoint)
+            run.history.append(run.train_epoch(epoch, settled, bar))
+            run.save()
             bar.clear()
-            report(history[-1])
-
-    return TrainResult(export(final, classes, objective.config), history)
+            report(run.history[-1])
+    return TrainResult(run.model(), run.history)
 
 
 def _check(
-    config: TNTConfig,
-    training: Windows,
-    validation: Windows,
-    classes: tuple[str, ...],
+    data: TrainingData,
+    settings: TrainSettings,
     start: Model | None,
+    motions: Motions | None,
     teachers: Sequence[Model],
 ) -> None:
     """Refuse arguments of `train` that do not fit each other."""
-    if len(training) == 0:
-        raise ValueError("`training` must hold at least one window, got none")
-    for windows in (training, validation):
+    config = data.config
+    classes = data.classes
+    if len(data.training) == 0:
+        raise ParameterValueError("training", "must hold at least one window", "none")
+    for windows in (data.training, data.validation):
         if len(windows) and not 0 <= windows.labels.min() <= windows.labels.max() < len(classes):
             raise ValueError(
                 f"labels must be in [0, {len(classes)}), one for each class, got "
                 f"{windows.labels.max()}"
             )
     if start is not None and (start.config, start.classes) != (config, classes):
-        raise ValueError(
-            f"`start` must have the configuration and classes of this training (classes "
-            f"{', '.join(classes)}), "
-            f"got {start.config} and classes {', '.join(start.classes)}"
+        raise ParameterValueError(
+            "start",
+            "must have the configuration and classes of this training (classes "
+            f"{', '.join(classes)})",
+            f"{start.config} and classes {', '.join(start.classes)}",
         )
     for teacher in teachers:
         if (teacher.config.sensor, teacher.classes) != (config.sensor, classes):
             raise ValueError(
                 f"each `teacher` must have the sensor {config.sensor} and the classes "
-                f"{', '.join(classes)}, got "
-                f"{teacher.config.sensor} and classes {', '.join(teacher.classes)}"
+                f"{', '.join(classes)}, got {teacher.config.sensor} and classes "
+                f"{', '.join(teacher.classes)}"
             )
+    if settings.everywhere and (start is not None or motions is not None or teachers):
+        raise ValueError(
+            "`start`, `motions` and `teachers` are for classes of windows; `everywhere` trains on "
+            "scenes"
+        )
+
+
+class _Run:
+    """A training between two epochs: networks, optimizer and history, as its checkpoint has them.
+
+    The arguments are those of `train`. A checkpoint that is in the run folder is loaded.
+
+    Attributes
+    ----------
+    history : one dict per finished epoch.
+    n_steps : steps of an epoch. The last one may have fewer.
+    n_iterations : steps of all epochs.
+    n_epochs : epochs, unless the training ends early.
+    """
+
+    def __init__(
+        self,
+        data: TrainingData,
+        settings: TrainSettings,
+        run_folder: Path,
+        start: Model | None,
+        motions: Motions | None,
+        teachers: Sequence[Model],
+    ) -> None:
+        self._data = data
+        self._settings = settings
+        self._run_folder = run_folder
+        self._motions = motions
+        self.n_steps = settings.n_steps(len(data.training))
+        self.n_iterations = settings.n_iterations(len(data.training))
+        self.n_epochs = settings.n_epochs(len(data.training))
+
+        n_classes = len(data.classes)
+        self._windowed = ClassOfWindows(data.config, data.validation, settings, n_classes, teachers)
+        self._objective: ClassOfWindows | ObjectsInScenes = self._windowed
+        if settings.everywhere:
+            self._objective = ObjectsInScenes(data.config, data.validation, settings, data.classes)
+
+        self._device = "cuda" if torch.cuda.is_available() else "cpu"
+        self._pipeline = self._first_pipeline(start).to(self._device)
+        placed: Any = self._pipeline  # the stubs of `to` know no memory_format
+        placed.to(memory_format=torch.channels_last)  # a third faster
+        average = partial(_average, settings.averaging)
+        self._averaged = AveragedModel(self._pipeline, avg_fn=average, use_buffers=True)
+        self._optimizer = _optimizer(self._pipeline, settings)
+        is_fast = settings.precision == "auto" and _is_fast_at_bfloat16(self._device)
+        self._in_16_bits = is_fast or settings.precision == "bfloat16"
+
+        motion_settings = None if motions is None else motions.settings
+        self._identity = identity_of(data, settings, start, motion_settings, teachers)
+        self.history: list[dict[str, float]] = []
+        state = load_checkpoint(run_folder, self._identity)
+        if state is not None:
+            self._pipeline.load_state_dict(state["pipeline"])
+            self._averaged.load_state_dict(state["averaged"])
+            self._optimizer.load_state_dict(state["optimizer"])
+            self.history = state["history"]
+
+    def _first_pipeline(self, start: Model | None) -> Pipeline:
+        """Random weights, or those of a model to continue from."""
+        data = self._data
+        settings = self._settings
+        if start is not None:
+            return pipeline_before_export(start, data.training)
+        return new_pipeline(
+            data.config,
+            len(data.classes),
+            settings.seed,
+            data.training,
+            settings.network,
+            logarithm=settings.logarithm,
+            grid=self._objective.config.grid,
+        )
+
+    @property
+    def _final(self) -> Pipeline:
+        """The pipeline whose weights are those of the model."""
+        if not self._settings.averaging:
+            return self._pipeline
+        averaged: Any = self._averaged.module
+        kept: Pipeline = averaged
+        return kept
+
+    def train_epoch(self, epoch: int, settled: int | None, bar: Bar) -> dict[str, float]:
+        """Train one epoch. Returns its row of the history.
+
+        settled : the epoch after which nothing could improve, see `settled_at`; None: none yet.
+        """
+        settings = self._settings
+        self._pipeline.train()
+        # dropout draws from torch's own generator
+        torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])
+        first = epoch * self.n_steps
+        n_steps = min(self.n_steps, self.n_iterations - first)
+        cooling = None
+        if settled is not None:
+            cooling = settled * self.n_steps, (settled + COOLING) * self.n_steps
+        total_loss = 0.0
+        n_right = 0
+        n_counted = 0
+        n_seen = 0
+        batches = batches_of(self._data.config, self._data.training, settings, epoch, self._motions)
+        for step, (windows, draws) in enumerate(islice(batches, n_steps), first):
+            _set_rate(self._optimizer, settings, step, self.n_iterations, cooling)
+            found = self._step(windows, draws)
+            total_loss += found.loss.item() * len(windows)
+            n_right += found.n_right
+            n_counted += found.n
+            n_seen += len(windows)
+            bar.update(title=f"epoch {epoch + 1}/{self.n_epochs}")
+        if not math.isfinite(total_loss):
+            raise ValueError(
+                f"the loss of epoch {epoch + 1} is not finite: the network's numbers grow too large"
+            )
+        return {
+            "epoch": epoch + 1,
+            "iterations": first + n_steps,
+            "loss": total_loss / n_seen,
+            "training": n_right / max(1, n_counted),
+            **self._objective.validate(self._final),
+            **self._validate_motions(),
+        }
+
+    def _step(self, windows: Windows, draws: Draws | None) -> BatchLoss:
+        """One step of the optimizer."""
+        with torch.autocast(self._device, torch.bfloat16, enabled=self._in_16_bits):
+            found = self._objective.loss(self._pipeline, windows, draws)
+        self._optimizer.zero_grad(set_to_none=True)
+        found.loss.backward()
+        self._optimizer.step()
+        if self._settings.averaging:
+            self._averaged.update_parameters(self._pipeline)
+        return found
+
+    def _validate_motions(self) -> dict[str, float]:
+        """Accuracy and loss on held-out windows under other motions, if there are enough."""
+        if self._motions is None or len(self._motions.validation) < MIN_MOVED:
+            return {}
+        found = self._windowed.of_windows(self._final, self._motions.validation)
+        return {
+            f"motions_{name}": value for name, value in found.items() if name != "per_recording"
+        }
+
+    def save(self) -> None:
+        """Write the checkpoint and the history."""
+        checkpoint = {
+            "identity": self._identity,
+            "pipeline": self._pipeline.state_dict(),
+            "averaged": self._averaged.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "history": self.history,
+        }
+        save_checkpoint(self._run_folder, checkpoint)
+
+    def model(self) -> Model:
+        """The model with the weights as they are now."""
+        return export(self._final, self._data.classes, self._objective.config)
 
 
 def batches_of(
@@ -236,19 +303,20 @@ def batches_of(
 ) -> Iterator[tuple[Windows, Draws | None]]:
     """The batches of one epoch, and how each is augmented."""
     rng = np.random.default_rng((settings.seed, epoch))
-    order = np.concatenate(
-        [
-            balanced_order(windows.labels, rng)
-            if settings.balance
-            else rng.permutation(len(windows))
-            for _ in range(settings.passes)
-        ]
-    )
+    passes = []
+    for _ in range(settings.passes):
+        if settings.balance:
+            passes.append(balanced_order(windows.labels, rng))
+        else:
+            passes.append(rng.permutation(len(windows)))
+    order = np.concatenate(passes)
     shown = windows[order] if motions is None else motions.show(epoch, order, rng)
     for first in range(0, len(shown), settings.batch):
         some = shown[first : first + settings.batch]
-        augmentation = settings.augmentation
-        yield some, None if augmentation is None else augmentation.draw(some, config, rng)
+        draws = None
+        if settings.augmentation is not None:
+            draws = settings.augmentation.draw(some, config, rng)
+        yield some, draws
 
 
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -270,13 +338,14 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     rng.shuffle(shares)  # which class gets one more
     chosen = []
     for places, share in zip(members, shares, strict=True):
-        rounds = -(-int(share) // len(places))
-        chosen.append(np.concatenate([rng.permutation(places) for _ in range(rounds)])[:share])
+        n_rounds = -(-int(share) // len(places))
+        rounds = [rng.permutation(places) for _ in range(n_rounds)]
+        chosen.append(np.concatenate(rounds)[:share])
     return rng.permutation(np.concatenate(chosen))
 
 
 def _is_fast_at_bfloat16(device: str) -> bool:
-    """Whether the hardware multiplies in 16 bits: on a processor, by what Linux says of it."""
+    """Whether the hardware multiplies in 16 bits. Of a processor, only Linux tells it."""
     if device.startswith("cuda"):
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     try:
@@ -289,13 +358,17 @@ def _is_fast_at_bfloat16(device: str) -> bool:
 def _average(
     share: float, before: torch.Tensor, now: torch.Tensor, n: int | torch.Tensor
 ) -> torch.Tensor:
-    """Of the weights after n + 1 steps. The first ones keep less than `share`, or they would count
-    for hundreds."""
+    """The moving average of a weight after step n + 1.
+
+    The first steps keep less than `share` of the average before. Otherwise the initial weights
+    would count as much as those of hundreds of steps.
+    """
     kept = min(share, (1 + int(n)) / (10 + int(n)))
     return before * kept + now * (1 - kept)
 
 
 def _optimizer(pipeline: torch.nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
+    """AdamW, whose decay does not act on biases."""
     weights = [w for w in pipeline.parameters() if w.ndim > 1]
     biases = [w for w in pipeline.parameters() if w.ndim <= 1]
     groups: list[dict[str, Any]] = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]
@@ -311,8 +384,8 @@ def _set_rate(
 ) -> None:
     """Set the learning rate of a step.
 
-    cooling : of a training that ends early: the first step in which the rate falls, and the step
-        where it is 0.
+    cooling : the first step in which the rate falls, and the step where it is 0, of a training that
+        ends early; None: it does not, so far.
     """
     share = _share_of_rate(settings, step if cooling is None else cooling[0], n_steps)
     if cooling is not None:

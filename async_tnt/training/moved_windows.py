@@ -1,15 +1,16 @@
-"""Windows to train on under other motions, as an epoch shows them, and their files. `resynthesis`
-makes them.
+"""Windows to train on under other motions, as an epoch shows them, and their files.
+
+`resynthesis` makes them.
 
 An .npz file has n consecutive windows:
 
-    moved_0, moved_1, ...   structured (t, x, y, p): events of all n under one random motion each,
-                            end to end: those of window i from i * window_us on
-    refused                 str, (n,): why its path may not be relied on, empty where it may;
-                            without one a window has no events here
-    spans                   int64, (n,): of how many windows its path is, see `MotionPath`; 0 where
-                            it is refused
-    positions               float64, (n, K, 2): its path, see `MotionPath`
+    moved_0, moved_1, ...   structured (t, x, y, p): the events of all n windows, each under one
+                            random motion. Window i is from i * window_us on
+    refused                 str, (n,): why a window's path cannot be relied on; empty where it can.
+                            A refused window has no events in moved_0, moved_1, ...
+    spans                   int64, (n,): the windows that a window's path spans, see `MotionPath`;
+                            0 where it is refused
+    positions               float64, (n, K, 2): a window's path, see `MotionPath`
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.files import open_regular, replacing
 from async_tnt.resynthesis import MotionPath
 from async_tnt.training.augment import LATEST, Augmentation
@@ -30,7 +32,7 @@ from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE, EventDecoder
 
 MIN_MOVED = 50
-"""Held-out windows under other motions: the accuracy of fewer says nothing, and is not given."""
+"""Fewest held-out windows under other motions whose accuracy is given. Fewer say nothing."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,13 @@ class MotionSettings:
 
     Parameters
     ----------
-    variations : other motions of each window; epochs take turns.
+    variations : number of other motions of each window. Epochs show them by turns.
     recorded : share of the windows that an epoch shows as they were recorded.
-    seed : of the motions and the simulation.
+    seed : decides the motions and the simulation.
+
+    Raises
+    ------
+    ValueError : no variation, or a share outside of [0, 1].
     """
 
     variations: int = 32
@@ -50,12 +56,12 @@ class MotionSettings:
 
     def __post_init__(self) -> None:
         if self.variations < 1:
-            raise ValueError(f"`variations` must be at least 1, got {self.variations}")
+            raise ParameterValueError("variations", "must be at least 1", self.variations)
         if not 0 <= self.recorded <= 1:
-            raise ValueError(f"`recorded` must be in [0, 1], got {self.recorded}")
+            raise ParameterValueError("recorded", "must be in [0, 1]", self.recorded)
 
     def for_epochs(self, n: int) -> MotionSettings:
-        """The same without variations that `n` epochs do not show."""
+        """The same without the variations that `n` epochs do not show."""
         return replace(self, variations=min(self.variations, n))
 
 
@@ -65,16 +71,15 @@ class Motions:
 
     Parameters
     ----------
-    files : their other motions, one file after the other.
-    training : as recorded.
-    refused : str, (N,): why there is no path to rely on, and so no other motions; empty where there
-        is.
-    spans, paths : int64, (N,), and float64, (N, K, 2): how they moved, see `MotionPath`; a span of
-        0 where refused.
-    validation : the windows that are held out, under another motion each; those whose path was
-        found.
-    config : of the volumes; its sensor and the length of its windows are used.
-    settings : how they were made.
+    files : the other motions of the windows to train on, one file after the other.
+    training : the windows to train on, as recorded.
+    refused : str, (N,): why a window has no path to rely on, and so no other motions; empty where
+        it has.
+    spans, paths : int64, (N,), and float64, (N, K, 2): how the windows moved, see `MotionPath`; a
+        span of 0 where refused.
+    validation : the held-out windows whose path was found, each under one other motion.
+    config : how events become volumes; only its sensor and the length of its windows are used.
+    settings : how the motions were made.
     record : how many paths were found, what was measured, and how well it matches, for a model's
         record.
     """
@@ -90,18 +95,21 @@ class Motions:
     record: dict[str, Any]
 
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
-        """The windows `order` as an epoch shows them: under another motion, or as they were
-        recorded, with the events around them, as augmentation moves their starts."""
+        """The windows `order` as an epoch shows them: under another motion, or as recorded.
+
+        Recorded windows have the events around them, too, as augmentation moves their starts.
+        """
         is_moved = (self.spans[order] > 0) & (rng.random(len(order)) >= self.settings.recorded)
         window_us = self.config.window_us
-        margin_us = round(LATEST * window_us) + max(
-            window_us // 10, round(1e3 * Augmentation().start_ms)
-        )
+        shift_us = max(window_us // 10, round(1e3 * Augmentation().start_ms))
+        margin_us = round(LATEST * window_us) + shift_us
         recorded = self.training[order[~is_moved]].cut(window_us, margin_us)
         variation = epoch % self.settings.variations
         moved = moved_recordings(self.files, variation, self.training.labels, self.config)
-        recording, start_us = np.zeros((2, len(order)), np.int64)
-        recording[~is_moved], start_us[~is_moved] = recorded.recording, recorded.start_us
+        recording = np.zeros(len(order), np.int64)
+        start_us = np.zeros(len(order), np.int64)
+        recording[~is_moved] = recorded.recording
+        start_us[~is_moved] = recorded.start_us
         recording[is_moved] = len(recorded.recordings) + order[is_moved]
         return Windows(recorded.recordings + moved, recording, start_us)
 
@@ -109,24 +117,38 @@ class Motions:
 def write_moved(
     path: Path, moved: Sequence[Sequence[np.ndarray]], paths: Sequence[MotionPath], window_us: int
 ) -> None:
-    """Write a file: the events of each variation's windows, times from the window's start."""
+    """Write a file of windows under other motions.
+
+    Parameters
+    ----------
+    path : the file.
+    moved : for each variation the events of each window, with times from the window's start.
+    paths : how each window moved.
+    window_us : length of a window.
+    """
     times = np.int32 if len(paths) * window_us < 1 << 31 else np.int64
     stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
     arrays = {
-        "refused": np.array([path.refused for path in paths]),
-        "spans": np.array([0 if path.refused else path.span for path in paths]),
-        "positions": np.array([path.positions for path in paths]),
+        "refused": np.array([one.refused for one in paths]),
+        "spans": np.array([0 if one.refused else one.span for one in paths]),
+        "positions": np.array([one.positions for one in paths]),
     }
     for v, windows in enumerate(moved):
         events = np.concatenate(windows)
-        events["t"] += np.repeat(window_us * np.arange(len(windows)), [len(one) for one in windows])
+        starts_us = window_us * np.arange(len(windows))
+        events["t"] += np.repeat(starts_us, [len(one) for one in windows])
         arrays[f"moved_{v}"] = events.astype(stored)
     with replacing(path) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
 def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
-    """Arrays of a file; a ValueError if it is damaged, which the checksums of the archive tell."""
+    """Arrays of a file, by their names.
+
+    Raises
+    ------
+    ValueError : the file is damaged, which the checksums of the archive tell.
+    """
     try:
         with open_regular(path) as content, np.load(content) as file:
             return [file[name] for name in names]
@@ -137,7 +159,14 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
 def moved_recordings(
     files: Sequence[Path], variation: int, labels: np.ndarray, config: TNTConfig
 ) -> Recordings:
-    """The windows of several files under one of their motions, a recording each.
+    """The windows of several files under one of their motions, each as a recording.
+
+    Parameters
+    ----------
+    files : in the order of the windows.
+    variation : which of the motions.
+    labels : int64, of each window.
+    config : has the sensor and the length of a window.
 
     Raises
     ------
@@ -165,9 +194,8 @@ def moved_recordings(
     if len(bounds) != len(labels) + 1:
         raise damaged(files[0].parent, f"{len(bounds) - 1} windows, expected {len(labels)}")
     together = {name: np.concatenate(part) for name, part in parts.items()}
-    return Recordings(
-        **together, offsets=bounds, labels=labels, names=tuple(map(str, range(len(labels))))
-    )
+    names = tuple(str(i) for i in range(len(labels)))
+    return Recordings(**together, offsets=bounds, labels=labels, names=names)
 
 
 def damaged(path: Path, what: object) -> ValueError:

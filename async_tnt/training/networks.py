@@ -1,7 +1,7 @@
 """Networks to train: a few that suit small sensors and small machines, or one's own.
 
-Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes), `map` to maps of them (N,
-n_classes + 1, R, C), of layers that have a compiled form.
+Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes); `map` computes maps of
+logits (N, n_classes + 1, R, C). All layers have a compiled form.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ from async_tnt.base.checks import one_line
 from async_tnt.networks.torch.operations import HeatmapCentroid
 
 LARGE = 64
-"""The shorter side of a grid above which `residual` halves its maps once more."""
+"""The shorter side of a grid, in cells, above which `residual` halves its maps once more."""
 Build = Callable[[int, tuple[int, int], int], nn.Module]
 """(channels, (width, height), n_classes) -> network."""
 
 
 def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """The thesis' classifier: two convolutions with average pooling, two dense layers. Widths are
-    ours."""
+    """The thesis' classifier: two convolutions with average pooling, two dense layers.
+
+    The thesis does not name the widths.
+    """
     width, height = grid
     return nn.Sequential(
         OrderedDict(
@@ -47,8 +49,9 @@ def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
 
 
 def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Four convolutions with batch norm, three max poolings, the mean over all places, a dense
-    layer."""
+    """Four convolutions with batch norm and three max poolings, the mean over all places, a dense
+    layer.
+    """
     return nn.Sequential(
         *_conv(channels, 16),
         nn.MaxPool2d(2),
@@ -67,12 +70,18 @@ def residual(
     n_classes: int,
     widths: tuple[int, int, int, int] = (24, 32, 48, 96),
 ) -> nn.Module:
-    """A 5x5 convolution with stride 2, two residual blocks, max poolings between: one more on
-    larger grids."""
+    """A 5x5 convolution with stride 2, then two residual blocks between max poolings.
+
+    Larger grids have one pooling more, see `LARGE`.
+
+    widths : channels after the first convolution, of the two residual blocks, and of the last
+        convolution.
+    """
     first, second, third, last = widths
+    pooling = [nn.MaxPool2d(2)] if min(grid) > LARGE else []
     return nn.Sequential(
         *_conv(channels, first, 5, stride=2),
-        *([nn.MaxPool2d(2)] if min(grid) > LARGE else []),
+        *pooling,
         *_conv(first, second),
         nn.MaxPool2d(2),
         Residual(second),
@@ -100,8 +109,11 @@ def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module
 
 
 def object_map(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """A map of logits, a channel for each class and a last one for nothing: a place for 4x4 pixels,
-    each of which sees about 40x40. Wide where a change reaches few places."""
+    """A map of logits: a channel for each class and a last one for nothing.
+
+    Each 4x4 cells of the grid have a place, which sees about 40x40 cells. The network is wide in
+    its first layers, where a change reaches few places.
+    """
     return nn.Sequential(
         *_conv(channels, 32, 5, stride=2),
         nn.MaxPool2d(2),
@@ -141,7 +153,7 @@ class Residual(nn.Module):
 def _conv(
     channels: int, n_filters: int, side: int = 3, stride: int = 1, groups: int = 1
 ) -> list[nn.Module]:
-    """Convolution, batch norm, ReLU."""
+    """A convolution, batch norm and ReLU."""
     conv = nn.Conv2d(
         channels, n_filters, side, stride, padding=side // 2, groups=groups, bias=False
     )
@@ -149,10 +161,12 @@ def _conv(
 
 
 def _separable(channels: int, n_filters: int) -> list[nn.Module]:
+    """A convolution of each channel by itself, then a 1x1 convolution."""
     return [*_conv(channels, channels, groups=channels), *_conv(channels, n_filters, 1)]
 
 
 def _head(channels: int, n_classes: int, *between: nn.Module) -> list[nn.Module]:
+    """The mean over all places, and a dense layer."""
     return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), *between, nn.Linear(channels, n_classes)]
 
 
@@ -201,12 +215,12 @@ def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: in
 
 
 def find_network(name: str) -> tuple[Build, int]:
-    """What builds a network, and the least side of a grid for it.
+    """The function that builds a network, and the least side of a grid for it.
 
     Parameters
     ----------
-    name : of `NETWORKS`, or "module.py:build": a Python file and a function in it, which gets the
-        arguments of `Build` and returns a module.
+    name : a name in `NETWORKS`, or "module.py:build": a Python file and a function in it. The
+        function gets the arguments of `Build` and returns a module.
 
     Raises
     ------
@@ -225,11 +239,11 @@ def find_network(name: str) -> tuple[Build, int]:
     spec = importlib.util.spec_from_file_location(f"async_tnt network {path.stem}", path)
     if spec is None or spec.loader is None:
         raise ValueError(f"{name}: {path} is not a Python file")
-    # where dataclasses look for their types
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look for their types
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # likewise
+    except Exception as error:  # anything that the user's own code raises
         raise ValueError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
     build: Any = getattr(module, function, None)
     if not callable(build):

@@ -1,5 +1,7 @@
-"""What a training minimizes, and what it measures after each epoch: the class of windows, or
-objects in scenes."""
+"""What a training minimizes, and what it measures after each epoch.
+
+`ClassOfWindows` is for classifiers, `ObjectsInScenes` for map models.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +13,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.evaluation.object_scores import ObjectScores, score_objects
 from async_tnt.evaluation.scores import share_right
 from async_tnt.kernels.training.window_batches import SHOWN
@@ -28,7 +31,13 @@ from async_tnt.volume.config import TNTConfig
 
 @dataclass(frozen=True)
 class BatchLoss:
-    """Of a batch: the loss to minimize, and how many of what were right."""
+    """What a batch gives.
+
+    Parameters
+    ----------
+    loss : to minimize.
+    n_right, n : how many windows, or places with an object, were right, and of how many.
+    """
 
     loss: torch.Tensor
     n_right: int
@@ -40,8 +49,10 @@ class ClassOfWindows:
 
     Parameters
     ----------
-    config : of the volumes that the finished model takes.
+    config : how events become the volumes that the finished model takes.
     validation : windows that are held out; may be empty.
+    settings : how the model is trained.
+    n_classes : number of classes.
     teachers : models whose mean probabilities are half of the target (Hinton, Vinyals, Dean 2015,
         arXiv:1503.02531).
     """
@@ -55,11 +66,13 @@ class ClassOfWindows:
         teachers: Sequence[Model] = (),
     ) -> None:
         self.config = config
-        self._validation, self._settings, self._n_classes = validation, settings, n_classes
-        self._masters = [pipeline_of(teacher) for teacher in teachers]
+        self._validation = validation
+        self._settings = settings
+        self._n_classes = n_classes
+        self._teachers = [pipeline_of(teacher) for teacher in teachers]
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
-        """Of a batch of windows, augmented by `draws`."""
+        """The loss of a batch of windows, augmented by `draws`."""
         target = self._targets(windows, draws).to(pipeline.scale.device)
         logits = pipeline(windows, draws)
         loss = F.cross_entropy(logits, target, label_smoothing=self._settings.label_smoothing)
@@ -68,38 +81,46 @@ class ClassOfWindows:
         return BatchLoss(loss, int(is_right[of_a_class].sum()), int(of_a_class.sum()))
 
     def _targets(self, windows: Windows, draws: Draws | None) -> torch.Tensor:
-        """(N, n_classes): all on the class; the same on all classes where nothing is shown
-        (Hendrycks, Mazeika, Dietterich 2019, arXiv:1812.04606), so that no class is decided with
-        confidence. With teachers half of it is what they say of the same windows, but where nothing
-        is shown."""
+        """The probabilities, (N, n_classes), that the model should give.
+
+        The class of a window has probability 1. A window that shows nothing has the same
+        probability for all classes (Hendrycks, Mazeika, Dietterich 2019, arXiv:1812.04606), so that
+        no class is decided with confidence. With teachers, the target of a window that shows
+        something is the mean of this and of the probabilities that they give the same window.
+        """
         targets = np.eye(self._n_classes, dtype=np.float32)[windows.labels]
-        nothing = np.zeros(len(windows), bool) if draws is None else draws.nothing != SHOWN
+        nothing = np.zeros(len(windows), bool)
+        if draws is not None:
+            nothing = draws.nothing != SHOWN
         targets[nothing] = 1.0 / self._n_classes
         target = torch.from_numpy(targets)
-        if not self._masters:
+        if not self._teachers:
             return target
+        answers = []
         with torch.no_grad():
-            answers = [
-                m(windows, None if draws is None else on_pixels(draws, m.config))
-                for m in self._masters
-            ]
-            said = torch.softmax(torch.stack(answers), 2).mean(0)
-        return torch.where(torch.from_numpy(nothing)[:, None], target, (target + said) / 2)
+            for teacher in self._teachers:
+                seen = None if draws is None else on_pixels(draws, teacher.config)
+                answers.append(teacher(windows, seen))
+            told = torch.softmax(torch.stack(answers), 2).mean(0)
+        return torch.where(torch.from_numpy(nothing)[:, None], target, (target + told) / 2)
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
-        """What the history has of an epoch; empty where nothing is held out."""
+        """The entries of an epoch in the history; none where nothing is held out."""
         return self.of_windows(pipeline, self._validation)
 
     def of_windows(self, pipeline: Pipeline, windows: Windows) -> dict[str, float]:
-        """Accuracy and loss at the windows' ends; with `balance`, the loss is the mean over
-        classes."""
+        """Accuracy and loss at the windows' ends.
+
+        With `TrainSettings.balance`, the loss is the mean of the classes' losses.
+        """
         if len(windows) == 0:
             return {}
         probabilities = class_probabilities(pipeline, windows)
         labels = windows.labels
         losses = -np.log(probabilities[np.arange(len(labels)), labels] + 1e-12)
-        balance = self._settings.balance
-        parts = [losses[labels == label] for label in np.unique(labels)] if balance else [losses]
+        parts = [losses]
+        if self._settings.balance:
+            parts = [losses[labels == label] for label in np.unique(labels)]
         return {
             "per_window": float((probabilities.argmax(1) == labels).mean()),
             "per_recording": share_right(confusion_by_recording(probabilities, windows)),
@@ -108,11 +129,12 @@ class ClassOfWindows:
 
 
 REACH = 0.15
-"""Of a recording's shorter side: an object counts as found where one of its class is found so
-near."""
+"""Largest distance between an object and an answer of its class that finds it, as a share of a
+recording's shorter side."""
 N_SCENES = 400
-SHARES = 0.3, 0.5
-"""Of a window, after which scenes are also scored."""
+"""Scenes in which a map model is scored, about."""
+SHARES = (0.3, 0.5)
+"""Shares of a window after which scenes are scored, besides at its end."""
 
 
 class SceneScores:
@@ -120,21 +142,23 @@ class SceneScores:
 
     Parameters
     ----------
-    crops : of the recordings' volumes.
+    crops : how the recordings' events become volumes.
     model : a map model for scenes of these; its weights do not matter.
-    windows : of which at most as many are used as `N_SCENES` scenes hold.
+    windows : the objects of the scenes. At most as many are used as `N_SCENES` scenes hold.
     """
 
     def __init__(self, crops: TNTConfig, model: Model, windows: Windows) -> None:
         assert model.places is not None
         self._classes = model.classes
-        self._maker, self._reader = SceneMaker(crops), ObjectReader(model.logits_shape)
+        self._maker = SceneMaker(crops)
+        self._reader = ObjectReader(model.logits_shape)
         self._tracks = new_tracks(model.places, model.logits_shape, 0)
         some = np.random.default_rng(0).permutation(len(windows))[: round(N_SCENES * OBJECTS)]
-        self._windows, self._within = windows[some], REACH * min(crops.sensor)
+        self._windows = windows[some]
+        self._within_px = REACH * min(crops.sensor)
 
     def after(self, pipeline: Pipeline, share: float) -> ObjectScores:
-        """After this share of each window."""
+        """The scores after this share of each window."""
         rng = np.random.default_rng(1)
         was_training = pipeline.training
         pipeline.eval()
@@ -152,7 +176,11 @@ class SceneScores:
                 objects = self._reader.found[: max(0, n)]  # none where a logit is not finite
                 inside = scenes.scene == k
                 scores += score_objects(
-                    objects, scenes.label[inside], scenes.position[inside], self._within, n_classes
+                    objects,
+                    scenes.label[inside],
+                    scenes.position[inside],
+                    self._within_px,
+                    n_classes,
                 )
         pipeline.train(was_training)
         return scores
@@ -160,20 +188,19 @@ class SceneScores:
     def to_dict(self, pipeline: Pipeline) -> dict[str, Any]:
         """Plain values, for JSON."""
         whole = self.after(pipeline, 1.0)
-        early = {share: self.after(pipeline, share).f1 for share in SHARES}
         window_ms = self._maker.config.window_us / 1e3
-        return {
-            **whole.to_dict(self._classes),
-            "f1_against_time_ms": {
-                f"{share * window_ms:g}": round(f1, 5) for share, f1 in early.items()
-            },
-        }
+        early = {}
+        for share in SHARES:
+            early[f"{share * window_ms:g}"] = round(self.after(pipeline, share).f1, 5)
+        return {**whole.to_dict(self._classes), "f1_against_time_ms": early}
 
 
-LEFT_OUT, WEIGHT = 0.2, 4.0
-"""A share of a recording's shorter side: a place within `REACH` of an object, or the nearest one,
-is to name its class; one that is so near is left out; others are to say nothing. And what an
-object's places weigh, by those of nothing."""
+LEFT_OUT = 0.2
+"""Distance to an object, as a share of a recording's shorter side, within which a place of the map
+says neither nothing nor a class. Places within `REACH` of the object, and its nearest place, are to
+name its class; places between the two distances have no target; all others are to say nothing."""
+WEIGHT = 4.0
+"""Weight of a place that is to name a class; a place that is to say nothing has weight 1."""
 
 
 class ObjectsInScenes:
@@ -181,8 +208,10 @@ class ObjectsInScenes:
 
     Parameters
     ----------
-    config : of the recordings' volumes.
+    config : how the recordings' events become volumes.
     validation : windows that are held out, for scenes to measure F1 on; may be empty.
+    settings : how the model is trained.
+    classes : names, one for each label from 0 on.
 
     Raises
     ------
@@ -204,24 +233,26 @@ class ObjectsInScenes:
             )
         model = Model.from_torch(network, self.config, classes)
         if model.places is None:
-            raise ValueError(
-                f"`network` {settings.network} must compute a map of {len(classes) + 1} channels"
+            raise ParameterValueError(
+                "network", f"{settings.network} must compute a map of {len(classes) + 1} channels"
             )
-        self._places, self._map = model.places, model.logits_shape
+        self._places = model.places
+        self._map = model.logits_shape
         self._shorter = min(config.sensor)
         self._scores = SceneScores(config, model, validation) if len(validation) else None
 
     def loss(self, pipeline: Pipeline, windows: Windows, draws: Draws | None) -> BatchLoss:
-        """Of scenes of a batch of windows, augmented by `draws`."""
-        rng = np.random.default_rng(
-            [*windows.recording.tolist()] if draws is None else draws.seed[:1]
-        )
-        scenes = self._maker(
-            windows, unchanged(len(windows), self._maker.crops) if draws is None else draws, rng
-        )
+        """The loss of scenes of a batch of windows, augmented by `draws`."""
+        if draws is None:
+            rng = np.random.default_rng(windows.recording.tolist())
+            draws = unchanged(len(windows), self._maker.crops)
+        else:
+            rng = np.random.default_rng(draws.seed[:1])
+        scenes = self._maker(windows, draws, rng)
         logits = pipeline.classify(torch.from_numpy(scenes.volumes))
-        target, weight = map(torch.from_numpy, self._targets(scenes))
-        weight = weight.to(logits.device)
+        targets, weights = self._targets(scenes)
+        target = torch.from_numpy(targets)
+        weight = torch.from_numpy(weights).to(logits.device)
         losses = F.cross_entropy(logits, target.to(logits.device), reduction="none")
         is_object = target < self._map[0] - 1
         is_right = logits.detach().argmax(1).cpu() == target
@@ -233,16 +264,16 @@ class ObjectsInScenes:
 
     def _targets(self, scenes: Scenes) -> tuple[np.ndarray, np.ndarray]:
         """Class and weight of each place, int64 and float32, (M, R, C)."""
-        nothing, rows, columns = self._map[0] - 1, *self._map[1:]
+        n_channels, rows, columns = self._map
+        nothing = n_channels - 1
         shape = len(scenes.volumes), rows, columns
-        target, weight = np.full(shape, nothing, np.int64), np.ones(shape, np.float32)
+        target = np.full(shape, nothing, np.int64)
+        weight = np.ones(shape, np.float32)
         nearest = np.full(shape, np.inf)
         x0, dx, y0, dy = self._places
         for scene, label, (x, y) in zip(scenes.scene, scenes.label, scenes.position, strict=True):
-            across, down = (
-                np.abs(x0 + dx * np.arange(columns) - x),
-                np.abs(y0 + dy * np.arange(rows) - y),
-            )
+            across = np.abs(x0 + dx * np.arange(columns) - x)
+            down = np.abs(y0 + dy * np.arange(rows) - y)
             away = np.maximum(down[:, None], across)
             away[away.argmin() // columns, away.argmin() % columns] = 0.0
             is_nearest = away < nearest[scene]
@@ -253,5 +284,5 @@ class ObjectsInScenes:
         return target, weight
 
     def validate(self, pipeline: Pipeline) -> dict[str, float]:
-        """What the history has of an epoch; empty where nothing is held out."""
+        """The entries of an epoch in the history; none where nothing is held out."""
         return {} if self._scores is None else {"f1": self._scores.after(pipeline, 1.0).f1}

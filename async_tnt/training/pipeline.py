@@ -3,9 +3,8 @@ back.
 
 Volumes come from the kernels, networks are torch modules.
 
-    events -> volume -> classifier                                             every landmark but
-                                                                               one
-    events -> raw volume -> regressor -> landmark -> volume -> classifier      landmark `regressor`
+    landmark `regressor`    events -> raw volume -> regressor -> landmark -> volume -> classifier
+    every other landmark    events -> volume -> classifier
 
 With landmark `regressor`, the loss reaches the regressor through the volume
 (`BatchVolumes.landmark_gradient`). Only the landmark's two numbers are learned there, so the
@@ -23,7 +22,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from async_tnt.base.checks import one_line
+from async_tnt.base.checks import ParameterValueError, one_line
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, VOLUME
 from async_tnt.networks.layers.operations import Layer
 from async_tnt.networks.models.model import Model
@@ -34,17 +33,20 @@ from async_tnt.training.networks import build_network, landmark_network
 from async_tnt.training.windows import Windows
 from async_tnt.volume.config import TNTConfig
 
+N_MEASURED = 512
+"""Windows that an input scale is measured on, at most; they are spread evenly."""
+
 
 class Pipeline(nn.Module):
-    """Windows to logits.
+    """A torch module from windows to logits.
 
     Parameters
     ----------
     config : how events become volumes.
-    classifier : (N, C, H, W) -> (N, n_classes).
-    regressor : with landmark `regressor`: (N, C, H, W), raw volumes, -> (N, 2), landmarks in grid
+    classifier : (N, C, H, W), volumes -> (N, n_classes), logits.
+    regressor : with landmark `regressor`: (N, C, H, W), raw volumes -> (N, 2), landmarks in grid
         pixels.
-    scale, raw_scale : what the classifier's and the regressor's input is multiplied with first.
+    scale, raw_scale : factors of the classifier's and of the regressor's input.
     """
 
     scale: torch.Tensor
@@ -60,7 +62,9 @@ class Pipeline(nn.Module):
         raw_scale: float = 1.0,
     ) -> None:
         super().__init__()
-        self.config, self.classifier, self.regressor = config, classifier, regressor
+        self.config = config
+        self.classifier = classifier
+        self.regressor = regressor
         self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
         self.register_buffer("raw_scale", torch.tensor(raw_scale, dtype=torch.float32))
         self._volumes = BatchVolumes(config)
@@ -78,7 +82,7 @@ class Pipeline(nn.Module):
         return logits.float().flatten(1) if logits.shape[2:] == (1, 1) else logits.float()
 
     def volumes(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
-        """(N, C, H, W): what the classifier sees, but for `scale`."""
+        """The classifier's input before it is scaled, (N, C, H, W)."""
         if self.regressor is None:
             return torch.from_numpy(self._volumes(windows, draws))
         landmarks = self.landmarks(windows, draws)
@@ -88,15 +92,16 @@ class Pipeline(nn.Module):
         return volumes
 
     def landmarks(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
-        """(N, 2): the regressor's landmarks, float64, in grid pixels."""
+        """The regressor's landmarks, float64, (N, 2), in grid pixels."""
         assert self.regressor is not None
         raw = torch.from_numpy(self._raw_volumes(windows, draws))
         landmarks: torch.Tensor = self.regressor(self._on_device(raw, self.raw_scale))
         return landmarks.double()
 
     def _on_device(self, volumes: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-        # A new array: the kernels write the next batch into the old one. Channels last is a third
-        # faster.
+        """Volumes times `scale`, on its device."""
+        # A new array: the kernels write the next batch into the old one. With channels last, the
+        # networks are a third faster.
         return (volumes.to(scale.device) * scale).contiguous(memory_format=torch.channels_last)
 
 
@@ -111,7 +116,9 @@ class _SplatAbout(torch.autograd.Function):
         windows: Windows,
         draws: Draws | None,
     ) -> torch.Tensor:
-        ctx.volumes, ctx.windows, ctx.draws = volumes, windows, draws
+        ctx.volumes = volumes
+        ctx.windows = windows
+        ctx.draws = draws
         ctx.save_for_backward(landmarks)
         return torch.from_numpy(volumes(windows, draws, landmarks.detach().numpy()))
 
@@ -148,9 +155,13 @@ def new_pipeline(
 
     Parameters
     ----------
+    config : how events become volumes.
+    n_classes : number of classes.
+    seed : decides the weights.
+    windows : those that input scales are measured on.
     network : the classifier, see `build_network`.
-    logarithm : it takes the logarithm of 1 + the volume, which is then not scaled.
-    grid : of what the classifier takes; by default that of `config`.
+    logarithm : the classifier takes the logarithm of 1 + the volume, which is then not scaled.
+    grid : the grid of the classifier's input; by default that of `config`.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed % (1 << 63))
@@ -158,23 +169,27 @@ def new_pipeline(
         regressor = landmark_network(config.channels) if config.needs_regressor else None
     scales = input_scales(config, windows)
     if logarithm:
-        classifier, scales["scale"] = (
-            nn.Sequential(OrderedDict(logarithm=Logarithm(), network=classifier)),
-            1.0,
-        )
+        classifier = nn.Sequential(OrderedDict(logarithm=Logarithm(), network=classifier))
+        scales["scale"] = 1.0
     return Pipeline(config, classifier, regressor, **scales)
 
 
 def check_network(
     name: str, config: TNTConfig, n_classes: int = 2, *, everywhere: bool = False
 ) -> None:
-    """Refuse a network that cannot be built for this configuration, has no compiled form, takes no
-    batch, or computes a map where there is none to learn, or none where there is, before it is
-    trained.
+    """Refuse a network that cannot be trained, before it is.
+
+    Parameters
+    ----------
+    name : see `build_network`.
+    config : of the volumes that it takes.
+    n_classes : number of classes.
+    everywhere : whether it is to compute a map.
 
     Raises
     ------
-    ValueError : what is wrong with it.
+    ValueError : the network cannot be built for this configuration, has no compiled form, takes no
+        batch, or computes a map although `everywhere` is False, or no map although it is True.
     """
     network = build_network(name, config.channels, config.grid, n_classes)
     of_volumes = config.replace(landmark="center", remove_flow=False)
@@ -182,17 +197,18 @@ def check_network(
         model = Model.from_torch(network, of_volumes, [str(k) for k in range(n_classes)])
         network.train()(torch.zeros(2, *config.shape))
     except (NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"`network` {name}: {one_line(error)}") from None
-    if everywhere != (model.places is not None):
-        wanted = (
-            "a map of a channel for each class and one for nothing"
-            if everywhere
-            else "one logit for each class"
-        )
-        raise ValueError(
-            f"`network` {name} must compute {wanted}, got {model.logits_shape} for {n_classes} "
-            "classes"
-        )
+        raise ParameterValueError("network", f"{name}: {one_line(error)}") from None
+    has_map = model.places is not None
+    if everywhere == has_map:
+        return
+    wanted = "one logit for each class"
+    if everywhere:
+        wanted = "a map of a channel for each class and one for nothing"
+    raise ParameterValueError(
+        "network",
+        f"{name} must compute {wanted}",
+        f"{model.logits_shape} for {n_classes} classes",
+    )
 
 
 def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
@@ -207,30 +223,34 @@ def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
 
 
 def input_scale(config: TNTConfig, windows: Windows) -> float:
-    """1 / root mean square of all cells, over 512 windows spread evenly; `export` folds it into the
-    weights.
+    """1 / root mean square of all cells, over at most `N_MEASURED` windows.
 
-    One number for all bins. A scale per bin would fit the training motion's event rate over time,
-    amplify the bins with few events (31 times in N-MNIST's first, after TNT), and be wrong for
-    every other motion. TNT does worse with it even on held-out digits of the training motions.
+    `export` folds it into the weights. It is one number for all bins. A scale for each bin would
+    fit the training motion's event rate over time, amplify the bins with few events (31 times in
+    N-MNIST's first bin, after TNT), and be wrong for every other motion. TNT does worse with it
+    even on held-out digits of the training motions.
     """
-    some = windows[
-        np.unique(np.linspace(0, len(windows) - 1, min(512, len(windows))).astype(np.int64))
-    ]
-    volumes = BatchVolumes(config)  # one after another: together they may be large
-    mean_square = np.mean(
-        [np.square(volumes(some[k : k + 1]), dtype=np.float64).mean() for k in range(len(some))]
-    )
-    return float(1.0 / np.sqrt(max(mean_square, 1e-12)))
+    n = min(N_MEASURED, len(windows))
+    spread = np.linspace(0, len(windows) - 1, n).astype(np.int64)
+    some = windows[np.unique(spread)]
+    volumes = BatchVolumes(config)
+    mean_squares = []
+    for k in range(len(some)):  # one after another: together the volumes may be large
+        volume = volumes(some[k : k + 1])
+        mean_squares.append(np.square(volume, dtype=np.float64).mean())
+    return float(1.0 / np.sqrt(max(np.mean(mean_squares), 1e-12)))
 
 
 def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | None = None) -> Model:
-    """The finished model; its first layers absorb their input's scale, so that they take raw
-    volumes.
+    """The finished model. Its first layers absorb the scales, so that it takes raw volumes.
 
-    conv1(scale V) = w * (scale V) = (scale w) * V
+        conv1(scale V) = w * (scale V) = (scale w) * V
 
-    config : of the volumes that the model takes; by default the pipeline's.
+    Parameters
+    ----------
+    pipeline : the trained networks.
+    classes : names, one for each label from 0 on.
+    config : how events become the volumes that the model takes; by default the pipeline's.
 
     Raises
     ------
@@ -239,7 +259,8 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
     """
     config = config or pipeline.config
     model = Model.from_torch(pipeline.classifier, config, classes, regressor=pipeline.regressor)
-    weights, network = dict(model.weights), dict(model.network)
+    weights = dict(model.weights)
+    network = dict(model.network)
     for name, scale in ((CLASSIFIER, pipeline.scale), (REGRESSOR, pipeline.raw_scale)):
         if name not in network or scale == 1:
             continue
@@ -255,8 +276,11 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], config: TNTConfig | Non
 
 
 def first_weights(layers: Sequence[Layer]) -> list[str]:
-    """The weights that multiply the volume; none where a layer other than a convolution reads it,
-    too, or where another layer has the same weights."""
+    """The names of the weights that multiply the volume.
+
+    There are none where a layer other than a convolution reads the volume, too, or where another
+    layer has the same weights.
+    """
     readers = [layer for layer in layers if VOLUME in layer["inputs"]]
     tensors = [layer["weights"]["weight"] for layer in readers if layer["op"] == "conv"]
     used = [name for layer in layers for name in layer.get("weights", {}).values()]
@@ -267,8 +291,10 @@ def first_weights(layers: Sequence[Layer]) -> list[str]:
 def _scaled(
     name: str, layers: Sequence[Layer], channels: int, scale: float
 ) -> tuple[list[Layer], dict[str, Any]]:
-    """Layers that read the volume times a number, which is computed as a batch norm; and the
-    tensors of that."""
+    """Layers that read the volume times a number, and the tensors that this takes.
+
+    The product is computed as a batch norm.
+    """
     values = {"mean": 0.0, "variance": 1.0, "weight": scale}
     roles = {role: f"{name}.scale.{role}" for role in values}
     first = {
@@ -278,24 +304,23 @@ def _scaled(
         "weights": roles,
         "epsilon": 0.0,
     }
-    sources = {VOLUME: "scaled volume"}
-    others = [
-        {**layer, "inputs": [sources.get(of, of) for of in layer["inputs"]]} for layer in layers
-    ]
+    others = []
+    for layer in layers:
+        inputs = ["scaled volume" if name == VOLUME else name for name in layer["inputs"]]
+        others.append({**layer, "inputs": inputs})
     tensors = {roles[role]: np.full(channels, value, np.float32) for role, value in values.items()}
     return [first, *others], tensors
 
 
 def pipeline_of(model: Model) -> Pipeline:
-    """A Model, `model`, in torch, from windows to logits, ready to classify."""
+    """A torch module of a model, from windows to logits, ready to classify."""
     return Pipeline(model.config, torch_classifier(model), torch_regressor(model)).eval()
 
 
 def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
-    """The inverse of `export`: a model's pipeline, with input scales measured on `windows`, to
-    train it on.
+    """The pipeline of a model that is trained further: the inverse of `export`.
 
-    Batch norms keep their statistics.
+    Input scales are measured on `windows`. Batch norms keep their statistics.
     """
     scales = input_scales(model.config, windows)
     pipeline = Pipeline(model.config, torch_classifier(model), torch_regressor(model), **scales)

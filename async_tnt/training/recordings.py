@@ -17,10 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.files import naming
 from async_tnt.volume.events import ANY_SENSOR, as_events
 
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
+"""Name of a column -> its type."""
 
 BLOCK = 1 << 22
 """Events that are copied at a time."""
@@ -56,19 +58,20 @@ class Recordings:
     def middles(self) -> np.ndarray:
         """float64, shape (R, 2): (x, y) half way between the outermost events of each recording."""
         middles = np.zeros((len(self), 2))
-        some = np.flatnonzero(np.diff(self.offsets))  # `reduceat` knows no empty slices
-        for axis, column in enumerate((self.x, self.y) if len(some) else ()):
-            least, most = (
-                extreme.reduceat(column, self.offsets[some]) for extreme in (np.minimum, np.maximum)
-            )
-            middles[some, axis] = (least.astype(np.float64) + most) / 2
+        with_events = np.flatnonzero(np.diff(self.offsets))  # `reduceat` knows no empty slices
+        if not len(with_events):
+            return middles
+        firsts = self.offsets[with_events]
+        for axis, column in enumerate((self.x, self.y)):
+            least = np.minimum.reduceat(column, firsts)
+            most = np.maximum.reduceat(column, firsts)
+            middles[with_events, axis] = (least.astype(np.float64) + most) / 2
         return middles
 
     def __add__(self, other: Recordings) -> Recordings:
-        both = {
-            name: np.concatenate([getattr(self, name), getattr(other, name)])
-            for name in (*COLUMNS, "labels")
-        }
+        both = {}
+        for name in (*COLUMNS, "labels"):
+            both[name] = np.concatenate([getattr(self, name), getattr(other, name)])
         offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
         return Recordings(**both, offsets=offsets, names=self.names + other.names)
 
@@ -79,17 +82,23 @@ class Recordings:
         labels: Sequence[int] | np.ndarray,
         names: Sequence[str] | None = None,
     ) -> Recordings:
-        """From `events` in any accepted form, see `event_forms`; `labels`, and `names` (by default
-        numbers), have one entry for each.
+        """Recordings in memory.
+
+        Parameters
+        ----------
+        events : the events of each recording, in any accepted form, see `event_forms`.
+        labels : one for each recording.
+        names : one for each recording; by default numbers.
 
         Raises
         ------
         TypeError, ValueError : not such events; see `RecordingsWriter.add`; or the lengths differ.
         """
-        names = tuple(str(i) for i in range(len(labels))) if names is None else tuple(names)
+        if names is None:
+            names = [str(i) for i in range(len(labels))]
         if len(labels) != len(names):
-            raise ValueError(
-                f"`labels` must have one per recording, got {len(labels)} for {len(names)}"
+            raise ParameterValueError(
+                "labels", "must have one per recording", f"{len(labels)} for {len(names)}"
             )
         with RecordingsWriter() as writer:
             for recording, label, name in zip(events, labels, names, strict=True):
@@ -102,15 +111,18 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
     Parameters
     ----------
-    folder : for the columns, which are then mapped into memory: 9 bytes an event. Their files have
-        no names, so they are gone with the program, however it ends. None: in memory.
+    folder : for the files of the columns, which are then mapped into memory: 9 bytes an event. The
+        files have no names, so they are gone with the program, however it ends. None: the columns
+        are in memory.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._files: dict[str, Any] = {
-            name: io.BytesIO() if folder is None else tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
-            for name in COLUMNS
-        }
+        self._files: dict[str, Any] = {}
+        for name in COLUMNS:
+            if folder is None:
+                self._files[name] = io.BytesIO()
+            else:
+                self._files[name] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
         self._folder = folder or Path()
         self._offsets = [0]
         self._labels: list[int] = []
@@ -118,16 +130,23 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
     def __exit__(self, *_: object) -> None:
         for file in self._files.values():
-            # holds columns; or is not whole, as `add` said
+            # its memory is a column of recordings; or its disk is full, as `add` told
             with contextlib.suppress(BufferError, OSError):
                 file.close()
 
     def add(self, events: np.ndarray, label: int, name: str) -> None:
-        """Append a recording: a structured array of `events.EVENT_DTYPE`.
+        """Append a recording.
+
+        Parameters
+        ----------
+        events : structured array of `EVENT_DTYPE`.
+        label : index of its class.
+        name : for messages and reports.
 
         Raises
         ------
-        ValueError : times decrease or do not fit 31 bits (35 minutes). OSError : the disk is full.
+        ValueError : times decrease or do not fit 31 bits (35 minutes).
+        OSError : the disk is full.
         """
         t = events["t"]
         if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):
@@ -142,7 +161,12 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._names.append(name)
 
     def extend(self, recordings: Recordings) -> None:
-        """Append all of these. OSError : the disk is full."""
+        """Append all recordings of `recordings`.
+
+        Raises
+        ------
+        OSError : the disk is full.
+        """
         with naming(self._folder):
             for field in COLUMNS:
                 column = getattr(recordings, field)
@@ -153,8 +177,10 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         self._names += recordings.names
 
     def finish(self) -> Recordings:
-        """All recordings that were added; ends the writer. What is mapped stays when the files are
-        closed."""
+        """All recordings that were added; ends the writer.
+
+        Mapped columns stay when the files are closed.
+        """
         columns = {name: self._column(file, COLUMNS[name]) for name, file in self._files.items()}
         offsets = np.array(self._offsets, np.int64)
         return Recordings(
@@ -165,10 +191,13 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         )
 
     def _column(self, file: Any, dtype: type) -> np.ndarray:
+        """The column that was written into a file."""
         n = self._offsets[-1]
         if isinstance(file, io.BytesIO):
             return np.frombuffer(file.getbuffer(), dtype)
         with naming(self._folder):
             file.flush()
-        # writable, as the kernels are compiled for it; asarray: an array like any other
-        return np.asarray(np.memmap(file, dtype, "r+", shape=n)) if n else np.empty(0, dtype)
+        if not n:  # an empty file cannot be mapped
+            return np.empty(0, dtype)
+        # writable, and a plain array: the kernels are compiled for these
+        return np.asarray(np.memmap(file, dtype, "r+", shape=n))

@@ -2,8 +2,8 @@
 the run.
 
     <folder>/motions.json          how they were made, and how well they match the recordings
-    <folder>/training_000000.npz   windows from 0 on under other motions, see `moved_windows`
-    <folder>/held-out_000000.npz   the same of those to validate on, each under one other motion
+    <folder>/training_000000.npz   windows from number 0 on under other motions, see `moved_windows`
+    <folder>/held-out_000000.npz   held-out windows from number 0 on, each under one other motion
 
 A window whose path was not found is used as it was recorded.
 """
@@ -22,7 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import one_line, parse_json, real_number, short, whole_number
+from async_tnt.base.checks import (
+    ParameterValueError,
+    one_line,
+    parse_json,
+    real_number,
+    short,
+    whole_number,
+)
 from async_tnt.base.files import read_regular, write_text
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_counted
@@ -44,14 +51,23 @@ from async_tnt.views.figure_resynthesis import RefusedWindow, ResynthesizedWindo
 from async_tnt.volume.config import MAX_SIDE, TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE, structured
 
-MANIFEST = "motions.json"  # see `run_folder.MADE`
+MANIFEST = "motions.json"
+"""The file that says how motions were made."""
 N_CALIBRATION = 128
 """Windows that pixels are calibrated on."""
-MOST_WINDOWS, MOST_EVENTS = 500, 300_000
-"""Of a file, as recorded: their variations are in memory together."""
+MOST_WINDOWS = 500
+"""Windows of a file, at most. All their variations are in memory together."""
+MOST_EVENTS = 300_000
+"""Events of a file's windows as recorded, about and at most, for the same reason."""
 PARTS = ("training", "held-out")
-N_EXAMPLES, N_OTHERS, N_REFUSED = 5, 4, 2
-"""Windows of a picture, other motions of each, and windows without any."""
+"""The windows to train on, and those to validate on."""
+
+N_EXAMPLES = 5
+"""Windows of a figure."""
+N_OTHERS = 4
+"""Other motions of each window of a figure."""
+N_REFUSED = 2
+"""Windows of a figure whose path was not found."""
 
 
 def resynthesize(
@@ -72,11 +88,13 @@ def resynthesize(
     Parameters
     ----------
     training, held_out : windows as recorded; the latter may be empty.
-    config : of which the sensor and the window's length are used.
+    config : how events become volumes; only its sensor and the window's length are used.
+    settings : how many motions are made.
     folder : for the files; made if missing.
-    masked : bool, (H, W): pixels whose events are left out, of the recordings already; None: no
+    masked : bool, (H, W): pixels whose events are left out, as they are of the recordings; None: no
         pixel.
-    workers : processes.
+    workers : number of processes.
+    progress : makes the progress bar, which counts windows.
 
     Raises
     ------
@@ -84,9 +102,8 @@ def resynthesize(
         window's motion was found.
     """
     if config.window_us < 2 * N_PICTURES:
-        raise ValueError(
-            f"`window_us` must be at least {2 * N_PICTURES} for re-synthesis, got "
-            f"{config.window_us}"
+        raise ParameterValueError(
+            "window_us", f"must be at least {2 * N_PICTURES} for re-synthesis", config.window_us
         )
     folder.mkdir(parents=True, exist_ok=True)
     manifest = folder / MANIFEST
@@ -99,21 +116,14 @@ def resynthesize(
     }
     if manifest.exists():
         there = _read_manifest(manifest)["made_from"]
-        if differ := [name for name, value in made_from.items() if there.get(name) != value]:
+        differ = [name for name, value in made_from.items() if there.get(name) != value]
+        if differ:
             raise other_run(folder, f"motions ({', '.join(differ)})")
     chunks = _chunks("training", training, config, folder, settings.variations)
     chunks += _chunks("held-out", held_out, config, folder, 1)
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
     if missing or not manifest.exists():
-        some = np.sort(
-            np.random.default_rng(settings.seed).permutation(len(training))[:N_CALIBRATION]
-        )
-        around_us = config.window_us * training.neighbours(config.window_us)
-        columns = [training.events(i, config.window_us, around_us[i]) for i in some]
-        cell = cell_for(columns, config.sensor)
-        calibration = calibrate(
-            Reconstruction(config.sensor, config.window_us, cell), columns, settings.seed
-        )
+        cell, calibration = _calibrated(training, config, settings.seed)
         content = {
             "made_from": made_from,
             "pixels": asdict(calibration.pixels),
@@ -130,15 +140,39 @@ def resynthesize(
             masked=masked,
             seed=settings.seed,
         )
-        n_all, n_missing = (sum(len(chunk.windows) for chunk in some) for some in (chunks, missing))
+        n_all = sum(len(chunk.windows) for chunk in chunks)
+        n_missing = sum(len(chunk.windows) for chunk in missing)
         bar = progress(n_all, "re-synthesizing motions", done=n_all - n_missing)
         run_counted(job, missing, workers, bar)
     return _open(folder, training, held_out, config, chunks, settings)
 
 
+def _calibrated(training: Windows, config: TNTConfig, seed: int) -> tuple[int, Calibration]:
+    """The side of an image's cells, in pixels, and the simulated pixels, from some windows."""
+    order = np.random.default_rng(seed).permutation(len(training))
+    some = np.sort(order[:N_CALIBRATION])
+    around_us = config.window_us * training.neighbours(config.window_us)
+    columns = [training.events(i, config.window_us, around_us[i]) for i in some]
+    cell = cell_for(columns, config.sensor)
+    reconstruction = Reconstruction(config.sensor, config.window_us, cell)
+    return cell, calibrate(reconstruction, columns, seed)
+
+
 @dataclass(frozen=True)
 class _Chunk:
-    """Windows that one task moves."""
+    """Windows that one task moves.
+
+    Parameters
+    ----------
+    part : one of `PARTS`.
+    first : number of the first window in its part.
+    windows : the windows, as recorded.
+    around_us : int64, (N, 2): the time before and after each window that may be seen, in
+        microseconds.
+    window_us : length of a window.
+    variations : number of other motions of each window.
+    file : where they go.
+    """
 
     part: str
     first: int
@@ -149,27 +183,32 @@ class _Chunk:
     file: Path
 
     def __getstate__(self) -> dict[str, Any]:
-        """For another process: with the events of these windows and their neighbours instead of
-        all."""
-        return {
-            **self.__dict__,
-            "windows": self.windows.cut(self.window_us, int(self.around_us.max(initial=0))),
-        }
+        """The state for another process: with the events of these windows and their neighbours
+        instead of all events."""
+        margin_us = int(self.around_us.max(initial=0))
+        return {**self.__dict__, "windows": self.windows.cut(self.window_us, margin_us)}
 
 
 def _chunks(
     part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int
 ) -> list[_Chunk]:
-    """All windows of a part, those of one file in each."""
+    """All windows of a part, in chunks of a file each."""
     n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
     step = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
-    around_us = config.window_us * windows.neighbours(config.window_us)  # of those that may be seen
+    around_us = config.window_us * windows.neighbours(config.window_us)
     chunks = []
     for first in range(0, len(windows), step):
-        some, file = slice(first, first + step), folder / f"{part}_{first:06}.npz"
-        chunks.append(
-            _Chunk(part, first, windows[some], around_us[some], config.window_us, variations, file)
+        some = slice(first, first + step)
+        chunk = _Chunk(
+            part=part,
+            first=first,
+            windows=windows[some],
+            around_us=around_us[some],
+            window_us=config.window_us,
+            variations=variations,
+            file=folder / f"{part}_{first:06}.npz",
         )
+        chunks.append(chunk)
     return chunks
 
 
@@ -182,8 +221,10 @@ def _move(
     masked: np.ndarray | None,
     seed: int,
 ) -> int:
-    """Find the paths and images of a chunk's windows, and write its file. Returns how many windows
-    it has."""
+    """Find the paths and images of a chunk's windows, move them, and write the chunk's file.
+
+    Returns how many windows the chunk has.
+    """
     windows = chunk.windows
     reconstruction = Reconstruction(config.sensor, config.window_us, cell)
     columns = [
@@ -219,6 +260,7 @@ def _open(
     chunks: list[_Chunk],
     settings: MotionSettings,
 ) -> Motions:
+    """The motions that a folder holds."""
     content = _read_manifest(folder / MANIFEST)
     files = {part: [chunk.file for chunk in chunks if chunk.part == part] for part in PARTS}
     refused, spans, paths = _paths(files["training"])
@@ -247,22 +289,19 @@ def _paths(files: list[Path]) -> tuple[np.ndarray, ...]:
         refused, spans, positions = read_arrays(path, "refused", "spans", "positions")
         n = refused.size
         shapes = refused.shape, spans.shape, positions.shape
-        if (
-            refused.dtype.kind != "U"
-            or spans.dtype != np.int64
-            or shapes != ((n,), (n,), (n, N_FRAMES, 2))
-        ):
+        has_types = refused.dtype.kind == "U" and spans.dtype == np.int64
+        if not has_types or shapes != ((n,), (n,), (n, N_FRAMES, 2)):
             raise damaged(path, f"`refused`, `spans` and `positions` have shapes {shapes}")
         parts.append((refused, spans, positions))
     return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
+    """How motions were made; a ValueError for a damaged file."""
+    names = ("made_from", "cell", "length_px", "pixels", "match")
     try:
         content = parse_json(read_regular(path))
-        wanted = {
-            name: content[name] for name in ("made_from", "cell", "length_px", "pixels", "match")
-        }
+        wanted = {name: content[name] for name in names}
         _check_made(wanted)
         return {**wanted, "made_from": dict(wanted["made_from"])}
     except (ValueError, LookupError, TypeError, AttributeError) as error:
@@ -285,7 +324,8 @@ def _check_made(wanted: Mapping[str, Any]) -> None:
     numbers = {name: real_number(name, value) for name, value in pixels["measured"].items()}
     simulated = SimulatedPixels(MeasuredPixels(**numbers), real_number("scale", pixels["scale"]))
     simulated.draw(np.random.default_rng(0))  # refuses what no sensor has
-    recorded, resynthesized = wanted["match"]["recorded"], wanted["match"]["resynthesized"]
+    recorded = wanted["match"]["recorded"]
+    resynthesized = wanted["match"]["resynthesized"]
     if recorded.keys() != resynthesized.keys():
         raise ValueError("`match` must have the same numbers of both")
     for name in recorded:
@@ -296,28 +336,30 @@ def _check_made(wanted: Mapping[str, Any]) -> None:
 def examples(
     motions: Motions, classes: tuple[str, ...]
 ) -> tuple[list[ResynthesizedWindow], list[RefusedWindow]]:
-    """For a picture: windows of different classes, as far as there are, with their first
-    variations, made once more; and one for each of the most frequent reasons that there are
-    none."""
+    """Windows for a figure.
+
+    Returns
+    -------
+    shown : windows of different classes, as far as there are, with their first variations, which
+        are made once more.
+    refused : a window for each of the most frequent reasons that a path is not found.
+    """
+    training = motions.training
+    window_us = motions.config.window_us
     found = np.flatnonzero(motions.spans)
-    labels, firsts = np.unique(motions.training.labels[found], return_index=True)
-    which = found[
-        firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]
-    ]
-    reconstruction = Reconstruction(
-        motions.config.sensor, motions.config.window_us, motions.record["cell"]
-    )
-    around_us = motions.config.window_us * motions.training.neighbours(motions.config.window_us)
+    labels, firsts = np.unique(training.labels[found], return_index=True)
+    spread = np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int)
+    reconstruction = Reconstruction(motions.config.sensor, window_us, motions.record["cell"])
+    around_us = window_us * training.neighbours(window_us)
     shown = [
-        _example(motions, reconstruction, int(i), around_us[i].tolist(), classes) for i in which
+        _example(motions, reconstruction, int(i), around_us[i].tolist(), classes)
+        for i in found[firsts[np.unique(spread)]]
     ]
     refused = []
     for reason in list(motions.record["without_path"])[:N_REFUSED]:
         i = int(np.flatnonzero(motions.refused == reason)[0])
-        columns = motions.training.events(i, motions.config.window_us)
-        refused.append(
-            RefusedWindow(classes[motions.training.labels[i]], structured(columns), reason)
-        )
+        events = structured(training.events(i, window_us))
+        refused.append(RefusedWindow(classes[training.labels[i]], events, reason))
     return shown, refused
 
 
@@ -328,6 +370,7 @@ def _example(
     around_us: Sequence[int],
     classes: tuple[str, ...],
 ) -> ResynthesizedWindow:
+    """Window `i`, as recorded and under its first variations."""
     measured = MeasuredPixels(**motions.record["pixels"]["measured"])
     pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
     columns = motions.training.events(i, motions.config.window_us, around_us)
@@ -335,16 +378,19 @@ def _example(
     image = reconstruction.image(columns, measured, found)
     path = found.at(shares())
     halfway = found.before + path[len(path) // 2 : len(path) // 2 + 1]
-    seed, n_others = motions.settings.seed, min(N_OTHERS, motions.settings.variations)
-    others = [
-        image.moved(motions.record["length_px"], pixels, _generator(seed, "training", i, v))
-        for v in range(n_others)
-    ]
+    seed = motions.settings.seed
+    other_paths = []
+    other_events = []
+    for v in range(min(N_OTHERS, motions.settings.variations)):
+        rng = _generator(seed, "training", i, v)
+        events, motion = image.moved(motions.record["length_px"], pixels, rng)
+        other_events.append(events)
+        other_paths.append(motion)
     return ResynthesizedWindow(
         classes[motions.training.labels[i]],
         structured(part_of(columns, motions.config.window_us)),
         image.picture.frames(halfway)[0],
         image.as_recorded(pixels, np.random.default_rng(seed)),
-        [path, *(motion for _, motion in others)],
-        [events for events, _ in others],
+        [path, *other_paths],
+        other_events,
     )

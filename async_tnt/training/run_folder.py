@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -18,15 +17,19 @@ import numpy as np
 from async_tnt.base.files import open_regular, read_regular, replacing, write_text
 from async_tnt.evaluation.job import sha256_of
 from async_tnt.networks.models.model import Model
+from async_tnt.training.moved_windows import MotionSettings
 from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
+from async_tnt.training.training_data import TrainingData
 from async_tnt.training.windows import Windows
-from async_tnt.volume.config import TNTConfig
 
-CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
+CHECKPOINT = "checkpoint.pt"
+HISTORY = "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-FORMAT = 9  # of the checkpoint
-CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
+FORMAT = 9
+"""Version of the checkpoint."""
+CHUNK = 1 << 24
+"""Events that a checksum takes at once. Ctrl-C waits for them."""
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
@@ -47,30 +50,13 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     write_text(run_folder / HISTORY, text)
 
 
-def begin_again(run_folder: Path) -> None:
-    """Delete what was learned there so far, and the motions that were made."""
-    for name in RUN_FILES:
-        (run_folder / name).unlink(missing_ok=True)
-    discard_made(run_folder, "motions")
-
-
-def discard_made(run_folder: Path, name: str) -> None:
-    """Delete what was made from the data for a training.
-
-    name : of its folder, "motions" or "pictures"; motions.json or pictures.json in it says what it
-        was made from.
-    """
-    if (run_folder / name / f"{name}.json").is_file():
-        shutil.rmtree(run_folder / name)
-
-
 def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any] | None:
     """The state that `save_checkpoint` wrote into the folder; None if there is none yet.
 
     Parameters
     ----------
-    known : of the run to be started: all of `identity_of`, or what is known of it before the data
-        is read.
+    known : the description of the run to be started: all of `identity_of`, or as much of it as is
+        known before the data set is read.
 
     Raises
     ------
@@ -100,21 +86,18 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
         raise ValueError(
             f"{path} was written by another release of async_tnt; remove it to start again"
         )
-    if differ := [
-        name for name, value in _plain(known).items() if state["identity"].get(name) != value
-    ]:
+    there = state["identity"]
+    differ = [name for name, value in _plain(known).items() if there.get(name) != value]
+    if differ:
         raise other_run(run_folder, ", ".join(sorted(differ)))
     return state
 
 
 def identity_of(
-    config: TNTConfig,
+    data: TrainingData,
     settings: TrainSettings,
-    training: Windows,
-    validation: Windows,
-    start: Model | None,
-    classes: tuple[str, ...],
-    motions: Any = None,
+    start: Model | None = None,
+    motions: MotionSettings | None = None,
     teachers: Sequence[Model] = (),
 ) -> dict[str, Any]:
     """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it
@@ -122,13 +105,13 @@ def identity_of(
     own_file = settings.network.rpartition(":")[0]  # "module.py:build"
     return _plain(
         {
-            **config.to_dict(),
+            **data.config.to_dict(),
             **asdict(settings),
             "format": FORMAT,
-            "training_windows": len(training),
-            "validation_windows": len(validation),
-            "data": windows_checksum(training, validation),
-            "classes": classes,
+            "training_windows": len(data.training),
+            "validation_windows": len(data.validation),
+            "data": windows_checksum(data.training, data.validation),
+            "classes": data.classes,
             "motions": None if motions is None else asdict(motions),
             "network_file": zlib.crc32(read_regular(own_file)) if own_file else None,
             "start": 0 if start is None else sha256_of(start),
@@ -146,31 +129,35 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 def windows_checksum(training: Windows, validation: Windows) -> int:
     """A checksum of windows and of all events of their recordings, which may be larger than the
     memory."""
-    data = 0
+    checksum = 0
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
-            data = zlib.crc32(column.tobytes(), data)
-    recordings = [training.recordings] + [validation.recordings] * (
-        validation.recordings is not training.recordings
-    )
-    for column in (getattr(one, name) for one in recordings for name in ("offsets", *COLUMNS)):
-        for first in range(0, len(column), CHUNK):
-            data = zlib.crc32(np.ascontiguousarray(column[first : first + CHUNK]).data, data)
-    return data
+            checksum = zlib.crc32(column.tobytes(), checksum)
+    recordings = [training.recordings]
+    if validation.recordings is not training.recordings:
+        recordings.append(validation.recordings)
+    for one in recordings:
+        for name in ("offsets", *COLUMNS):
+            column = getattr(one, name)
+            for first in range(0, len(column), CHUNK):
+                some = np.ascontiguousarray(column[first : first + CHUNK])
+                checksum = zlib.crc32(some.data, checksum)
+    return checksum
 
 
-def other_run(run_folder: Path, what: str) -> ValueError:
-    """The error about a run folder whose run differs in `what`."""
+def other_run(folder: Path, what: str) -> ValueError:
+    """The error about a folder whose content was made with another `what`."""
     return ValueError(
-        f"{run_folder}: the folder holds a run with other {what}; delete it (`restart`) to start "
-        "again, or train "
-        "into another file (`out`)"
+        f"{folder}: the folder holds a run with other {what}; remove it to start again, or train "
+        "into another file"
     )
 
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
-    """Loss and accuracy against epochs, as PNG. Returns False, and writes nothing, without
-    matplotlib."""
+    """Write loss and accuracy against epochs, as PNG.
+
+    Returns False, and writes nothing, where matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -183,18 +170,15 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
         "f1": "validation, F1 of scenes",
     }
     figure = Figure(figsize=(8, 3.2), layout="constrained")
-    panels = zip(
-        figure.subplots(1, 2), ("cross entropy", "accuracy"), (losses, accuracies), strict=True
-    )
-    for axes, quantity, labels in panels:
+    left, right = figure.subplots(1, 2)
+    epochs = [row["epoch"] for row in history]
+    for axes, quantity, labels in (
+        (left, "cross entropy", losses),
+        (right, "accuracy", accuracies),
+    ):
         for name, label in labels.items():
             if all(name in row for row in history):
-                axes.plot(
-                    [row["epoch"] for row in history],
-                    [row[name] for row in history],
-                    marker=".",
-                    label=label,
-                )
+                axes.plot(epochs, [row[name] for row in history], marker=".", label=label)
         axes.set(xlabel="epoch", ylabel=quantity)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")

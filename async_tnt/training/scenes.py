@@ -1,16 +1,17 @@
 """Scenes to learn from and to be tested on: windows of several recordings on one large sensor.
 
-Without the transform a volume is a sum over events, so that a scene's volume is the sum of its
-recordings' volumes, each at its place, and of noise. Of each scene:
+Without the transform a volume is a sum over events. So a scene's volume is the sum of its
+recordings' volumes, each at its place, and of noise. A scene has:
 
-    objects   `OBJECTS` in the mean, the middle of each anywhere on the sensor, so that some are cut
-              off at its border, half of them beside another one, at least `APART` from it
-    starts    half of them begin later, by up to half a window
-    end       as augmentation draws it, the same for all
-    nothing   as augmentation draws it: what shows nothing is no object
-    noise     `NOISE_HZ` from each pixel, in a third of the scenes also a hot pixel
+    objects   `OBJECTS` in the mean. The middle of each is anywhere on the sensor, so that some are
+              cut off at its border. Half of them are placed beside another one. Two are at least
+              `APART` from each other
+    starts    half of the objects begin later, by up to half a window
+    end       drawn by augmentation, the same for all objects
+    nothing   drawn by augmentation: a window that shows nothing is no object
+    noise     at a rate in `NOISE_HZ` from each pixel; in a third of the scenes also a hot pixel
 
-An object of fewer than `FEWEST` events by then is none yet.
+An object with fewer than `FEWEST` events by the scene's end is not there yet.
 """
 
 from __future__ import annotations
@@ -29,21 +30,27 @@ from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import EVENT_DTYPE
 
 SIDES = 3
-"""Of a scene, by those of a recording."""
-OBJECTS, FEWEST = 2.5, 10
+"""Width and height of a scene, in those of a recording."""
+OBJECTS = 2.5
+"""Objects of a scene, in the mean."""
+FEWEST = 10
+"""Fewest events of an object that counts."""
 APART = 0.4
-"""Of a recording's shorter side: between two objects, at least. One for which `TRIES` places are
-nearer is dropped."""
-BESIDE = 0.5
-"""So many objects are placed beside another one, at most a recording's shorter side away: some
-cover each other."""
+"""Least distance between two objects, as a share of a recording's shorter side."""
 TRIES = 20
-NOISE_HZ, HOT_EVENTS = (0.1, 0.9), (20, 300)
+"""Places that are drawn for an object. If all are too near to others, it is dropped."""
+BESIDE = 0.5
+"""Share of objects that are placed beside another one, at most a recording's shorter side away in x
+and in y: some cover each other."""
+NOISE_HZ = (0.1, 0.9)
+"""Range of the noise, in events per pixel and second."""
+HOT_EVENTS = (20, 300)
+"""Range of the events of a hot pixel."""
 MOST_NOISE = 100_000
-"""Events of a scene: a large sensor's would take longer than all else."""
-OUTER = 2, 98
-"""Percentiles of an object's events until the scene's end: its middle is halfway between them,
-whatever noise is farther out."""
+"""Noise events of a scene, at most: more, on a large sensor, would take longer than all else."""
+OUTER = (2, 98)
+"""Percentiles of the positions of an object's events. Its middle is halfway between them, whatever
+noise is farther out."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +60,8 @@ class Scenes:
     Parameters
     ----------
     volumes : float32, (M, C, H, W).
-    scene, label : int64, (K,). Of each object.
-    position : float64, (K, 2). Of its middle, (x, y) in sensor pixels.
+    scene, label : int64, (K,). The scene and the class of each object.
+    position : float64, (K, 2). The middle of each object, (x, y) in sensor pixels.
     """
 
     volumes: np.ndarray
@@ -68,11 +75,12 @@ class SceneMaker:
 
     Parameters
     ----------
-    config : of the recordings' volumes.
+    config : how the recordings' events become volumes.
 
     Attributes
     ----------
-    config, crops : of the scenes' volumes, and of the recordings'.
+    config : how the scenes' events become volumes.
+    crops : how the recordings' events do.
 
     Raises
     ------
@@ -83,86 +91,112 @@ class SceneMaker:
         if config.transform != "none" or config.representation not in ("volume", "count"):
             raise ValueError(
                 "a scene is a sum of volumes: `representation` must be volume or count, and "
-                "`transform` none; got "
-                f"{config.representation} and {config.transform}"
+                f"`transform` none; got {config.representation} and {config.transform}"
             )
-        larger = {
-            name: tuple(SIDES * side for side in getattr(config, name))
-            for name in ("sensor", "grid")
-        }
-        self.config = config.replace(**larger)
+        width, height = config.sensor
+        columns, rows = config.grid
+        self.config = config.replace(
+            sensor=(SIDES * width, SIDES * height), grid=(SIDES * columns, SIDES * rows)
+        )
         self.crops = config
-        self._crops, self._scenes = BatchVolumes(config), BatchVolumes(self.config)
+        self._crops = BatchVolumes(config)
+        self._scenes = BatchVolumes(self.config)
         self._shorter = min(config.sensor)
 
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
         """Scenes of all these windows, as `rng` draws them."""
         n = len(windows)
-        # on recordings of their own: what begins later must not show what came before
+        # on recordings of their own: a window that begins later must not show what came before
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
         windows = windows.cut(self.config.window_us)
         scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
         n_scenes = int(scene.max()) + 1
         until_us = draws.until_us[rng.integers(n, size=n_scenes)]
-        later_us = np.where(
-            rng.random(n) < 0.5, rng.integers(0, max(1, self.config.window_us // 2), n), 0
-        )
+        is_late = rng.random(n) < 0.5
+        later_us = np.where(is_late, rng.integers(0, max(1, self.config.window_us // 2), n), 0)
         draws = replace(draws, until_us=until_us[scene], start_us=-later_us)
         own = self._crops(windows, draws)
         is_object = (draws.nothing == SHOWN) & (np.abs(own).sum((1, 2, 3)) >= FEWEST)
 
         fine = (draws.sensor[0] - 1) / (self.crops.sensor[0] - 1)
-        middles = np.einsum(
-            "nij,nj->ni", draws.matrix[:, :, :2], _middles(windows, until_us[scene] - later_us)
-        )
+        recorded = _middles(windows, until_us[scene] - later_us)
+        middles = np.einsum("nij,nj->ni", draws.matrix[:, :, :2], recorded)
         middles = (middles + draws.matrix[:, :, 2]) / fine
+
         volumes = self._noise(n_scenes, until_us, rng)
-        position, end = np.full((n, 2), np.inf), np.array(self.config.sensor) - 1.0
+        position = np.full((n, 2), np.inf)
         for i in range(n):
             there = position[(scene == scene[i]) & np.isfinite(position[:, 0])]
-            is_beside = len(there) > 0 and rng.random() < BESIDE
-            for _ in range(TRIES):
-                place = rng.uniform(0, end)
-                if is_beside:
-                    place = there[rng.integers(len(there))] + rng.uniform(-1, 1, 2) * self._shorter
-                on_sensor = (place >= 0).all() and (place <= end).all()
-                if on_sensor and (np.hypot(*(there - place).T) >= APART * self._shorter).all():
-                    position[i] = self._add(volumes[scene[i]], own[i], middles[i], place)
-                    break
+            place = self._place(there, rng)
+            if place is not None:
+                position[i] = self._add(volumes[scene[i]], own[i], middles[i], place)
         is_object &= np.isfinite(position[:, 0])
         return Scenes(volumes, scene[is_object], windows.labels[is_object], position[is_object])
+
+    def _place(self, there: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
+        """A place for one more object, (x, y) in sensor pixels; None where `TRIES` are too near.
+
+        there : (K, 2), the objects of the scene.
+        """
+        end = np.array(self.config.sensor) - 1.0
+        is_beside = len(there) > 0 and rng.random() < BESIDE
+        for _ in range(TRIES):
+            place = rng.uniform(0, end)
+            if is_beside:
+                place = there[rng.integers(len(there))] + rng.uniform(-1, 1, 2) * self._shorter
+            is_on_sensor = (place >= 0).all() and (place <= end).all()
+            if not is_on_sensor:
+                continue
+            away = np.hypot(*(there - place).T)
+            if (away >= APART * self._shorter).all():
+                return place
+        return None
 
     def _add(
         self, volume: np.ndarray, own: np.ndarray, middle: np.ndarray, place: np.ndarray
     ) -> np.ndarray:
-        """Add a recording's volume to a scene's, its middle where a place is, in whole cells.
-        Returns that place."""
-        scale, in_cells = np.array(self.config.to_grid(1, 1)), middle * self.crops.to_grid(1, 1)
+        """Add a recording's volume to a scene's, moved by whole cells.
+
+        Parameters
+        ----------
+        volume, own : the scene's volume, which is updated in place, and the recording's.
+        middle : of the object, (x, y) in pixels of the recording.
+        place : where it should be, (x, y) in pixels of the scene.
+
+        Returns
+        -------
+        Where the middle is, (x, y) in pixels of the scene.
+        """
+        scale = np.array(self.config.to_grid(1, 1))
+        in_cells = middle * self.crops.to_grid(1, 1)
         left, top = np.rint(place * scale - in_cells).astype(int)
-        (_, height, width), (_, rows, columns) = volume.shape, own.shape
-        y0, y1, x0, x1 = (
-            max(0, top),
-            min(height, top + rows),
-            max(0, left),
-            min(width, left + columns),
-        )
+        _, height, width = volume.shape
+        _, rows, columns = own.shape
+        y0 = max(0, top)
+        y1 = min(height, top + rows)
+        x0 = max(0, left)
+        x1 = min(width, left + columns)
         if y0 < y1 and x0 < x1:
             volume[:, y0:y1, x0:x1] += own[:, y0 - top : y1 - top, x0 - left : x1 - left]
         found: np.ndarray = (in_cells + np.array([left, top])) / scale
         return found
 
     def _noise(self, n_scenes: int, until_us: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """The volumes of scenes without objects, (M, C, H, W).
+
+        until_us : int64, (M,), when each scene ends.
+        """
         width, height = self.config.sensor
         recordings = []
         for until in until_us:
-            n = min(rng.poisson(rng.uniform(*NOISE_HZ) * width * height * until / 1e6), MOST_NOISE)
+            mean = rng.uniform(*NOISE_HZ) * width * height * until / 1e6
+            n = min(rng.poisson(mean), MOST_NOISE)
             n_hot = int(rng.integers(*HOT_EVENTS)) if rng.random() < 1 / 3 else 0
             events = np.zeros(n + n_hot, EVENT_DTYPE)
-            events["x"], events["y"] = (
-                rng.integers(width, size=len(events)),
-                rng.integers(height, size=len(events)),
-            )
-            events["x"][n:], events["y"][n:] = rng.integers(width), rng.integers(height)
+            events["x"] = rng.integers(width, size=len(events))
+            events["y"] = rng.integers(height, size=len(events))
+            events["x"][n:] = rng.integers(width)
+            events["y"][n:] = rng.integers(height)
             events["p"] = rng.integers(2, size=len(events))
             events["t"] = rng.integers(until, size=len(events))
             recordings.append(events[np.argsort(events["t"], kind="stable")])
@@ -172,8 +206,11 @@ class SceneMaker:
 
 
 def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
-    """(x, y) of each window's object, of its events before that time, float64, (N, 2); without any,
-    of nothing."""
+    """The middle of each window's object, (x, y), float64, (N, 2); (0, 0) without any event.
+
+    until_us : int64, (N,): only the events before this time count, in microseconds since a window's
+        start.
+    """
     middles = np.zeros((len(windows), 2))
     for i, (first, end) in enumerate(itertools.pairwise(windows.recordings.offsets)):
         last = first + np.searchsorted(windows.recordings.t[first:end], until_us[i])

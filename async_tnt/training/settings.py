@@ -8,11 +8,14 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.training.augment import Augmentation
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.sensor import Sensor
 
 PRECISIONS = ("float32", "bfloat16", "auto")
+"""Values of `TrainSettings.precision`."""
+
 CHANGES = MappingProxyType(
     {
         "partial": 0.6,
@@ -24,14 +27,15 @@ CHANGES = MappingProxyType(
         "drop": 0.0,
     }
 )
-"""Of `Augmentation` for a data set by default: windows end early or begin late, as in a stream, or
-show nothing; they are shifted and scaled. Rotation by 10 degrees, shear by .1 and thinning by .3
-cost .01 on N-CARS' held-out recordings."""
-OF_PICTURES = MappingProxyType({"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3})
-"""Further changes where a data set holds pictures, whose recordings are simulated once for all
-epochs."""
+"""Default values of `Augmentation` for a data set. Windows end early or begin late, as in a stream,
+or show nothing; they are shifted and scaled. They are not rotated, sheared nor thinned: rotation by
+10 degrees, shear by .1 and thinning by .3 cost .01 on N-CARS' held-out recordings."""
 EARLIEST = 0.05
-"""The earliest end of such a window, as a share of the complete one."""
+"""The earliest end of a window that ends early, as a share of the complete window."""
+OF_PICTURES = MappingProxyType({"rotation_deg": 10.0, "shear": 0.1, "drop": 0.3})
+"""Values of `Augmentation` that differ where a data set holds pictures. Their recordings are
+simulated once for all epochs, and need more changes."""
+
 RECIPE = MappingProxyType(
     {
         "learning_rate": 4e-3,
@@ -43,20 +47,31 @@ RECIPE = MappingProxyType(
         "network": "residual",
     }
 )
-"""Of `TrainSettings` for a data set by default."""
+"""Default values of `TrainSettings` for a data set."""
 EVERYWHERE = MappingProxyType({"network": "map", "balance": False})
-"""Of a map model's by default, instead: in scenes nothing is far more frequent than any class."""
+"""Values of `TrainSettings` that differ for a map model. Classes are not balanced: in scenes,
+"nothing" is far more frequent than any class."""
+
 LONGER_SIDE = 120
-"""Of a default grid."""
-BINS, OFTEN = 5, 2.25
-"""Of a default volume: time bins where an active pixel fires `OFTEN` or more times in a window. Its
-counts blur what moves that far, and cost up to .1; where pixels fire less (N-CARS 1.7; N-MNIST
-3.2), bins cost .03. In motions that are simulated again there are always bins: of digits with a
-fifth of their events .922 are right that are held out in other motions, by counts .897
-(`experiments/unseen_motions.py`)."""
-MIN_EPOCHS, MIN_STEPS, STEPS_AN_EPOCH = 20, 4_000, 50
-"""Of a data set by default: epochs; steps of the optimizer, which decide where windows are few;
-steps between two checkpoints."""
+"""Longer side of a default grid, in cells, at most."""
+BINS = 5
+"""Time bins of a default volume that has bins."""
+OFTEN = 2.25
+"""Events of one polarity that an active pixel has in a window, from which on the default volume has
+time bins.
+
+Where pixels fire more often, counts may blur what moves: they cost .1 of the accuracy on the
+laboratory's `sessions` (3.0 events), and nothing on N-MNIST (3.2). Where pixels fire less often,
+bins cost accuracy: .03 on N-CARS (1.7). Windows under other motions always have bins: with a fifth
+of N-MNIST's events, .922 of the digits in held-out motions are right with bins, .897 with counts.
+"""
+
+MIN_EPOCHS = 20
+"""Epochs by default, at least."""
+MIN_STEPS = 4_000
+"""Steps of the optimizer by default, at least. They decide where windows are few."""
+STEPS_AN_EPOCH = 50
+"""Steps of an epoch by default, at least, after which a checkpoint is saved."""
 
 
 @dataclass(frozen=True)
@@ -65,31 +80,35 @@ class TrainSettings:
 
     Parameters
     ----------
-    epochs : of `passes` over the training windows; after each a checkpoint is saved.
+    epochs : number of epochs. After each a checkpoint is saved.
     iterations : steps of the optimizer, instead of `epochs`; the last epoch may be cut short. The
         thesis has 60,000, with a batch of 64.
     batch : windows per step.
-    passes : of an epoch.
-    learning_rate : the highest; it rises over the first steps and falls along a cosine to 0.
-    warm_up : the share of steps over which it rises.
-    weight_decay : of AdamW, on weights, not on biases.
-    label_smoothing : share of the target spread over all classes.
-    averaging : the model has the exponential moving average of the weights of all steps, each of
-        which keeps this share of the average before; 0: the last weights.
-    logarithm : the classifier takes log(1 + V) of each cell of the volume; not of signed ones.
-    seed : of weights, order and augmentation.
-    augmentation : None trains on the windows as they are.
-    precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. Half
-        the time or less where the hardware is fast at it (AMX, AVX512-BF16, GPUs), slower
-        elsewhere; "auto" finds out.
+    passes : how often an epoch goes through the training windows.
+    learning_rate : the highest rate. It rises over the first steps, and falls along a cosine to 0.
+    warm_up : the share of steps over which the rate rises.
+    weight_decay : decay of AdamW. It acts on weights, not on biases.
+    label_smoothing : share of the target that is spread over all classes.
+    averaging : the model has the exponential moving average of the weights of all steps. Each step
+        keeps this share of the average before. 0: the model has the last weights.
+    logarithm : the classifier takes log(1 + V) of each cell of the volume. Not for signed volumes.
+    seed : decides weights, order and augmentation.
+    augmentation : changes of the windows; None trains on the windows as they are.
+    precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. This
+        takes half the time or less where the hardware is fast at it (AMX, AVX512-BF16, GPUs), and
+        is slower elsewhere; "auto" finds out.
     balance : each epoch shows every class equally often, and the validation loss weights classes
-        equally; else windows count equally.
+        equally. Otherwise windows count equally.
     network : the classifier, see `training.networks.build_network`. Not used where a model is
         trained further.
     everywhere : train a map model, on scenes of several windows, see `scenes`; `batch` counts these
         windows.
     ends_early : end before the last epoch where nothing that is measured on held-out windows can
         improve, see `training.early_end`.
+
+    Raises
+    ------
+    ValueError : a value outside of its range.
     """
 
     epochs: int = 10
@@ -111,31 +130,28 @@ class TrainSettings:
     ends_early: bool = False
 
     def __post_init__(self) -> None:
-        for name, low in (
-            ("epochs", 1),
-            ("iterations", 1),
-            ("passes", 1),
-            ("batch", 1),
-            ("seed", 0),
-        ):
+        least = {"epochs": 1, "iterations": 1, "passes": 1, "batch": 1, "seed": 0}
+        for name, low in least.items():
             value = getattr(self, name)
             if value is not None and value < low:
-                raise ValueError(f"`{name}` must be at least {low}, got {value}")
+                raise ParameterValueError(name, f"must be at least {low}", value)
         if self.precision not in PRECISIONS:
-            raise ValueError(
-                f"`precision` must be one of {', '.join(PRECISIONS)}, got {self.precision!r}"
-            )
+            names = ", ".join(PRECISIONS)
+            raise ParameterValueError("precision", f"must be one of {names}", repr(self.precision))
         if not 0 < self.learning_rate < math.inf:
-            raise ValueError(f"`learning_rate` must be positive, got {self.learning_rate}")
+            raise ParameterValueError("learning_rate", "must be positive", self.learning_rate)
         if not 0 <= self.weight_decay < math.inf:
-            raise ValueError(f"`weight_decay` must be at least 0, got {self.weight_decay}")
+            raise ParameterValueError("weight_decay", "must be at least 0", self.weight_decay)
         for name in ("label_smoothing", "averaging", "warm_up"):
-            if not 0 <= getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be in [0, 1), got {getattr(self, name)}")
+            value = getattr(self, name)
+            if not 0 <= value < 1:
+                raise ParameterValueError(name, "must be in [0, 1)", value)
 
     def n_steps(self, n_windows: int) -> int:
-        """Steps of an epoch of `n_windows`. A last batch of a single window is left out: batch norm
-        needs two."""
+        """Steps of an epoch of `n_windows` training windows.
+
+        A last batch of a single window is left out: batch norm needs two.
+        """
         n_full, n_rest = divmod(self.passes * n_windows, self.batch)
         return max(1, n_full + (n_rest > 1))
 
@@ -144,13 +160,13 @@ class TrainSettings:
         return math.ceil(self.n_iterations(n_windows) / self.n_steps(n_windows))
 
     def n_iterations(self, n_windows: int) -> int:
-        """All steps, for `n_windows` training windows."""
+        """Steps of all epochs of `n_windows` training windows."""
         return self.iterations or self.epochs * self.n_steps(n_windows)
 
 
 def default_config(**changes: Any) -> TNTConfig:
-    """The volume that a data set is trained on by default: how many ON and OFF events each pixel
-    has.
+    """The volume that a data set is trained on by default: each pixel's counts of ON and of OFF
+    events.
 
     changes : values of other fields. For the grid see `default_grid`, for time bins `with_bins`.
     """
@@ -158,9 +174,9 @@ def default_config(**changes: Any) -> TNTConfig:
 
 
 def with_bins(config: TNTConfig, events_a_pixel: float = OFTEN) -> TNTConfig:
-    """The default volume in time bins, where pixels fire often.
+    """The volume in time bins, if pixels fire as often as `OFTEN`; otherwise `config` itself.
 
-    events_a_pixel : events of one polarity in a window, of a pixel that has any.
+    events_a_pixel : events of one polarity that an active pixel has in a window.
 
     Examples
     --------
@@ -173,8 +189,10 @@ def with_bins(config: TNTConfig, events_a_pixel: float = OFTEN) -> TNTConfig:
 
 
 def default_grid(sensor: Sensor) -> Sensor:
-    """In the shape of the sensor: its own pixels, or `LONGER_SIDE` of them along the longer side.
-    At least 16x16, which the networks need.
+    """The default grid of a sensor, in its shape: as many cells as pixels, or `LONGER_SIDE` cells
+    along the longer side.
+
+    No side is shorter than 16 cells, which the networks need.
 
     Examples
     --------
@@ -192,11 +210,12 @@ def settings_for(
 
     Parameters
     ----------
-    n_windows : windows to train on.
-    epochs : None: `MIN_EPOCHS`, or as many as give `MIN_STEPS` steps, or fewer where all that is
-        held out is right (`ends_early`).
-    settings : others of `TrainSettings`, instead of ours; `augmentation` may be a mapping, of the
-        fields of `Augmentation` that differ from ours.
+    config : how events become volumes.
+    n_windows : number of windows to train on.
+    epochs : number of epochs. None: `MIN_EPOCHS`, or as many as give `MIN_STEPS` steps, or fewer
+        where all that is held out is right (`ends_early`).
+    settings : other fields of `TrainSettings`, instead of the default ones. `augmentation` may be a
+        mapping: the fields of `Augmentation` that differ from the default ones.
     """
     batch = settings.setdefault("batch", min(64, max(8, n_windows // 32)))
     passes = settings.setdefault("passes", max(1, STEPS_AN_EPOCH * batch // n_windows))
@@ -210,7 +229,7 @@ def settings_for(
         augmentation = Augmentation.for_sensor(
             config, **{"partial_from_ms": earliest_ms, **CHANGES, **augmentation}
         )
-    ours = {**RECIPE, "logarithm": config.polarity != "signed"}
+    recipe = {**RECIPE, "logarithm": config.polarity != "signed"}
     if settings.get("everywhere"):
-        ours |= EVERYWHERE
-    return TrainSettings(epochs=epochs, augmentation=augmentation, **{**ours, **settings})
+        recipe |= EVERYWHERE
+    return TrainSettings(epochs=epochs, augmentation=augmentation, **{**recipe, **settings})

@@ -1,8 +1,9 @@
 """Pictures of a data set as recordings: simulated by several processes, kept in files beside the
 run.
 
-    <folder>/pictures.json          what they are made of
-    <folder>/training_000000.npz    recordings from 0 on, those of a picture one after the other
+    <folder>/pictures.json          what the recordings are made of
+    <folder>/training_000000.npz    recordings from number 0 on, those of a picture one after the
+                                    other
 
 Each picture is recorded several times, each time by another camera and in another motion, see
 `picture_scene`.
@@ -38,39 +39,62 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.training.moved_windows import read_arrays
 from async_tnt.training.recordings import COLUMNS, Recordings, RecordingsWriter
 from async_tnt.training.run_folder import other_run
+from async_tnt.training.work import Work
 from async_tnt.volume.events import structured
 
-# of the recordings: a change of what is simulated counts it up
-MANIFEST, FORMAT = "pictures.json", 4
+MANIFEST = "pictures.json"
+FORMAT = 4
+"""Version of the recordings. A change of what is simulated counts it up."""
+
 RECORDINGS = {"training": 24_000, "held-out": 2_400}
-"""Of all pictures together, about; of each at least `LEAST_TAKES`, and at most `MOST_TAKES`."""
-LEAST_TAKES, MOST_TAKES = {"training": 2, "held-out": 1}, 200
-FULL_PIXELS, FOLLOWED, FEWEST = 128 * 128, 6, 0.1
-"""Of a larger sensor fewer, as they take longer, and of one that follows, in the mean so many
-times; but at least this share."""
+"""Recordings of all pictures together, on a sensor of `FULL_PIXELS` or less that stands still.
+Larger sensors, and sensors that follow the object, take longer: they have fewer."""
+LEAST_TAKES = {"training": 2, "held-out": 1}
+"""Recordings of each picture, at least."""
+MOST_TAKES = 200
+"""Recordings of each picture, at most."""
+FULL_PIXELS = 128 * 128
+"""Pixels of the largest sensor that has all of `RECORDINGS`. The number of recordings falls with
+the number of pixels beyond it."""
+FOLLOWED = 6
+"""How many times as long the recording of a sensor that follows the object takes, in the mean. It
+counts as so many times as many pixels."""
+LEAST_SHARE = 0.1
+"""Share of `RECORDINGS` that any sensor has, however large it is."""
 CHUNK = 200
-"""Recordings of a file; of a larger sensor fewer, likewise, as a process has all of a file in
-memory."""
-PAUSE = 100  # windows without any event
-N_EXAMPLES, N_TAKES = 5, 6
-"""Classes of a figure, and recordings of each."""
+"""Recordings of a file, whose events a process has in memory together. A sensor that has fewer of
+`RECORDINGS` has fewer in a file, too."""
+
+PAUSE = 100
+"""Windows without any event, beyond which the camera is taken to have been switched off."""
+
+N_EXAMPLES = 5
+"""Classes of a figure."""
+N_TAKES = 6
+"""Recordings of each class of a figure."""
 
 
 @dataclass(frozen=True)
 class LabelledPicture:
-    """A picture file of one class; `name` for messages and reports."""
+    """A picture file of one class.
+
+    Parameters
+    ----------
+    path : the file.
+    label : index of its class.
+    """
 
     path: Path
     label: int
 
     @property
     def name(self) -> str:
-        """Class folder and file."""
+        """Class folder and file, for messages and reports."""
         return f"{self.path.parent.name}/{self.path.name}"
 
 
 def find_pictures(folder: Path) -> dict[str, list[Path]]:
-    """Class name -> its pictures to train on, sorted by name, of the classes that have any.
+    """Class name -> its pictures to train on, sorted by name, for the classes that have any.
 
     Raises
     ------
@@ -78,18 +102,27 @@ def find_pictures(folder: Path) -> dict[str, list[Path]]:
     """
     recordings = find_recordings(folder, "Train")
     found = {}
-    for c in class_folders(folder):
-        paths = [path for path in sorted(c.glob("[!.]*")) if path.suffix.lower() in SUFFIXES]
-        # broken links are told later
-        if pictures := [path for path in paths if path.is_file() or path.is_symlink()]:
-            found[c.name] = pictures
+    for class_folder in class_folders(folder):
+        pictures = [path for path in sorted(class_folder.glob("[!.]*")) if _is_picture(path)]
+        if pictures:
+            found[class_folder.name] = pictures
+
     sessions = [one.path.name for some in recordings.values() for one in some if one.between_us]
-    if sessions and (both := recordings.keys() & found):  # folders of other names may hold figures
-        picture = found[min(both)][0].relative_to(folder)
+    if not sessions:
+        return found
+    # folders of other names than the sessions' classes may hold figures
+    in_both = recordings.keys() & found
+    if in_both:
+        picture = found[min(in_both)][0].relative_to(folder)
         raise ValueError(
             f"{folder}: expected pictures or sessions, got both: {picture} and {sessions[0]}"
         )
-    return {} if sessions else found
+    return {}
+
+
+def _is_picture(path: Path) -> bool:
+    """Whether it is named as a picture. A broken link is, and told when it is read."""
+    return path.suffix.lower() in SUFFIXES and (path.is_file() or path.is_symlink())
 
 
 def check_pictures(
@@ -112,27 +145,27 @@ def check_pictures(
         be read.
     """
     pictures = [
-        LabelledPicture(path, k) for k, name in enumerate(classes) for path in found.get(name, [])
+        LabelledPicture(path, label)
+        for label, name in enumerate(classes)
+        for path in found.get(name, [])
     ]
     good: list[LabelledPicture] = []
     left_out: list[str] = []
-    known: dict[bytes, LabelledPicture] = {}
     if not pictures:
         return good, left_out
+    known: dict[bytes, LabelledPicture] = {}
     with progress(len(pictures), "reading pictures") as bar:
         for picture in pictures:
             try:
                 read_picture(picture.path)
-                same = known.setdefault(
-                    hashlib.sha256(read_regular(picture.path)).digest(), picture
-                )
+                digest = hashlib.sha256(read_regular(picture.path)).digest()
             except (ValueError, OSError) as error:
-                left_out.append(
-                    f"{picture.name}: {error}.".replace(str(picture.path), picture.name)
-                )
+                reason = f"{picture.name}: {error}."
+                left_out.append(reason.replace(str(picture.path), picture.name))
                 continue
             finally:
                 bar.update()
+            same = known.setdefault(digest, picture)
             if same.label != picture.label:
                 raise ValueError(
                     f"{same.name} and {picture.name} are the same picture in two classes; remove "
@@ -142,14 +175,28 @@ def check_pictures(
                 good.append(picture)
             else:
                 left_out.append(f"{picture.name}: the same picture as {same.name}.")
-    left = {*others.tolist(), *(picture.label for picture in good)}
-    if empty := [name for k, name in enumerate(classes) if name in found and k not in left]:
-        why = next(line for line in left_out if line.startswith(f"{empty[0]}/"))
-        raise ValueError(
-            f"no picture of class {', '.join(empty)} is left ({why}); add some, or remove the "
-            "folder"
-        )
+    _check_left(found, classes, {*others.tolist(), *(one.label for one in good)}, left_out)
     return good, left_out
+
+
+def _check_left(
+    found: Mapping[str, Sequence[Path]],
+    classes: Sequence[str],
+    labels: set[int],
+    left_out: Sequence[str],
+) -> None:
+    """Refuse a class of pictures none of which can be read.
+
+    labels : of the classes of which something is left.
+    """
+    empty = [name for k, name in enumerate(classes) if name in found and k not in labels]
+    if not empty:
+        return
+    reasons = [line for line in left_out if line.startswith(f"{empty[0]}/")]
+    raise ValueError(
+        f"no picture of class {', '.join(empty)} is left ({reasons[0]}); add some, or remove the "
+        "folder"
+    )
 
 
 def with_pictures(
@@ -157,39 +204,50 @@ def with_pictures(
     pictures: Sequence[LabelledPicture],
     split: tuple[np.ndarray, np.ndarray],
     settings: SceneSettings,
-    store: Path | None,
-    *,
     seed: int,
-    workers: int,
-    progress: Callable[..., Bar],
+    work: Work,
 ) -> tuple[Recordings, np.ndarray, np.ndarray, dict[str, Any]]:
-    """The recordings, and those of the pictures.
+    """Recordings, and after them the recordings of pictures.
 
     Parameters
     ----------
     split : what is learned and what is held out, as indices of `recordings` and of `pictures` after
         them.
-    store : a folder for all events, see `RecordingsWriter`, and for what was simulated; None: kept
-        in memory.
+    settings : how pictures are recorded.
+    seed : of their recordings.
+    work : where events and simulated recordings are kept, and how many processes simulate.
 
     Returns
     -------
-    All recordings, which of them are learned, which are held out, and the record of the pictures.
+    All recordings, the indices of those that are learned and of those that are held out, and the
+    record of the pictures.
     """
-    which = [of[of < len(recordings)] for of in split]
+    n_real = len(recordings)
+    which = [indices[indices < n_real] for indices in split]
     about: dict[str, Any] = {"pictures": len(pictures)}
-    with RecordingsWriter(store) as writer, TemporaryDirectory() as temporary:
+    with RecordingsWriter(work.store) as writer, TemporaryDirectory() as temporary:
+        folder = (work.store or Path(temporary)) / "pictures"
         writer.extend(recordings)
-        first = len(recordings)
+        first = n_real
         for k, part in enumerate(RECORDINGS):
-            some = [pictures[i - len(recordings)] for i in split[k] if i >= len(recordings)]
-            folder = (store or Path(temporary)) / "pictures"
+            some = [pictures[i - n_real] for i in split[k] if i >= n_real]
             takes = simulate_pictures(
-                writer, part, some, settings, folder, seed=seed, workers=workers, progress=progress
+                writer,
+                part,
+                some,
+                settings,
+                folder,
+                seed=seed,
+                workers=work.workers,
+                progress=work.progress,
             )
-            about |= {"takes": takes} if part == "training" else {"held_out": len(some)}
-            which[k] = np.concatenate([which[k], first + np.arange(takes * len(some))])
-            first += takes * len(some)
+            if part == "training":
+                about["takes"] = takes
+            else:
+                about["held_out"] = len(some)
+            n = takes * len(some)
+            which[k] = np.concatenate([which[k], first + np.arange(n)])
+            first += n
         about["settings"] = asdict(settings)
         return writer.finish(), which[0], which[1], about
 
@@ -207,12 +265,13 @@ def simulate_pictures(
 ) -> int:
     """Append the recordings of pictures to a writer, those of a picture one after the other.
 
-    The same pictures, settings and seed give the same recordings, for any number of workers; what
-    of them is in the folder is not made again.
+    The same pictures, settings and seed give the same recordings, for any number of workers. A file
+    that is in the folder is not made again.
 
     Parameters
     ----------
-    part : of `RECORDINGS`. folder : for the files; made if missing.
+    part : a key of `RECORDINGS`.
+    folder : for the files; made if missing.
 
     Returns
     -------
@@ -222,62 +281,68 @@ def simulate_pictures(
     ------
     ValueError : the folder holds recordings of other pictures or settings, or a damaged file.
     """
-    pixels = settings.sensor[0] * settings.sensor[1] * (FOLLOWED if settings.follow else 1)
-    share = float(np.clip(FULL_PIXELS / pixels, FEWEST, 1))
-    takes = int(
-        np.clip(
-            round(share * RECORDINGS[part] / max(1, len(pictures))), LEAST_TAKES[part], MOST_TAKES
-        )
-    )
+    share = _share_of_recordings(settings)
+    wanted = round(share * RECORDINGS[part] / max(1, len(pictures)))
+    takes = int(np.clip(wanted, LEAST_TAKES[part], MOST_TAKES))
     folder.mkdir(parents=True, exist_ok=True)
-    checksum = 0
-    for picture in pictures:
-        checksum = zlib.crc32(
-            read_regular(picture.path), zlib.crc32(os.fsencode(picture.name), checksum)
-        )
     made_from = {
         "format": FORMAT,
         "settings": asdict(settings),
         "seed": seed,
-        f"{part} pictures": [len(pictures), takes, checksum],
+        f"{part} pictures": [len(pictures), takes, _checksum(pictures)],
     }
     _check_manifest(folder / MANIFEST, json.loads(json.dumps(made_from)))
-    n_all, size = takes * len(pictures), round(share * CHUNK)
-    chunks = [
-        _Chunk(
-            folder / f"{part}_{first:06}.npz",
-            [
-                (pictures[i // takes], i // takes, i % takes)
-                for i in range(first, min(first + size, n_all))
-            ],
-        )
-        for first in range(0, n_all, size)
-    ]
+
+    chunks = _chunks(part, pictures, takes, folder, round(share * CHUNK))
     missing = [chunk for chunk in chunks if not chunk.file.exists()]
-    job = partial(_record, settings=settings, seed=(seed, list(RECORDINGS).index(part)))
+    n_all = takes * len(pictures)
     n_missing = sum(len(chunk.takes) for chunk in missing)
-    run_counted(
-        job, missing, workers, progress(n_all, "simulating pictures", done=n_all - n_missing)
-    )
+    job = partial(_record, settings=settings, seed=(seed, list(RECORDINGS).index(part)))
+    bar = progress(n_all, "simulating pictures", done=n_all - n_missing)
+    run_counted(job, missing, workers, bar)
     for chunk in chunks:
-        *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
-        whole = [column.dtype for column in columns] == list(COLUMNS.values()) and sizes.shape == (
-            len(chunk.takes),
-        )
-        if not whole or any(column.shape != (sizes.sum(),) for column in columns):
-            raise ValueError(
-                f"{chunk.file}: not the {len(chunk.takes)} recordings that belong there; remove "
-                f"{folder}"
-            )
-        recordings = np.split(structured(columns), np.cumsum(sizes)[:-1])
-        for one, (picture, _, take) in zip(recordings, chunk.takes, strict=True):
-            writer.add(one, picture.label, f"{picture.name}, take {take + 1}")
+        for events, (picture, _, take) in zip(_read(chunk), chunk.takes, strict=True):
+            writer.add(events, picture.label, f"{picture.name}, take {take + 1}")
     return takes
+
+
+def _share_of_recordings(settings: SceneSettings) -> float:
+    """The share of `RECORDINGS` that a sensor has; see `FULL_PIXELS`."""
+    width, height = settings.sensor
+    pixels = width * height * (FOLLOWED if settings.follow else 1)
+    return float(np.clip(FULL_PIXELS / pixels, LEAST_SHARE, 1))
+
+
+def _checksum(pictures: Sequence[LabelledPicture]) -> int:
+    """A checksum of the names and the contents of pictures."""
+    checksum = 0
+    for picture in pictures:
+        checksum = zlib.crc32(os.fsencode(picture.name), checksum)
+        checksum = zlib.crc32(read_regular(picture.path), checksum)
+    return checksum
+
+
+def _chunks(
+    part: str, pictures: Sequence[LabelledPicture], takes: int, folder: Path, size: int
+) -> list[_Chunk]:
+    """All recordings of a part, `size` of them in a file."""
+    every = [(picture, i, take) for i, picture in enumerate(pictures) for take in range(takes)]
+    return [
+        _Chunk(folder / f"{part}_{first:06}.npz", every[first : first + size])
+        for first in range(0, len(every), size)
+    ]
 
 
 @dataclass(frozen=True)
 class _Chunk:
-    """What one task records: the picture, its number, and the number of the recording of it."""
+    """What one task records.
+
+    Parameters
+    ----------
+    file : where the recordings go.
+    takes : for each recording its picture, the picture's number, and which of the picture's
+        recordings it is.
+    """
 
     file: Path
     takes: list[tuple[LabelledPicture, int, int]]
@@ -286,13 +351,12 @@ class _Chunk:
 def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) -> int:
     """Write a chunk's file. Returns how many recordings it has."""
     recordings = []
-    for _, of_one in groupby(chunk.takes, key=itemgetter(1)):
-        takes = list(of_one)
+    for _, group in groupby(chunk.takes, key=itemgetter(1)):
+        takes = list(group)
         picture = read_picture(takes[0][0].path)
-        recordings += [
-            record_picture(picture, settings, np.random.default_rng((*seed, i, k)))
-            for _, i, k in takes
-        ]
+        for _, i, take in takes:
+            rng = np.random.default_rng((*seed, i, take))
+            recordings.append(record_picture(picture, settings, rng))
     columns: dict[str, Any] = {
         name: np.concatenate([one[name].astype(dtype) for one in recordings])
         for name, dtype in COLUMNS.items()
@@ -302,39 +366,57 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
     return len(recordings)
 
 
-def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
-    """Refuse a folder of other pictures; note what is made."""
-    there: dict[str, Any] = {}
-    if not path.exists() and any(path.parent.glob("*.npz")):
+def _read(chunk: _Chunk) -> list[np.ndarray]:
+    """The recordings of a chunk's file."""
+    *columns, sizes = read_arrays(chunk.file, *COLUMNS, "sizes")
+    has_types = [column.dtype for column in columns] == list(COLUMNS.values())
+    is_whole = (
+        has_types
+        and sizes.shape == (len(chunk.takes),)
+        and all(column.shape == (sizes.sum(),) for column in columns)
+    )
+    if not is_whole:
         raise ValueError(
-            f"{path.parent}: recordings of pictures without their {path.name}; remove this folder"
+            f"{chunk.file}: not the {len(chunk.takes)} recordings that belong there; remove "
+            f"{chunk.file.parent}"
+        )
+    return np.split(structured(columns), np.cumsum(sizes)[:-1])
+
+
+def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
+    """Refuse a folder of other pictures, and write down what its recordings are made of."""
+    folder = path.parent
+    there: dict[str, Any] = {}
+    if not path.exists() and any(folder.glob("*.npz")):
+        raise ValueError(
+            f"{folder}: recordings of pictures without their {path.name}; remove this folder"
         )
     if path.exists():
         try:
             there = dict(parse_json(read_regular(path)))
         except (ValueError, TypeError) as error:
-            raise ValueError(f"{path}: damaged ({one_line(error)}); remove {path.parent}") from None
-    if differ := [name for name, value in made_from.items() if there.get(name, value) != value]:
-        raise other_run(path.parent, f"pictures ({', '.join(differ)})")
+            raise ValueError(f"{path}: damaged ({one_line(error)}); remove {folder}") from None
+    differ = [name for name, value in made_from.items() if there.get(name, value) != value]
+    if differ:
+        raise other_run(folder, f"pictures ({', '.join(differ)})")
     write_text(path, json.dumps({**there, **made_from}, indent=1) + "\n")
 
 
 def example_recordings(
     found: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
 ) -> list[tuple[str, np.ndarray, list[np.ndarray]]]:
-    """For a figure: of some classes the first picture that can be read, its luminance, and
-    recordings of it."""
+    """Examples for a figure: class, luminance of its first picture that can be read, and recordings
+    of that picture."""
     shown = []
     for row, (name, paths) in enumerate(list(found.items())[:N_EXAMPLES]):
         for path in paths:
             with contextlib.suppress(ValueError, OSError):
-                picture, draws = (
-                    read_picture(path),
-                    [np.random.default_rng((seed, row, k)) for k in range(N_TAKES)],
-                )
-                shown.append(
-                    (name, picture.light, [record_picture(picture, settings, rng) for rng in draws])
-                )
+                picture = read_picture(path)
+                takes = [
+                    record_picture(picture, settings, np.random.default_rng((seed, row, k)))
+                    for k in range(N_TAKES)
+                ]
+                shown.append((name, picture.light, takes))
                 break
     return shown
 
@@ -342,27 +424,33 @@ def example_recordings(
 def measure_camera(
     path: Path, window_us: int, sensor: tuple[int, int], **reading: Any
 ) -> MeasuredPixels:
-    """What a recording tells about the pixels of its camera; `reading` are other options of
-    `open_recording`.
+    """What a recording tells about the pixels of its camera.
+
+    Parameters
+    ----------
+    path : a recording of about a minute.
+    window_us : length of the windows in which it is measured, in microseconds.
+    sensor : (width, height) of the camera.
+    reading : other options of `open_recording`.
 
     Raises
     ------
-    ValueError : not a recording, of another sensor, or without a window of events. OSError : it
-        cannot be read.
+    ValueError : not a recording, a recording of another sensor, or one that is no longer than a
+        window.
+    OSError : it cannot be read.
     """
     recording = open_recording(path, sensor=sensor, **reading)
     if recording.stated_sensor not in (None, sensor):
         raise ValueError(f"{path}: a camera of {recording.stated_sensor} pixels, expected {sensor}")
     events = recording.read()
     events = events[np.argsort(events["t"], kind="stable")]
-    t, x, y, p = (np.ascontiguousarray(events[name]) for name in "txyp")
+    t, x, y, p = [np.ascontiguousarray(events[name]) for name in "txyp"]
     gaps = np.diff(t, prepend=t[:1])
     # a pause of the camera is not a quiet scene
     t = t - np.cumsum(np.where(gaps > PAUSE * window_us, gaps, 0))
     if not len(t) or t[-1] - t[0] <= window_us:
         raise ValueError(f"{path}: no longer than a window of {window_us} us; record a minute")
     cuts = np.searchsorted(t, np.arange(t[0] + window_us, t[-1], window_us))
-    windows = zip(
-        *(np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)), strict=True
-    )
+    columns = [np.split(column, cuts) for column in (t.astype(np.int64), x, y, p)]
+    windows = zip(*columns, strict=True)
     return measure_pixels(list(windows)[:-1], sensor, window_us)

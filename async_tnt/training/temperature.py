@@ -1,13 +1,13 @@
-"""Calibration: one factor on all logits, so that of the decisions at probability .9, nine of ten
-are right.
+"""Calibration: one factor on all logits, after which nine of ten decisions with probability .9 are
+right.
 
     p = softmax(z / T)        T minimizes the negative log likelihood on held-out windows
 
 No decision changes, only its probability. The factor goes into the weights of the last layer, so a
 calibrated model is like any other.
 
-A few windows that are all right would ask for certainty, T = 0. So one decision more is counted of
-each class, whatever is shown (the rule of succession, as in Platt's scaling).
+If all of a few windows are right, the best T is 0: certainty. So the loss counts one decision more
+for each class, whatever is shown (the rule of succession, as in Platt's scaling).
 
 References: Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599; Platt 1999, Probabilistic outputs
 for support vector machines.
@@ -22,9 +22,12 @@ import numpy as np
 from async_tnt.networks.layers.graph import CLASSIFIER
 from async_tnt.networks.models.model import Model
 
-LEAST, MOST = 0.2, 5.0
-"""Beyond them, no temperature makes up for what the network lacks."""
+LEAST = 0.2
+"""The lowest temperature that is tried."""
+MOST = 5.0
+"""The highest temperature that is tried. Beyond, none makes up for what the network lacks."""
 HALVINGS = 60
+"""Halvings of the range of the logarithm of 1 / T, down to the precision of float64."""
 
 
 def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
@@ -37,7 +40,7 @@ def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
 
     Examples
     --------
-    Six of eight are right at .9; counting one more of each class, seven of ten:
+    Six of eight decisions at .9 are right. With one more for each class, seven of ten are:
 
     >>> T = fit_temperature(np.array([[0.9, 0.1]] * 8), np.array([0] * 6 + [1] * 2))
     >>> z = np.log([0.9, 0.1]) / T
@@ -49,14 +52,21 @@ def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
     of_truth = (n * z[np.arange(n), labels] + z.sum(1)) / (n + n_classes)
 
     def slope(beta: float) -> float:
-        """Of the loss, which is convex in beta = 1 / T: mean of E_p[z] - z_truth."""
+        """The slope of the loss in beta = 1 / T: the mean of E_p[z] - z_truth.
+
+        The loss is convex in beta.
+        """
         p = np.exp(beta * (z - z.max(1, keepdims=True)))
         return float(((p * z).sum(1) / p.sum(1) - of_truth).mean())
 
-    low, high = np.log(1 / MOST), np.log(1 / LEAST)
+    low = np.log(1 / MOST)
+    high = np.log(1 / LEAST)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        low, high = (low, middle) if slope(float(np.exp(middle))) > 0 else (middle, high)
+        if slope(float(np.exp(middle))) > 0:
+            high = middle
+        else:
+            low = middle
     return float(np.exp(-(low + high) / 2))
 
 
@@ -74,10 +84,10 @@ def softened(probabilities: np.ndarray, temperature: float) -> np.ndarray:
 
 
 def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
-    """The model with its logits divided by `temperature`, and that temperature.
+    """The model with its logits divided by `temperature`, and the temperature that it has now.
 
-    A network that ends in neither a dense layer nor a convolution, or whose last layer shares its
-    weights with another, stays as it is: 1.
+    A network stays as it is, with temperature 1, if it ends in neither a dense layer nor a
+    convolution, or if its last layer shares its weights with another.
     """
     *others, last = model.network[CLASSIFIER]
     shared = {name for layer in others for name in layer.get("weights", {}).values()}

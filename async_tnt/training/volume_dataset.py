@@ -26,10 +26,12 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
 
     Parameters
     ----------
-    folder : with a folder of recordings for each class, or sessions, as for `async-tnt train`.
-    config : how events become volumes; not of landmark `regressor`, nor of `window_events`.
+    folder : a data set as for `async-tnt train`: a folder of recordings for each class, or
+        sessions.
+    config : how events become volumes. It must have neither landmark `regressor` nor
+        `window_events`.
     part : "Train", which may be the folder itself, or "Test".
-    classes : names, by index; by default those of this part, sorted. For "Test" give those of
+    classes : names, by index; by default those of this part, sorted. For "Test" give the classes of
         "Train".
 
     Attributes
@@ -47,7 +49,8 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
     --------
     >>> from torch.utils.data import DataLoader
     >>> data = VolumeDataset("gestures", TNTConfig(sensor=(128, 128)))  # doctest: +SKIP
-    >>> volumes, labels = next(iter(DataLoader(data, batch_size=64, shuffle=True)))  # doctest: +SKIP
+    >>> loader = DataLoader(data, batch_size=64, shuffle=True)  # doctest: +SKIP
+    >>> volumes, labels = next(iter(loader))  # doctest: +SKIP
     """
 
     def __init__(
@@ -68,10 +71,9 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
             )
         self._volumes = BatchVolumes(config)
         pixels = PixelSelection(sensor=config.sensor)
-        data = read_dataset(
-            folder, part=part, pixels=pixels, sensor_source="`config`", classes=classes
-        )
-        self.classes, self.left_out = data.classes, data.left_out
+        data = read_dataset(folder, part=part, pixels=pixels, classes=classes)
+        self.classes = data.classes
+        self.left_out = data.left_out
         if self.left_out:
             warnings.warn(
                 f"{len(self.left_out)} recordings left out, first {self.left_out[0]}", stacklevel=2

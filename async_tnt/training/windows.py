@@ -14,6 +14,7 @@ import numpy as np
 from async_tnt.training.recordings import COLUMNS, Recordings
 
 JUDGED = 500
+"""Windows in which events of a pixel are counted, at most."""
 
 
 @dataclass(frozen=True)
@@ -46,24 +47,34 @@ class Windows:
     def events(
         self, i: int, window_us: int, around_us: Sequence[int] = (0, 0)
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """t, x, y, p of window `i`, `window_us` long, and of so long before and after it; t int64,
-        microseconds since the window's start."""
-        some, recordings = self._slice(i, -around_us[0], window_us + around_us[1]), self.recordings
+        """t, x, y, p of the events of window `i`; t int64, microseconds since the window's start.
+
+        Parameters
+        ----------
+        i : which window.
+        window_us : its length.
+        around_us : how long before and after the window events are also returned.
+        """
+        before_us, after_us = around_us
+        some = self._slice(i, -before_us, window_us + after_us)
+        recordings = self.recordings
         t = recordings.t[some].astype(np.int64) - self.start_us[i]
         return t, recordings.x[some], recordings.y[some], recordings.p[some]
 
     def neighbours(self, window_us: int) -> np.ndarray:
-        """How many of the windows beside each, before and after it, are among these: int64, (N, 2),
-        0 or 1."""
+        """Whether the windows before and after each one are among these: int64, (N, 2), 0 or 1."""
         starts = list(zip(self.recording.tolist(), self.start_us.tolist(), strict=True))
         there = set(starts)
         beside = [[(r, t - window_us) in there, (r, t + window_us) in there] for r, t in starts]
         return np.array(beside, np.int64).reshape(-1, 2)
 
     def events_a_pixel(self, window_us: int) -> float:
-        """Events of one polarity of a pixel that has any: the median of windows of `window_us`, of
-        at most `JUDGED` of them. An edge that passes once leaves one or two, one that moves over
-        what it has left leaves more."""
+        """Events of one polarity that an active pixel has in a window of `window_us`.
+
+        It is the mean over the active pixels of a window, and the median over at most `JUDGED`
+        windows. An edge that passes a pixel once leaves one or two events; an edge that passes it
+        again and again leaves more.
+        """
         shares = []
         for i in np.linspace(0, len(self) - 1, min(JUDGED, len(self))).astype(int):
             _, x, y, p = self.events(i, window_us)
@@ -73,8 +84,11 @@ class Windows:
         return float(np.median(shares)) if shares else 0.0
 
     def cut(self, window_us: int, margin_us: int = 0) -> Windows:
-        """The same windows of `window_us`, each on a recording of its own: a copy of its events,
-        and of those in the `margin_us` around it."""
+        """The same windows of `window_us`, each on a recording of its own.
+
+        It is a copy of the window's events, and of the events in the `margin_us` before and after
+        it.
+        """
         parts = [self._slice(i, -margin_us, window_us + margin_us) for i in range(len(self))]
         columns = {}
         for name in COLUMNS:
@@ -91,10 +105,12 @@ class Windows:
 
     def _slice(self, i: int, from_us: int, until_us: int) -> slice:
         """Events of window `i`'s recording between two times since the window's start."""
-        r, t = self.recording[i], self.recordings.t
-        first, last = int(self.recordings.offsets[r]), int(self.recordings.offsets[r + 1])
+        r = self.recording[i]
+        t = self.recordings.t
+        first = int(self.recordings.offsets[r])
+        last = int(self.recordings.offsets[r + 1])
         bounds = np.clip(self.start_us[i] + np.array([from_us, until_us]), 0, np.iinfo(t.dtype).max)
-        # of its type: else t is copied
+        # bounds of another type than t would copy it
         start, stop = first + np.searchsorted(t[first:last], bounds.astype(t.dtype))
         return slice(int(start), int(stop))
 
@@ -111,12 +127,13 @@ def make_windows(
 
     Parameters
     ----------
-    window_us : their length.
+    recordings : what the windows lie on.
+    window_us : length of a window.
     which : indices of recordings; all by default.
-    first_event : False starts at 0, True at each recording's first event, as where a stream is
-        classified without an explicit start.
-    duration_us : of a recording, at most: `duration_us // window_us` windows, at least one. None:
-        up to its last event, so the last window may be partial.
+    first_event : False: the first window starts at 0. True: it starts at each recording's first
+        event, as where a stream is classified without an explicit start.
+    duration_us : a recording has at most `duration_us // window_us` windows, and at least one.
+        None: up to its last event, so the last window may be partial.
     """
     which = np.arange(len(recordings)) if which is None else np.asarray(which)
     windows = []

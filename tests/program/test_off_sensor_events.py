@@ -88,6 +88,6 @@ def test_training_data_leave_it_out_and_count_it(stray):
     assert (len(dataset.recordings), dataset.left_out, dataset.n_off_sensor) == (2, (), 1)
     assert dataset.recordings.y.max() < 34
     with pytest.raises(
-        ValueError, match=r"no recording states its sensor; .* needs at least 34x34"
+        ValueError, match=r"no recording of .* states its sensor .*needs at least 34x34"
     ):
         read_dataset(stray.parents[1])

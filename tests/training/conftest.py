@@ -21,22 +21,18 @@ def trained(gestures, tmp_path_factory):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
     folder = tmp_path_factory.mktemp("trained")
     out = folder / "gestures.safetensors"
-    assert (
-        main(
-            [
-                "train",
-                str(gestures),
-                "--out",
-                str(out),
-                "--grid",
-                "34x34",
-                "--epochs",
-                "3",
-                "--test",
-            ]
-        )
-        == 0
-    )
+    words = [
+        "train",
+        str(gestures),
+        "--out",
+        str(out),
+        "--grid",
+        "34x34",
+        "--epochs",
+        "3",
+        "--test",
+    ]
+    assert main(words) == 0
     return out
 
 

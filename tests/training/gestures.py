@@ -28,15 +28,15 @@ def bar(
     along = rng.uniform(-0.35, 0.35, n) * side
     p = rng.integers(0, 2, n)
     drift = rng.choice([-1, 1]) * 0.06 * side * (t / 100_000 % 1)
-    across = (
-        rng.uniform(-0.06, 0.06) * side
-        + drift
-        + (2 * p - 1) * 0.04 * side
-        + rng.normal(0, 0.01 * side, n)
-    )
-    cos, sin = np.cos(SLOPES[kind]), np.sin(SLOPES[kind])
-    x, y = across * cos - along * sin + side / 2, across * sin + along * cos + side / 2
-    x, y = (np.clip(np.rint(values), 0, side - 1).astype(int) for values in (x, y))
+    place = rng.uniform(-0.06, 0.06) * side
+    edge = (2 * p - 1) * 0.04 * side
+    across = place + drift + edge + rng.normal(0, 0.01 * side, n)
+    cos = np.cos(SLOPES[kind])
+    sin = np.sin(SLOPES[kind])
+    x = np.rint(across * cos - along * sin + side / 2)
+    y = np.rint(across * sin + along * cos + side / 2)
+    x = np.clip(x, 0, side - 1).astype(int)
+    y = np.clip(y, 0, side - 1).astype(int)
     return events_of(start_us + t, x, y, p)
 
 

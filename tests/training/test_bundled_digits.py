@@ -38,7 +38,8 @@ def test_the_record_of_digits_has_its_data_accuracy_and_command():
 
 def test_the_other_one_saw_pictures_alone():
     model = load_model("digits-from-pictures")
-    data, test = model.record["data"], model.record["test"]
+    data = model.record["data"]
+    test = model.record["test"]
     assert model.classes == tuple("0123456789") and data["pictures"]["pictures"] == 60_000
     assert test["recordings"] == 8_000 and test["window_accuracy"] >= 0.99
 

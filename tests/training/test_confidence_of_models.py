@@ -13,7 +13,6 @@ torch = pytest.importorskip("torch")
 from async_tnt.networks.models.compiled import CompiledClassifier  # noqa: E402
 from async_tnt.streaming.processor import Processor  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
-from async_tnt.training.data import TrainingData  # noqa: E402
 from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
 from async_tnt.training.fitting import fit, moments_ms  # noqa: E402
 from async_tnt.training.loop import train  # noqa: E402
@@ -21,11 +20,13 @@ from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
+from async_tnt.training.training_data import TrainingData  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 from async_tnt.volume.config import TNTConfig  # noqa: E402
 from experiments.nothing import KINDS, on_sensor  # noqa: E402
 
 CONFIG = TNTConfig(transform="none", landmark="center", bins=3, window_us=100_000)
+CLASSES = ("spot", "ring")
 
 
 def shapes(n, seed):
@@ -33,19 +34,14 @@ def shapes(n, seed):
     rng = np.random.default_rng(seed)
     recordings = []
     for k in range(n):
-        n_shape, n_stray = rng.integers(150, 400), rng.integers(0, 60)
-        radius, angle = (
-            (13.0 if k % 2 else 4.0) + rng.normal(0, 1.5, n_shape),
-            rng.uniform(0, 2 * np.pi, n_shape),
-        )
-        x, y = (
-            radius * np.cos(angle) + rng.integers(14, 20),
-            radius * np.sin(angle) + rng.integers(14, 20),
-        )
-        x, y = (
-            np.concatenate([np.clip(axis, 0, 33), rng.integers(0, 34, n_stray)]).astype(int)
-            for axis in (x, y)
-        )
+        n_shape = rng.integers(150, 400)
+        n_stray = rng.integers(0, 60)
+        radius = (13.0 if k % 2 else 4.0) + rng.normal(0, 1.5, n_shape)
+        angle = rng.uniform(0, 2 * np.pi, n_shape)
+        x = radius * np.cos(angle) + rng.integers(14, 20)
+        y = radius * np.sin(angle) + rng.integers(14, 20)
+        x = np.concatenate([np.clip(x, 0, 33), rng.integers(0, 34, n_stray)]).astype(int)
+        y = np.concatenate([np.clip(y, 0, 33), rng.integers(0, 34, n_stray)]).astype(int)
         t = np.sort(rng.integers(0, 100_000, n_shape + n_stray))
         recordings.append(events_of(t, x, y, rng.integers(0, 2, n_shape + n_stray)))
     return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
@@ -58,9 +54,8 @@ def models(tmp_path_factory):
     for nothing in (0.0, 0.2):
         settings = TrainSettings(epochs=6, batch=16, augmentation=Augmentation(nothing=nothing))
         folder = tmp_path_factory.mktemp("run")
-        made[nothing] = train(
-            CONFIG, shapes(400, 0), shapes(60, 1), settings, folder, classes=("spot", "ring")
-        ).model
+        data = TrainingData(CONFIG, CLASSES, shapes(400, 0), shapes(60, 1))
+        made[nothing] = train(data, settings, folder).model
     return made
 
 
@@ -89,9 +84,8 @@ def test_what_shows_nothing_is_counted_in_no_class(tmp_path):
     settings = TrainSettings(
         epochs=2, batch=16, augmentation=Augmentation(nothing=1.0), label_smoothing=0.0
     )
-    row = train(
-        CONFIG, shapes(64, 0), shapes(8, 1), settings, tmp_path, classes=("spot", "ring")
-    ).history[-1]
+    data = TrainingData(CONFIG, CLASSES, shapes(64, 0), shapes(8, 1))
+    row = train(data, settings, tmp_path).history[-1]
     assert row["loss"] == pytest.approx(np.log(2), abs=0.01) and row["training"] == 0.0
 
 
@@ -124,16 +118,15 @@ def test_a_calibrated_model_decides_the_same(models):
     assert calibrated(replace(model, network=twice), 2.5)[1] == 1.0
     volumes = np.random.default_rng(0).normal(size=(50, *model.config.shape)).astype(np.float32)
     for volume in volumes:
-        logits, softer = (
-            np.array(CompiledClassifier(m)(volume)) for m in (model, calibrated_model)
-        )
+        logits = np.array(CompiledClassifier(model)(volume))
+        softer = np.array(CompiledClassifier(calibrated_model)(volume))
         np.testing.assert_allclose(softer, logits / 2.5, rtol=1e-5, atol=1e-5)
 
 
 def test_the_record_of_a_model_tells_what_the_saved_model_does(tmp_path):
     """On what was held out, after the calibration, which changes it."""
-    training, validation = shapes(60, 0), shapes(40, 1)
-    data = TrainingData(CONFIG, ("spot", "ring"), training, validation, record={})
+    validation = shapes(40, 1)
+    data = TrainingData(CONFIG, CLASSES, shapes(60, 0), validation)
     settings = TrainSettings(epochs=1, batch=16, augmentation=Augmentation(nothing=0.0))
     model = fit(data, settings, tmp_path).model
     found = evaluate(pipeline_of(model), validation, times_ms=moments_ms(model)).to_dict()

@@ -2,21 +2,18 @@
 interrupted or not."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
-from training.test_training_loop import CLASSES, CONFIG, assert_equal, bars  # noqa: E402
+from training.test_training_loop import CONFIG, assert_equal, bars, train  # noqa: E402
 
 from async_tnt.training import early_end, loop  # noqa: E402
 from async_tnt.training.early_end import COOLING, GAIN, PATIENCE, settled_at  # noqa: E402
 from async_tnt.training.run_folder import load_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
-
-train = partial(loop.train, classes=CLASSES)
 
 
 def row(loss=0.1, share=1.0, **more):
@@ -103,16 +100,11 @@ def test_the_rate_falls_to_nothing_and_the_last_weights_are_kept(windows, held_o
     settled = early_end.settled_at(result.history)
     assert 3 <= settled < 35 and len(result.history) == settled + 2
     steps = SETTINGS.n_steps(len(windows))
-    (rate, *others) = (
-        group["lr"]
-        for group in torch.load(folder / "checkpoint.pt", weights_only=True)["optimizer"][
-            "param_groups"
-        ]
-    )
+    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    rate, *others = [group["lr"] for group in checkpoint["optimizer"]["param_groups"]]
     share = loop._share_of_rate(SETTINGS, settled * steps, SETTINGS.n_iterations(len(windows)))
-    assert rate == pytest.approx(SETTINGS.learning_rate * share / (2 * steps)) and set(others) == {
-        rate
-    }
+    assert rate == pytest.approx(SETTINGS.learning_rate * share / (2 * steps))
+    assert set(others) == {rate}
     again = train(
         CONFIG, windows, held_out, SETTINGS, folder, report=lambda row: pytest.fail("trained on")
     )

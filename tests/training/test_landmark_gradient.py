@@ -12,7 +12,12 @@ from made import random_events  # noqa: E402
 from async_tnt.networks.models.torch_modules import torch_regressor  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
-from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export, pipeline_of  # noqa: E402
+from async_tnt.training.pipeline import (  # noqa: E402
+    export,
+    new_pipeline,
+    pipeline_before_export,
+    pipeline_of,
+)
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 from async_tnt.volume.config import TNTConfig  # noqa: E402
@@ -49,7 +54,8 @@ def reference_settings(config):
 )
 def test_gradient_of_the_kernels_equals_the_references(changes):
     config = CONFIG.replace(**changes)
-    windows, batches = windows_of(config), BatchVolumes(config)
+    windows = windows_of(config)
+    batches = BatchVolumes(config)
     at = torch.tensor(LANDMARKS, requires_grad=True)
     expected = torch.stack(
         [

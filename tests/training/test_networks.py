@@ -30,11 +30,17 @@ def linear(channels, grid, n_classes):
     return nn.Sequential(nn.Flatten(), nn.Linear(channels * grid[0] * grid[1], n_classes))
 
 def normed(channels, grid, n_classes):
-    return nn.Sequential(nn.BatchNorm2d(channels), nn.Conv2d(channels, 4, 3), nn.ReLU(), nn.AdaptiveAvgPool2d(1),
-                         nn.Conv2d(4, n_classes, 1))  # logits (n_classes, 1, 1)
+    return nn.Sequential(
+        nn.BatchNorm2d(channels),
+        nn.Conv2d(channels, 4, 3),
+        nn.ReLU(),
+        nn.AdaptiveAvgPool2d(1),
+        nn.Conv2d(4, n_classes, 1),  # logits (n_classes, 1, 1)
+    )
 
 def mish(channels, grid, n_classes):
-    return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.Mish(), nn.Flatten(), nn.Linear(4096, n_classes))
+    conv = nn.Conv2d(channels, 4, 3)
+    return nn.Sequential(conv, nn.Mish(), nn.Flatten(), nn.Linear(4096, n_classes))
 
 def double(channels, grid, n_classes):
     return linear(channels, grid, n_classes).double()
@@ -44,7 +50,8 @@ def broken(channels, grid, n_classes):
 
 def deep(channels, grid, n_classes):
     halves = [nn.MaxPool2d(2) for _ in range(6)]
-    return nn.Sequential(*halves, nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(channels, n_classes))
+    head = [nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(channels, n_classes)]
+    return nn.Sequential(*halves, *head)
 """
 
 
@@ -153,29 +160,18 @@ def test_what_is_wrong_with_ones_own_is_said_before_training(
 
 def test_training_one_from_the_command(own, tmp_path, program, few_steps):
     folder = write_set(tmp_path / "set", {"upright": 2, "flat": 2}, side=34)
-    mine, out = tmp_path / "mine.py", tmp_path / "m.safetensors"
+    mine = tmp_path / "mine.py"
+    out = tmp_path / "m.safetensors"
     mine.write_text(OWN)
     words = ["train", folder, "--network", f"{mine}:normed", "--out", out, "--epochs", 1]
     assert program(*words)[0] == 0
     model = load_model(out)
-    assert model.record["network"] == "mine.py:normed" and str(tmp_path) not in json.dumps(
-        dict(model.record)
-    )
+    assert model.record["network"] == "mine.py:normed"
+    assert str(tmp_path) not in json.dumps(dict(model.record))
     mine.write_text(OWN + "# another network, perhaps\n")
     code, _, err = program(*words)
     assert code == 2 and "holds a run with other network_file" in err
     # the smallest grid that it suits
     large = write_set(tmp_path / "large", {"upright": 2, "flat": 2}, side=64)
-    assert (
-        program(
-            "train",
-            large,
-            "--network",
-            f"{mine}:deep",
-            "--out",
-            tmp_path / "d.safetensors",
-            "--epochs",
-            1,
-        )[0]
-        == 0
-    )
+    words = ["train", large, "--network", f"{mine}:deep", "--epochs", 1]
+    assert program(*words, "--out", tmp_path / "d.safetensors")[0] == 0

@@ -12,7 +12,9 @@ from training.gestures import bar, write, write_set
 from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
-from async_tnt.training.settings import default_config
+from async_tnt.training.held_out import Split
+from async_tnt.training.volume_choice import VolumeChoice
+from async_tnt.training.work import Work
 from async_tnt.volume.config import TNTConfig
 
 SIZE = (64, 64)
@@ -44,14 +46,14 @@ def test_what_is_trained_on_is_not_tested_on(tmp_path):
     write_set(tmp_path / "Test", {"upright": 2, "flat": 2}, side=34, seed=1)
     (learned, *_) = sorted((tmp_path / "Train" / "flat").iterdir())
     shutil.copy(learned, tmp_path / "Test" / "flat" / f"again{learned.suffix}")
-    data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
+    data = dataset_data(tmp_path, TNTConfig(), split=Split(test=True))
     line = f"Test/flat/again{learned.suffix}: the same events as flat/{learned.name}"
     assert data.left_out == (line,) and len(data.tests["test"][0]) == 4
     shutil.move(
         tmp_path / "Test" / "flat" / f"again{learned.suffix}", tmp_path / "Test" / "upright"
     )
     with pytest.raises(ValueError, match="hold the same events but are in two classes"):
-        dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
+        dataset_data(tmp_path, TNTConfig(), split=Split(test=True))
 
 
 def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
@@ -85,7 +87,7 @@ def test_windows_counts_and_the_held_out(tmp_path):
         )
         write(tmp_path / "flat" / f"{k}.npz", bar("flat", k, duration_us=20_000))
     write(tmp_path / "single" / "0.npz", bar("slanted", 0))
-    data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING)
+    data = dataset_data(tmp_path, TNTConfig())
     # one of five is held out of each class: 4 x 5 windows of 105 ms and 4 partial ones, and the
     # single one
     assert (len(data.training), len(data.validation), data.config.sensor) == (25, 6, (128, 128))
@@ -100,20 +102,19 @@ def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
     for k in range(4):
         write(tmp_path / "upright" / f"{k}.npz", bar("upright", k, duration_us=500_000))
     write(tmp_path / "flat" / "only.npz", bar("flat", 0, n=4_000, duration_us=2_000_000))
-    data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=EVERYTHING)
-    learned, held_out = (
+    data = dataset_data(tmp_path, TNTConfig(window_us=100_000))
+    learned, held_out = [
         some.start_us[some.labels == 0] // 100_000 for some in (data.training, data.validation)
-    )
+    ]
     assert learned.tolist() == list(range(15)) and held_out.tolist() == [16, 17, 18, 19]
     assert data.record["held_out_in_time"] == ["flat"] and len(data.validation) == 4 + 5
-    (note,) = (line for line in data.notes if "the last windows of flat" in line)
+    (note,) = [line for line in data.notes if "the last windows of flat" in line]
     assert note.endswith("only another session tells more")
     (tmp_path / "flat" / "only.npz").rename(tmp_path / "flat" / "take9.npz")
     # of the same group, later
     write(tmp_path / "flat" / "take10.npz", bar("flat", 1, n=4_000, duration_us=2_000_000))
-    data = dataset_data(
-        tmp_path, TNTConfig(window_us=100_000), pixels=EVERYTHING, groups="flat|[0-3]"
-    )
+    split = Split(groups="flat|[0-3]")
+    data = dataset_data(tmp_path, TNTConfig(window_us=100_000), split=split)
     names = data.training.recordings.names
     for some, windows in (
         (data.training, {"take9": 20, "take10": 11}),
@@ -128,13 +129,12 @@ def test_of_a_single_session_the_last_windows_are_held_out(tmp_path):
 def test_where_pixels_fire_often_the_default_volume_has_time_bins(tmp_path, events_a_pixel, volume):
     """In the same polarity and window: neither the other sign nor the next window adds to it."""
     n = 40 * events_a_pixel
-    x, is_on = np.tile(np.arange(40), 3 * events_a_pixel), np.repeat([True, False, True], n)
+    x = np.tile(np.arange(40), 3 * events_a_pixel)
+    is_on = np.repeat([True, False, True], n)
     t = np.arange(3 * n) + np.repeat([0, 0, 100_000], n)
     for k, name in enumerate("aabb"):
         write(tmp_path / name / f"{k}.npz", events_of(t, x, np.full(3 * n, k), is_on))
-    data = dataset_data(
-        tmp_path, default_config(window_us=100_000), pixels=EVERYTHING, fitted={"bins"}
-    )
+    data = dataset_data(tmp_path, VolumeChoice.of(window_us=100_000))
     assert (
         data.config.representation,
         data.config.bins,
@@ -155,27 +155,30 @@ def recording(times_us, pixels=None):
 def test_what_differs_only_outside_of_the_region_or_is_late_is_left_out_by_event(tmp_path):
     """Events older than their recording's first one are late; the others are sorted. In files or in
     memory."""
-    folder, store = tmp_path / "set", tmp_path / "store"
+    folder = tmp_path / "set"
+    store = tmp_path / "store"
     store.mkdir()
     for k, name in enumerate("ab"):
         write(folder / name / "1.npz", recording([500, 520 + k, 510, 499]), sensor=SIZE)
         write(folder / name / "2.npz", recording([0, 10, 20 + k], [2, 5, 40 + k]), sensor=SIZE)
     pixels = PixelSelection(roi=(0, 0, 10, 10))
-    held, mapped = (
-        read_dataset(folder, pixels=pixels),
-        read_dataset(folder, pixels=pixels, store=store),
-    )
+    held = read_dataset(folder, pixels=pixels)
+    mapped = read_dataset(folder, pixels=pixels, work=Work(store))
     np.testing.assert_array_equal(held.recordings.t, [0, 10, 20, 0, 10, 0, 10, 21, 0, 10])
     assert (
         held.left_out == () and held.left_out_events == {"left_out_outside": 2} and held.n_late == 2
     )
     for name in ("t", "x", "y", "p", "offsets", "labels"):
-        ours, theirs = getattr(mapped.recordings, name), getattr(held.recordings, name)
+        ours = getattr(mapped.recordings, name)
+        theirs = getattr(held.recordings, name)
         np.testing.assert_array_equal(ours, theirs)
         assert ours.dtype == theirs.dtype
     assert not list(store.iterdir())  # files without names, which nothing has to remove
-    data = dataset_data(folder, TNTConfig(), pixels=pixels, validation=0)
-    line = "events left out of the recordings: 2 outside of the region, 2 older than the first one of their recording"
+    data = dataset_data(folder, TNTConfig(), pixels=pixels, split=Split(0))
+    line = (
+        "events left out of the recordings: 2 outside of the region, 2 older than the first one of "
+        "their recording"
+    )
     assert data.record["left_out_late"] == 2 and line in data.notes
 
 
@@ -187,12 +190,12 @@ REFUSED = [  # files and their sensors, what is refused, settings
     ),
     (
         {"flat/a.npz": (80, 60), "up/b.npz": SIZE},
-        "got 64x64 (`sensor`) and 80x60 (flat/a.npz)",
+        "`sensor` must be of the recordings' sensor, 80x60 (flat/a.npz), got 64x64",
         {"sensor": SIZE},
     ),
     (
         {"flat/a.csv": None, "up/b.csv": None},
-        "no recording states its sensor; give `sensor` (flat/a.csv needs",
+        "set states its sensor (flat/a.csv needs at least ",
         {},
     ),
     ({"flat/a.bin": None, "up/b.bin": None}, "unless `sensor` says another", {}),
@@ -243,12 +246,12 @@ def test_who_was_seen_in_training_is_not_held_out(tmp_path):
         write(tmp_path / name, bar("flat", k, n=50))
 
     def held_out_by(n_groups, **how):
-        data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, **how)
+        data = dataset_data(tmp_path, TNTConfig(), split=Split(**how))
         names = data.training.recordings.names
-        train, held_out = (
-            {names[r].split("/")[1][0] for r in w.recording}
-            for w in (data.training, data.validation)
-        )
+        train, held_out = [
+            {names[r].split("/")[1][0] for r in windows.recording}
+            for windows in (data.training, data.validation)
+        ]
         assert not n_groups or (len(held_out) == n_groups and not train & held_out)
         return data.record["source"].removeprefix("recordings of own classes, held out by ")
 

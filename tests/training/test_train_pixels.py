@@ -8,9 +8,12 @@ from training.gestures import bar, write
 from async_tnt.sources.pixels.pixel_masks import PackedMask
 from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
+from async_tnt.training.held_out import Split
 from async_tnt.volume.config import TNTConfig
 
-SIZE, CAMERA, CORNER = (64, 64), (120, 90), (30, 10)
+SIZE = (64, 64)
+CAMERA = (120, 90)
+CORNER = (30, 10)
 HOT = np.array([(5, 60), (60, 3)])
 
 
@@ -37,7 +40,8 @@ def write_sets(folder):
     which move, too."""
     for k in range(20):
         events, hot = recorded(k)
-        large, around = hot.copy(), hot[::2].copy()
+        large = hot.copy()
+        around = hot[::2].copy()
         large["x"] += CORNER[0]
         large["y"] += CORNER[1]
         around["x"] = np.where(np.arange(len(around)) % 2, 2, 119)
@@ -60,11 +64,10 @@ def test_the_network_sees_recordings_without_these_events(name, region, mask, tm
     """Event by event, to train on, to validate on and to test on."""
     write_sets(tmp_path)
     pixels = PixelSelection(region, region is not None, PackedMask.of(mask))
-    got = dataset_data(tmp_path / name, TNTConfig(), pixels=pixels, test=True)
-    clean, disturbed = (
-        dataset_data(tmp_path / which, TNTConfig(), pixels=PixelSelection(), test=True)
-        for which in ("clean", "hot")
-    )
+    split = Split(test=True)
+    got = dataset_data(tmp_path / name, TNTConfig(), pixels=pixels, split=split)
+    clean = dataset_data(tmp_path / "clean", TNTConfig(), split=split)
+    disturbed = dataset_data(tmp_path / "hot", TNTConfig(), split=split)
     assert (
         got.config == clean.config and got.config.sensor == SIZE and len(got.tests["test"][0]) == 10
     )

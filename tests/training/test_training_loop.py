@@ -4,7 +4,6 @@ import copy
 import json
 import os
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -21,15 +20,25 @@ from async_tnt.training.loop import _optimizer, batches_of  # noqa: E402
 from async_tnt.training.objectives import ClassOfWindows, ObjectsInScenes  # noqa: E402
 from async_tnt.training.pipeline import Pipeline, new_pipeline, pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
-from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
+from async_tnt.training.run_folder import (  # noqa: E402
+    CHECKPOINT,
+    FORMAT,
+    load_checkpoint,
+    save_checkpoint,
+)
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
+from async_tnt.training.training_data import TrainingData  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 from async_tnt.volume.config import TNTConfig  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
 CLASSES = ("across", "down")
 ONE_EPOCH = TrainSettings(epochs=1, batch=16)
-train = partial(loop.train, classes=CLASSES)
+
+
+def train(config, training, validation, settings, run_folder, *, classes=CLASSES, **more):
+    data = TrainingData(config, classes, training, validation)
+    return loop.train(data, settings, run_folder, **more)
 
 
 def bars(n=24, seed=0):
@@ -37,14 +46,11 @@ def bars(n=24, seed=0):
     rng = np.random.default_rng(seed)
     recordings = []
     for k in range(n):
-        t, along, across = (
-            np.sort(rng.integers(0, 315_000, 600)),
-            rng.integers(8, 26, 600),
-            rng.integers(15, 19, 600),
-        )
-        recordings.append(
-            events_of(t, *((along, across) if k % 2 else (across, along)), rng.integers(0, 2, 600))
-        )
+        t = np.sort(rng.integers(0, 315_000, 600))
+        along = rng.integers(8, 26, 600)
+        across = rng.integers(15, 19, 600)
+        x, y = (along, across) if k % 2 else (across, along)
+        recordings.append(events_of(t, x, y, rng.integers(0, 2, 600)))
     return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
 
 
@@ -90,8 +96,14 @@ class Settings:
 
 def build(channels, grid, n_classes):
     assert Settings().width == 4
-    layers = [nn.Conv2d(channels, 4, 3), nn.AdaptiveAvgPool2d(1), nn.BatchNorm2d(4), nn.Dropout(0.5), nn.Flatten()]
-    return nn.Sequential(*layers, nn.Linear(4, n_classes))
+    return nn.Sequential(
+        nn.Conv2d(channels, 4, 3),
+        nn.AdaptiveAvgPool2d(1),
+        nn.BatchNorm2d(4),
+        nn.Dropout(0.5),
+        nn.Flatten(),
+        nn.Linear(4, n_classes),
+    )
 """
 
 
@@ -153,13 +165,8 @@ def test_every_parameter_is_trained_and_an_infinite_loss_ends_the_training(windo
         id(w) for w in module.parameters()
     }
     with pytest.raises(ValueError, match=r"^the loss of epoch 1 is not finite"):
-        train(
-            CONFIG,
-            windows,
-            windows[:0],
-            TrainSettings(epochs=1, batch=8, learning_rate=1e30),
-            tmp_path,
-        )
+        settings = TrainSettings(epochs=1, batch=8, learning_rate=1e30)
+        train(CONFIG, windows, windows[:0], settings, tmp_path)
 
 
 def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_path):
@@ -183,10 +190,8 @@ def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_p
 def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
     """Bit for bit. 72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the
     next."""
-    config, settings = (
-        CONFIG.replace(landmark=landmark),
-        TrainSettings(epochs=50, iterations=8, batch=32, seed=5),
-    )
+    config = CONFIG.replace(landmark=landmark)
+    settings = TrainSettings(epochs=50, iterations=8, batch=32, seed=5)
     whole = train(config, windows, windows[:6], settings, tmp_path / "whole")
 
     class InterruptedInEpoch2(Bar):
@@ -266,11 +271,13 @@ def test_what_is_held_out_is_measured_on_the_finished_model_and_changes_no_weigh
     averaging, own, windows, tmp_path
 ):
     settings = TrainSettings(epochs=2, batch=16, network=own, averaging=averaging, balance=True)
-    seen, held_out = windows[:50], windows[50:]
+    seen = windows[:50]
+    held_out = windows[50:]
     with_them = train(CONFIG, seen, held_out, settings, tmp_path / "with")
     without = train(CONFIG, seen, held_out[:0], settings, tmp_path / "without")
     assert_equal(with_them.model, without.model)
-    finished, last = evaluate(pipeline_of(with_them.model), held_out), with_them.history[-1]
+    finished = evaluate(pipeline_of(with_them.model), held_out)
+    last = with_them.history[-1]
     assert (last["per_window"], last["per_recording"]) == (
         finished.per_window,
         finished.per_recording,
@@ -292,9 +299,10 @@ def normed(channels, grid, n_classes):
     layers = [nn.BatchNorm2d(channels), nn.AdaptiveAvgPool2d(1), nn.Flatten()]
     return nn.Sequential(*layers, nn.Linear(channels, n_classes))
 """
-"""Of the first, no gradient reaches any weight: its logits are its last bias, whatever is shown."""
+"""Two networks. No gradient reaches a weight of the first: its logits are its last bias, whatever
+is shown."""
 SHARES = [0.25, 0.5, 0.75, 1, 1, 0.8535534, 0.5, 0.1464466]
-"""Of the highest rate: 4 of 8 steps up, 4 along a cosine, 1/2 (1 + cos(pi k / 4))."""
+"""Shares of the highest rate: 4 of 8 steps up, 4 along a cosine, 1/2 (1 + cos(pi k / 4))."""
 
 
 def averages(values, share):
@@ -345,12 +353,11 @@ def test_batch_norms_have_the_average_of_their_statistics(windows, tmp_path):
     means = {}
     for averaging in (0.0, 0.7):
         folder = tmp_path / str(averaging)
-        model = train(
-            CONFIG, windows, windows[:0], replace(settings, averaging=averaging), folder
-        ).model
-        (means[averaging],) = (
-            w for name, w in model.weights.items() if name.endswith("running_mean")
-        )
+        changed = replace(settings, averaging=averaging)
+        model = train(CONFIG, windows, windows[:0], changed, folder).model
+        found = [w for name, w in model.weights.items() if name.endswith("running_mean")]
+        assert len(found) == 1
+        means[averaging] = found[0]
     shares = 1 - 0.9 ** np.arange(1, 6)
     assert np.abs(means[0.0]).max() > 0
     np.testing.assert_allclose(
@@ -367,7 +374,7 @@ def test_loss_and_accuracy_of_an_epoch_are_means_over_its_windows(smoothing, win
     settings = TrainSettings(epochs=1, batch=50, learning_rate=1e-12, label_smoothing=smoothing)
     settings = replace(settings, network=f"{tmp_path / 'dead.py'}:build")
     run = train(CONFIG, uneven, uneven[:0], settings, tmp_path / "run")
-    (logits,) = (w for w in run.model.weights.values() if w.shape == (2,))
+    (logits,) = [w for w in run.model.weights.values() if w.shape == (2,)]
     told = logits - np.log(np.exp(logits).sum())
     target = np.eye(2) * (1 - smoothing) + smoothing / 2
     expected = 0.75 * -(target[0] @ told) + 0.25 * -(target[1] @ told)
@@ -384,14 +391,14 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
             windows,
             replace(ONE_EPOCH, batch=8, seed=1),
             CLASSES,
-            "holds a run with other batch, seed; delete it",
+            "holds a run with other batch, seed; remove it",
         ),
         (other, ONE_EPOCH, CLASSES, "holds a run with other data"),
         (windows[:0], ONE_EPOCH, CLASSES, "`training` must hold at least one window"),
         (windows, ONE_EPOCH, ("a",), r"labels must be in \[0, 1\), one for each class, got 1"),
     ):
         with pytest.raises(ValueError, match=message):
-            loop.train(CONFIG, training, training[:0], settings, trained[1], classes=classes)
+            train(CONFIG, training, training[:0], settings, trained[1], classes=classes)
 
 
 @pytest.mark.parametrize("column", ["t", "x", "y", "p", "labels", "recording", "start_us"])
@@ -409,7 +416,8 @@ def test_whatever_differs_in_the_data_is_another_run(column, windows, trained):
 
 def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
     """Any bit: `torch.load` alone does not compare checksums."""
-    path, identity = tmp_path / CHECKPOINT, {"seed": 0, "format": FORMAT}
+    path = tmp_path / CHECKPOINT
+    identity = {"seed": 0, "format": FORMAT}
     save_checkpoint(tmp_path, {"identity": identity, "history": [], "weights": torch.ones(500)})
     content = path.read_bytes()
     at = content.index(torch.ones(500).numpy().tobytes()) + 1_000
@@ -451,9 +459,9 @@ def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_o
     labels = np.array([0] * 18 + [1] * 6)
     windows = replace(windows, recordings=replace(windows.recordings, labels=labels))
     settings = TrainSettings(batch=8, balance=balance)
-    first, again, second = (
-        list(batches_of(CONFIG, windows, settings, epoch)) for epoch in (0, 0, 1)
-    )
+    first = list(batches_of(CONFIG, windows, settings, 0))
+    again = list(batches_of(CONFIG, windows, settings, 0))
+    second = list(batches_of(CONFIG, windows, settings, 1))
     assert np.bincount(np.concatenate([some.labels for some, _ in first])).tolist() == expected
     orders = [
         np.concatenate([some.recording for some, _ in epoch]).tolist()
@@ -466,11 +474,12 @@ def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_o
     assert orders[0] == orders[1] != orders[2] and seeds[0] == seeds[1] != seeds[2]
 
 
-class Master:
+class Teacher:
     """Says the same of all windows, and keeps how they were augmented."""
 
     def __init__(self, config, row):
-        self.config, self._row = config, row
+        self.config = config
+        self._row = row
 
     def __call__(self, windows, draws):
         self.draws = draws
@@ -482,14 +491,15 @@ def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows)
     images = TNTConfig(
         sensor=CONFIG.sensor, window_us=CONFIG.window_us, representation="count_time"
     )
-    draws, own = (
-        Augmentation().draw(windows[:4], of, np.random.default_rng(1)) for of in (CONFIG, images)
-    )
+    draws = Augmentation().draw(windows[:4], CONFIG, np.random.default_rng(1))
+    own = Augmentation().draw(windows[:4], images, np.random.default_rng(1))
     objective = ClassOfWindows(CONFIG, windows[:0], ONE_EPOCH, 2)
-    objective._masters = [Master(images, [0.0, 0.0]), Master(CONFIG, [0.0, 0.0])]
+    teacher_of_images = Teacher(images, [0.0, 0.0])
+    teacher = Teacher(CONFIG, [0.0, 0.0])
+    objective._teachers = [teacher_of_images, teacher]
     objective._targets(windows[:4], draws)
-    shown, same = (master.draws for master in objective._masters)
-    assert same is draws and shown.sensor == own.sensor == CONFIG.sensor != draws.sensor
+    shown = teacher_of_images.draws
+    assert teacher.draws is draws and shown.sensor == own.sensor == CONFIG.sensor != draws.sensor
     np.testing.assert_allclose(shown.matrix, own.matrix)
 
 
@@ -502,7 +512,7 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
         np.concatenate([np.flatnonzero(windows.labels == label)[:2] for label in (0, 1)])
     ]
     objective = ClassOfWindows(CONFIG, windows[:0], ONE_EPOCH, 2)
-    objective._masters = [Master(CONFIG, [0.0, 0.0]), Master(CONFIG, [np.log(3), 0.0])]
+    objective._teachers = [Teacher(CONFIG, [0.0, 0.0]), Teacher(CONFIG, [np.log(3), 0.0])]
     found = objective._targets(some, draws)
     np.testing.assert_allclose(
         found, [[0.8125, 0.1875], [0.5, 0.5], [0.3125, 0.6875], [0.5, 0.5]], atol=1e-6
@@ -512,7 +522,7 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
     with pytest.raises(AssertionError):
         assert_equal(taught, model)
     for teachers in ([], [replace(model, config=CONFIG.replace(t_max=3.0))]):
-        with pytest.raises(ValueError, match="other teachers; delete it"):
+        with pytest.raises(ValueError, match="other teachers; remove it"):
             train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path, teachers=teachers)
     with pytest.raises(
         ValueError,

@@ -34,12 +34,13 @@ def random_windows(config, n=3, n_events=700, **settings):
 
 def streamed(config, windows, k, until_us):
     """The volume of window `k`, streamed: of its events before `until_us`."""
-    r, start = windows.recordings, int(windows.start_us[k])
-    own = slice(*r.offsets[windows.recording[k] :][:2])
-    inside = (r.t[own] >= start) & (r.t[own] < start + until_us)
-    return opened(
-        config, [getattr(r, name)[own][inside].astype(np.int64) for name in "txyp"], start
-    ).array
+    recordings = windows.recordings
+    start = int(windows.start_us[k])
+    first, end = recordings.offsets[windows.recording[k] :][:2]
+    own = slice(first, end)
+    inside = (recordings.t[own] >= start) & (recordings.t[own] < start + until_us)
+    columns = [getattr(recordings, name)[own][inside].astype(np.int64) for name in "txyp"]
+    return opened(config, columns, start).array
 
 
 @pytest.mark.parametrize(
@@ -156,12 +157,12 @@ def test_the_largest_changes_by_hand(changes, place):
 
 
 def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
-    config, augmentation = (
-        TNTConfig(),
-        Augmentation(partial=0.25, translate_px=4, mirror=True, nothing=0.1),
-    )
+    config = TNTConfig()
+    augmentation = Augmentation(partial=0.25, translate_px=4, mirror=True, nothing=0.1)
     windows = random_windows(config, 1, 100)[np.zeros(4_000, int)]
-    draws, again, other = (augmentation.draw(windows, config, RNG(seed)) for seed in (1, 1, 2))
+    draws = augmentation.draw(windows, config, RNG(1))
+    again = augmentation.draw(windows, config, RNG(1))
+    other = augmentation.draw(windows, config, RNG(2))
     for name in ("start_us", "until_us", "matrix", "keep", "seed", "nothing", "place"):
         np.testing.assert_array_equal(getattr(draws, name), getattr(again, name))
         assert not np.array_equal(getattr(draws, name), getattr(other, name))
@@ -175,12 +176,8 @@ def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
     times = TNTConfig(representation="mean_time")
     assert NOTHING.draw(windows, times, RNG(1)).sensor == (34, 34)
     scaled = Augmentation.for_sensor(TNTConfig(sensor=(100, 67), window_us=210_000), drop=0.5)
-    assert (scaled.start_ms, scaled.shift_px, scaled.partial_from_ms, scaled.drop) == (
-        10.0,
-        3.0,
-        30.0,
-        0.5,
-    )
+    found = (scaled.start_ms, scaled.shift_px, scaled.partial_from_ms, scaled.drop)
+    assert found == (10.0, 3.0, 30.0, 0.5)
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)
 
@@ -190,10 +187,8 @@ def test_thinning_keeps_the_drawn_share_and_scattered_events_are_anywhere_and_ot
     windows = random_windows(config, 1, 60_000)
     windows.recordings.x[:] = 20
     windows.recordings.y[:] = 10
-    all_of_it, draws = (
-        BatchVolumes(config)(windows).sum((2, 3), dtype=np.float64),
-        unchanged(3, config),
-    )
+    all_of_it = BatchVolumes(config)(windows).sum((2, 3), dtype=np.float64)
+    draws = unchanged(3, config)
     draws.keep[:] = 0.25, 1.0, 1.0
     draws.seed[:] = 1, 2, 3
     draws = of_nothing(draws, np.array([SHOWN, SCATTERED, SCATTERED]), RNG(0))
@@ -210,21 +205,24 @@ def test_thinning_keeps_the_drawn_share_and_scattered_events_are_anywhere_and_ot
 @pytest.mark.parametrize("kind", [SHOWN, SCATTERED, HOT_PIXELS])
 def test_what_is_drawn_for_a_window_is_the_same_whatever_else_the_data_set_holds(kind):
     config = TNTConfig(transform="none")
-    own, other = (
-        random_events(n, seed=n, duration_us=330_000, sensor=config.sensor) for n in (600, 501)
-    )
-    sets = [own], [other, own[own["t"] > 99_000]]  # of the last recording, the second window
-    found = [
-        make_windows(Recordings.from_events(some, [0] * len(some)), config.window_us)
-        for some in sets
-    ]
-    alone, behind = (w[(w.recording == w.recording.max()) & (w.start_us == 105_000)] for w in found)
+    own = random_events(600, seed=600, duration_us=330_000, sensor=config.sensor)
+    other = random_events(501, seed=501, duration_us=330_000, sensor=config.sensor)
+
+    def second_window_of_the_last(events):
+        recordings = Recordings.from_events(events, [0] * len(events))
+        windows = make_windows(recordings, config.window_us)
+        is_last = windows.recording == windows.recording.max()
+        return windows[is_last & (windows.start_us == 105_000)]
+
+    alone = second_window_of_the_last([own])
+    behind = second_window_of_the_last([other, own[own["t"] > 99_000]])
     draws = unchanged(1, config)
-    draws.keep[:], draws.seed[:] = 0.5, 7
+    draws.keep[:] = 0.5
+    draws.seed[:] = 7
     draws = of_nothing(draws, np.array([kind]), RNG(0))
-    volumes = [BatchVolumes(config)(windows, draws).copy() for windows in (alone, behind)]
-    assert len(alone) == 1 and volumes[0].any()
-    np.testing.assert_array_equal(*volumes)
+    expected = BatchVolumes(config)(alone, draws).copy()
+    assert len(alone) == 1 and expected.any()
+    np.testing.assert_array_equal(BatchVolumes(config)(behind, draws), expected)
 
 
 @pytest.mark.parametrize("kind", [ONE_POLARITY, HOT_PIXELS, PATCH, EDGE])
@@ -233,11 +231,13 @@ def test_what_stands_in_the_place_of_a_recording(kind):
     config = TNTConfig(transform="none", polarity="split", bins=2, sensor=(50, 40), grid=(50, 40))
     windows = random_windows(config, 1, 30_000)[np.zeros(40, int)]
     n_events = BatchVolumes(config)(windows).sum() / 40
-    draws, n_hot = of_nothing(unchanged(40, config), np.full(40, kind), RNG(0)), set()
+    draws = of_nothing(unchanged(40, config), np.full(40, kind), RNG(0))
+    n_hot = set()
     # often of one polarity
     assert kind != EDGE or 10 < np.isin(draws.place[:, 7], (0, 1)).sum() < 30
     for volume in BatchVolumes(config)(windows, draws).astype(np.float64):
-        of_pixels, of_polarity = volume.sum(0), volume.sum((1, 2)).reshape(2, 2).sum(1)
+        of_pixels = volume.sum(0)
+        of_polarity = volume.sum((1, 2)).reshape(2, 2).sum(1)
         y, x = np.nonzero(of_pixels)
         if kind != EDGE:
             assert volume.sum() == pytest.approx(n_events, rel=1e-5)
@@ -246,16 +246,13 @@ def test_what_stands_in_the_place_of_a_recording(kind):
         elif kind == HOT_PIXELS:
             n_hot.add(len(x))
         elif kind == PATCH:
-            assert (
-                np.ptp(x) < 26
-                and np.ptp(y) < 21
-                and len(x) > 0.8 * (np.ptp(x) + 1) * (np.ptp(y) + 1)
-            )
+            assert np.ptp(x) < 26 and np.ptp(y) < 21
+            assert len(x) > 0.8 * (np.ptp(x) + 1) * (np.ptp(y) + 1)
         else:  # what is there in the second half lies beside what was there in the first
-            halves = [volume[k] + volume[2 + k] for k in range(2)]
-            first, second = (
-                np.mgrid[:40, :50].reshape(2, -1) @ half.ravel() / half.sum() for half in halves
-            )
+            first, second = [
+                np.mgrid[:40, :50].reshape(2, -1) @ half.ravel() / half.sum()
+                for half in (volume[0] + volume[2], volume[1] + volume[3])
+            ]
             assert np.hypot(*(second - first)) > 0.5 and volume.sum() > 0.02 * n_events
     assert n_hot == ({1, 2, 3} if kind == HOT_PIXELS else set())
 
@@ -275,12 +272,11 @@ def test_a_folder_is_a_data_set_of_volumes_for_torch(tmp_path):
             recordings[name, k] = events
             np.save(tmp_path / name / f"{k}.npy", events)
     data = VolumeDataset(tmp_path, config)
-    expected = [
-        (window.volume, label)
-        for label, name in enumerate(data.classes)
-        for k in range(2)
-        for window in volumes([recordings[name, k]], config)
-    ]
+    expected = []
+    for label, name in enumerate(data.classes):
+        for k in range(2):
+            windows = volumes([recordings[name, k]], config)
+            expected += [(window.volume, label) for window in windows]
     assert data.classes == ("clap", "wave") and len(data) == len(expected) == 12
     for (volume, label), (by_hand, of) in zip(data, expected, strict=True):
         np.testing.assert_array_equal(volume.numpy(), by_hand)

@@ -1,0 +1,83 @@
+"""What `async-tnt train` prints at its end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from async_tnt.cli.output import say
+
+if TYPE_CHECKING:
+    from async_tnt.training.fitting import Fitted
+
+FEW = 20
+"""Held-out recordings of a class below which its windows are reported, too."""
+TITLES = {
+    "validation": "held out",
+    "validation_motions": "held out, in other motions",
+    "test": "Test",
+}
+"""Part of a model's record -> how it is printed."""
+
+
+def print_summary(fitted: Fitted, out: Path, written: list[Path], *, as_json: bool) -> None:
+    """Print how good a model is, and the files that were written.
+
+    Parameters
+    ----------
+    fitted : the model and the scores of what was held out.
+    out : its file.
+    written : all files.
+    as_json : print the model's record instead.
+    """
+    record = fitted.model.record
+    if as_json:
+        say(json.dumps({"out": str(out), **record}))
+        return
+    for name, title in TITLES.items():
+        if name in record:
+            pictures = record["data"].get("pictures") if name == "validation" else None
+            say(f"{title}: {_accuracy(record[name], pictures)}")
+    say(
+        f"network {record['network']}, {record['multiplications']:,} multiplications a complete "
+        f"window; temperature {record.get('temperature', 1):.3f}"
+    )
+    if fitted.scores is not None:
+        _print_few(fitted.scores)
+    if "held_out_in_time" in record["data"]:
+        say(
+            "held out in time: of the sessions that were learned from; only another session tells "
+            "how well it works"
+        )
+    say(f"wrote {', '.join(map(str, written))}")
+
+
+def _accuracy(found: Mapping[str, Any], pictures: Mapping[str, Any] | None) -> str:
+    """The accuracy of one part of a record.
+
+    pictures : the record of pictures, whose simulated recordings are in this part.
+    """
+    if "f1" in found:
+        early = [f"{f1:.4f} after {ms} ms" for ms, f1 in found["f1_against_time_ms"].items()]
+        return f"F1 {found['f1']:.4f} of {found['objects']} objects in scenes ({', '.join(early)})"
+    text = f"{found['per_window']:.4f} of {found['windows']} windows"
+    if "recordings" in found:
+        text += f", {found['per_recording']:.4f} of {found['recordings']} recordings"
+    if pictures:
+        text += f" (simulated ones: of {pictures['held_out']} pictures)"
+    return f"{text} right"
+
+
+def _print_few(scores: Mapping[str, Any]) -> None:
+    """Print each class's windows, where few recordings of any class are held out."""
+    n_recordings = [sum(row) for row in scores["confusion"]]
+    if max(n_recordings) >= FEW:
+        return
+    for k, name in enumerate(scores["classes"]):
+        windows = scores["window_confusion"][k]
+        say(
+            f"  {name}: {windows[k]} of {sum(windows)} windows of {n_recordings[k]} held-out "
+            "recordings right"
+        )

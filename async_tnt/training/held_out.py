@@ -1,0 +1,172 @@
+"""What is held out of a data set: recordings and pictures, or the last windows of a class.
+
+How groups are found and drawn is in `groups`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from async_tnt.base.checks import ParameterValueError
+from async_tnt.sources.files.labelled_recordings import file_of
+from async_tnt.training.groups import (
+    groups_by_pattern,
+    hold_out_end,
+    hold_out_groups,
+    hold_out_last,
+)
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import Windows
+
+BY_NUMBER = "number, the last ones"
+
+
+@dataclass(frozen=True)
+class Split:
+    """How a data set is divided.
+
+    Parameters
+    ----------
+    validation : share of each class's recordings to hold out; at least one, if there are two
+        groups. 0: none.
+    groups : a regular expression, see `groups_by_pattern`; by default the last recordings of each
+        class by number, or some at random.
+    test : also read the recordings of the part `Test`.
+    seed : of what is drawn at random, and of the recordings of pictures.
+
+    Raises
+    ------
+    ValueError : a share outside [0, 1), or not a regular expression.
+    """
+
+    validation: float = 0.2
+    groups: str | None = None
+    test: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.validation < 1:
+            raise ParameterValueError("validation", "must be in [0, 1)", self.validation)
+        if self.groups is not None:
+            groups_by_pattern((), self.groups)
+
+
+@dataclass(frozen=True)
+class Division:
+    """Recordings and pictures on two sides.
+
+    Parameters
+    ----------
+    learned, held_out : their indices, int64.
+    held_out_by : what decided, for the record.
+    counted : how many are held out of how many.
+    """
+
+    learned: np.ndarray
+    held_out: np.ndarray
+    held_out_by: str
+    counted: str
+
+
+def divide(names: Sequence[str], labels: np.ndarray, split: Split) -> Division:
+    """Divide recordings and pictures into learned and held-out ones.
+
+    Parameters
+    ----------
+    names : their names, `class/file`.
+    labels : int64. Of each label, the share is held out.
+    """
+    files = [file_of(name) for name in names]
+    if split.groups is not None:
+        groups = groups_by_pattern(files, split.groups)
+        held_out_by = f"group ({split.groups})"
+    else:
+        last = hold_out_last(names, labels, split.validation)
+        if last is not None:
+            learned, held_out = last
+            counted = f"{len(held_out)} of {len(labels)} recordings"
+            return Division(learned, held_out, BY_NUMBER, counted)
+        groups = files
+        held_out_by = "recording" if files == list(names) else "session"
+    rng = np.random.default_rng(split.seed)
+    learned, held_out = hold_out_groups(labels, groups, split.validation, rng)
+    n_held_out = len({groups[r] for r in held_out})
+    return Division(learned, held_out, held_out_by, f"{n_held_out} of {len(set(groups))}")
+
+
+def hold_out_ends(
+    training: Windows, validation: Windows, share: float, n_real: int, window_us: int
+) -> tuple[Windows, Windows, list[int]]:
+    """Hold out the last windows of each class whose recordings are all learned from.
+
+    Such a class has only one recording, or one group of them.
+
+    Parameters
+    ----------
+    share : of the windows of such a class; 0: none.
+    n_real : number of recordings of a camera; those after them are of pictures.
+    window_us : length of a window.
+
+    Returns
+    -------
+    training, validation, and the labels of these classes.
+    """
+    if not share:
+        return training, validation, []
+    times_us = training.start_us + _session_starts_us(training.recordings)[training.recording]
+    files = _file_order(training.recordings)[training.recording]
+    is_real = training.recording < n_real
+    is_kept = np.ones(len(training), bool)
+    labels = []
+    ends = []
+    for label in np.setdiff1d(training.labels, validation.labels):
+        mine = np.flatnonzero((training.labels == label) & is_real)
+        mine = mine[np.lexsort((times_us[mine], files[mine]))]  # one file after the other
+        learned, held_out = hold_out_end(len(mine), share)
+        if not len(held_out):
+            continue
+        first = mine[held_out[0]]
+        learned = mine[learned]
+        # parts of a session may overlap: a window that reaches into the first one that is held out
+        # is not learned from
+        is_elsewhere = files[learned] != files[first]
+        ends_before = times_us[learned] + window_us <= times_us[first]
+        is_kept[mine] = False
+        is_kept[learned] = is_elsewhere | ends_before
+        labels.append(int(label))
+        ends.append(mine[held_out])
+    if not labels:
+        return training, validation, labels
+    more = training[np.concatenate(ends)]
+    held_out_windows = Windows(
+        training.recordings,
+        np.concatenate([validation.recording, more.recording]),
+        np.concatenate([validation.start_us, more.start_us]),
+    )
+    return training[np.flatnonzero(is_kept)], held_out_windows, labels
+
+
+def _session_starts_us(recordings: Recordings) -> np.ndarray:
+    """When each recording begins in its session, in microseconds; 0 where it is a file of its own.
+
+    The name of a part of a session ends in its times, `session.npz[1000:2000]`.
+    """
+    starts = []
+    for name in recordings.names:
+        is_part = file_of(name) != name
+        starts.append(int(name.rpartition("[")[2].partition(":")[0]) if is_part else 0)
+    return np.array(starts)
+
+
+def _file_order(recordings: Recordings) -> np.ndarray:
+    """The place of each recording's file in the order of their names, numbers by their value."""
+    numbered = []
+    for name in recordings.names:
+        file = file_of(name)
+        padded = re.sub(r"\d+", lambda number: number[0].zfill(20), file)
+        numbered.append(f"{padded} {file}")
+    return np.unique(numbered, return_inverse=True)[1]

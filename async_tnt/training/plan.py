@@ -1,0 +1,106 @@
+"""A training as it is asked for: what is known of it before its data set is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from async_tnt.training.networks import find_network
+from async_tnt.training.pipeline import check_network
+from async_tnt.training.run_folder import load_checkpoint
+from async_tnt.training.scenes import SceneMaker
+from async_tnt.training.settings import OF_PICTURES, TrainSettings, settings_for
+from async_tnt.training.training_data import TrainingData
+from async_tnt.training.volume_choice import VolumeChoice
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A training as it is asked for. Where a field is None, the data set decides.
+
+    Parameters
+    ----------
+    volume : how events become volumes.
+    network : the classifier, see `training.networks.build_network`.
+    epochs : number of epochs.
+    seed : of weights, order and augmentation.
+    everywhere : train a map model, on scenes.
+    mirror : mirror half of the windows from left to right.
+    has_pictures : whether the data set holds pictures.
+    """
+
+    volume: VolumeChoice
+    network: str | None = None
+    epochs: int | None = None
+    seed: int = 0
+    everywhere: bool = False
+    mirror: bool = False
+    has_pictures: bool = False
+
+    def check(self) -> None:
+        """Refuse a network that does not fit the volume.
+
+        A network of one's own may suit the data set's volume alone: it is only looked for.
+
+        Raises
+        ------
+        ValueError : see `check_network` and `find_network`.
+        """
+        network = self._settings(self.volume.config, 1).network
+        if ":" in network:
+            find_network(network)
+        else:
+            check_network(network, self._seen(self.volume.config), everywhere=self.everywhere)
+
+    def check_run(self, run_folder: Path, sensor: Sensor | None) -> None:
+        """Refuse a run folder whose run has another volume, network or seed.
+
+        sensor : (width, height) of the events, if that is known.
+
+        Raises
+        ------
+        ValueError, OSError : see `load_checkpoint`.
+        """
+        settings = self._settings(self.volume.config, 1)
+        known: Mapping[str, Any] = {"seed": settings.seed, "network": settings.network}
+        load_checkpoint(run_folder, {**self.volume.known(sensor), **known})
+
+    def settings_for(self, data: TrainingData) -> TrainSettings:
+        """How to train on a data set.
+
+        Raises
+        ------
+        ValueError : the network does not fit its volumes, see `check_network`.
+        """
+        settings = self._settings(data.config, len(data.training))
+        check_network(
+            settings.network,
+            self._seen(data.config),
+            len(data.classes),
+            everywhere=self.everywhere,
+        )
+        return settings
+
+    def _settings(self, config: TNTConfig, n_windows: int) -> TrainSettings:
+        """The settings for so many windows to train on."""
+        augmentation: dict[str, Any] = {"mirror": self.mirror}
+        if self.has_pictures:
+            augmentation |= OF_PICTURES
+        asked: dict[str, Any] = {} if self.network is None else {"network": self.network}
+        return settings_for(
+            config,
+            n_windows,
+            epochs=self.epochs,
+            seed=self.seed,
+            everywhere=self.everywhere,
+            augmentation=augmentation,
+            **asked,
+        )
+
+    def _seen(self, config: TNTConfig) -> TNTConfig:
+        """The volume that the network takes: that of a recording, or of a scene of several."""
+        return SceneMaker(config).config if self.everywhere else config

@@ -1,0 +1,43 @@
+"""Windows to train on, to validate on and to test on, as values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from async_tnt.training.windows import Windows
+from async_tnt.volume.config import TNTConfig
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """Windows to train on, to validate on and to test on.
+
+    Parameters
+    ----------
+    config : how events become volumes, with the sensor of the events.
+    classes : names, one for each label from 0 on.
+    training : windows to learn from.
+    validation : windows that are held out. They choose nothing but the temperature and, where
+        `TrainSettings.ends_early`, the last epoch. May be empty.
+    record : what the recordings are, for the model's record.
+    tests : name in the model's record -> windows, and more for that entry of the record.
+    held_out : names of the recordings to validate on.
+    masked : bool, (H, W): pixels of the sensor whose events were left out; None: no pixel.
+    left_out : the recordings that were left out and why, one line each.
+    notes : what else a user should know, one line each.
+    """
+
+    config: TNTConfig
+    classes: tuple[str, ...]
+    training: Windows
+    validation: Windows
+    record: dict[str, Any] = field(default_factory=dict)
+    tests: Mapping[str, tuple[Windows, dict[str, Any]]] = field(default_factory=dict)
+    held_out: tuple[str, ...] = ()
+    masked: np.ndarray | None = None
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
