@@ -31,7 +31,7 @@ from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.torch_modules import landmark_function
 from async_tnt.streaming.processor import Processor
 from async_tnt.volume.config import LANDMARKS, TIME_IMAGES, TNTConfig
-from async_tnt.volume.state import Regressor
+from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
 
 PACKET_SIZES = (1, 2, 7, 100, 0)  # 0: everything at once

@@ -44,7 +44,7 @@ from async_tnt.streaming.windows import WindowScheduler
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
-from async_tnt.volume.state import Regressor
+from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
 
 

@@ -19,7 +19,7 @@ from async_tnt.streaming.window_classifier import Classifier
 from async_tnt.streaming.windows import TimeUnitCheck
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import LARGER_CAMERA, EventDecoder, Late
-from async_tnt.volume.state import Regressor
+from async_tnt.volume.regressor import Regressor
 
 PIECE = 256  # events
 

@@ -18,7 +18,8 @@ from async_tnt.streaming.decision import Decision
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import Columns
-from async_tnt.volume.state import MAX_EVENTS, Regressor
+from async_tnt.volume.regressor import Regressor
+from async_tnt.volume.state import MAX_EVENTS
 from async_tnt.volume.volume import TNTVolume
 
 MAX_OPEN_WINDOWS = 256

@@ -347,8 +347,6 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
         )
     if len(found) == 1:
         return found[0]
-    if len(set(found)) > 1:
-        got = " and ".join(found)
-    else:
-        got = f"{found[0]} {len(found)} times"
+    has_one_name = len(set(found)) == 1
+    got = f"{found[0]} {len(found)} times" if has_one_name else " and ".join(found)
     raise ValueError(f"events need one field `{field}`, got {got} in {what}; leave out all but one")

@@ -79,7 +79,7 @@ def test_the_replay_buffer_grows_and_loses_nothing():
 
 
 def test_a_clock_that_stands_still_is_not_stored_without_end(monkeypatch):
-    monkeypatch.setattr("async_tnt.volume.state.MAX_STORED", 5_000)
+    monkeypatch.setattr("async_tnt.volume.replay.MAX_STORED", 5_000)
     volume, packet = (
         opened(CONFIG.replace(landmark="window")),
         random_events(3_000, seed=10, duration_us=1000),
