@@ -77,8 +77,13 @@ class Triggers:
     Attributes
     ----------
     settings : TriggerSettings.
-    state : float64, the settings and what changes as kernels read them, see `kernels.trigger`.
+    state : float64, the settings and what changes, as kernels read them: see
+        `kernels.decisions.trigger`.
     """
+
+    KERNELS = (T.schedule,)
+    EVENT_KERNELS = (T.until_due, T.why_due)
+    """Called where a single event may make a decision due."""
 
     def __init__(self, settings: TriggerSettings) -> None:
         self.state = np.zeros(T.SIZE)

@@ -82,6 +82,9 @@ class WindowClassifier:
     decides_in_stretches : whether `decide_stretch` can be called.
     """
 
+    KERNELS = (softmax,)
+    """Called for other classifiers than our own compiled one."""
+
     def __init__(
         self,
         config: TNTConfig,

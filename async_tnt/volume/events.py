@@ -93,6 +93,10 @@ class EventDecoder:
     n_dropped : how many late events were dropped.
     """
 
+    KERNELS = (load_records, check_columns)
+    LATE_KERNELS = (find_late,)
+    """Called where `late` is not `accept`."""
+
     def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
         if late not in LATE_POLICIES:
             rule = f"must be one of {', '.join(LATE_POLICIES)}"

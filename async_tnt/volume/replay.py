@@ -44,6 +44,8 @@ class ReplayBuffer:
     regressor : the callable of landmark `regressor`; None: another landmark.
     """
 
+    KERNELS = (store_events, empty_volume, absorb, cells_to_float32)
+
     def __init__(self, config: TNTConfig, regressor: Regressor | None) -> None:
         self._n_most = config.window_events or MAX_EVENTS
         self._config = config

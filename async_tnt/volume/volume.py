@@ -60,6 +60,10 @@ class TNTVolume:
     (1.0, (16.5, 16.5))
     """
 
+    KERNELS = (empty_volume, absorb, absorb_one)
+    ARRAY_KERNELS = (cells_to_float32,)
+    """Called when `array` is read."""
+
     def __init__(
         self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None
     ) -> None:
