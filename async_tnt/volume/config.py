@@ -104,7 +104,7 @@ class TNTConfig:
     >>> TNTConfig(grid=(34, 1))
     Traceback (most recent call last):
     ...
-    ValueError: `grid` must have sides of 2 to 32768 pixels, got (34, 1)
+    async_tnt.base.checks.ParameterValueError: `grid` must have sides of 2 to 32768 pixels, got (34, 1)
     """
 
     sensor: tuple[int, int]
