@@ -36,7 +36,7 @@ def lazy_names(
         import importlib
 
         if name in new_name_of:
-            raise AttributeError(f"{own_name}.{name} has a new name: {new_name_of[name]}")
+            raise AttributeError(f"{own_name}.{name} is now {new_name_of[name]}")
 
         # a name that is not in the table may be a submodule
         module = module_of.get(name, name)
