@@ -22,7 +22,9 @@ from async_tnt import Processor, TNTVolume
 
 FOLDER = str(Path(async_tnt.__file__).parent)
 EVENTS = random_events(40, seed=4, duration_us=5_500)
-BEFORE, PACKET, AFTER = EVENTS[:14], EVENTS[14:24], EVENTS[24:]
+BEFORE = EVENTS[:14]
+PACKET = EVENTS[14:24]
+AFTER = EVENTS[24:]
 # a way back to earlier times, within the open windows and before them
 PACKET["t"][[3, 8]] -= [40, 900]
 

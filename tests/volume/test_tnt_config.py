@@ -11,7 +11,10 @@ import pytest
 from async_tnt import TNTConfig
 from async_tnt.volume.config import LANDMARKS, POLARITIES
 
-CELLS = "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.volume.config.MAX_CELLS)"
+CELLS = (
+    "`grid` and `bins` must give at most 268_435_456 cells, got {:_} "
+    "(a program may raise async_tnt.volume.config.MAX_CELLS)"
+)
 WRONG = [
     *[
         ({"sensor": v}, TypeError, f"`sensor` must be two whole numbers (width, height), got {v!r}")
@@ -39,8 +42,7 @@ WRONG = [
         {"representation": "count_time", "bins": 9},
         ValueError,
         "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), "
-        "got "
-        "representation='count_time', bins=9",
+        "got representation='count_time', bins=9",
     ),
     *[
         (
