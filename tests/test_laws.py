@@ -214,7 +214,8 @@ def test_blocks_of_events_have_the_bits_of_single_events(make):
     events = random_events(1500, seed=2, duration_us=1000, sensor=make.args[0].sensor)
     one = make()
     many = make()
-    fed(one, events, (0,)), fed(many, events, (1500,))
+    fed(one, events, (0,))
+    fed(many, events, (1500,))
     assert one.look() == many.look() and any(one.look()[0])
 
 
@@ -246,7 +247,8 @@ def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
     original = make()
     alone = make()
     events = events_of(make)
-    fed(original, events[:170], (13,)), fed(alone, events[:170], (13,))
+    fed(original, events[:170], (13,))
+    fed(alone, events[:170], (13,))
     twin = duplicate(original)
     before = original.look()
     outputs = fed(twin, events[170:], (11,))
@@ -261,7 +263,8 @@ def test_invalid_packets_change_nothing(make):
     alone = make()
     events = events_of(make)
     width = make.args[0].sensor[0]
-    fed(stream, events[:170]), fed(alone, events[:170])
+    fed(stream, events[:170])
+    fed(alone, events[:170])
     for invalid in (
         ([9000, 9001], [1, width], [1, 1], [1, 1]),
         ([9000, -1], [1, 1], [1, 1], [0, 1]),

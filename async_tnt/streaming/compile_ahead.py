@@ -229,8 +229,8 @@ def _not_collecting() -> Iterator[None]:
 
 def _in_order(kernels: Iterable[Kernel]) -> list[Kernel]:
     """Kernels in the order of compilation: one that calls others comes after them."""
-    wanted = set(kernels)
-    return [kernel for kernel in TYPES if kernel in wanted]
+    order = list(TYPES)
+    return sorted(set(kernels), key=order.index)
 
 
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:

@@ -112,7 +112,7 @@ class Triggers:
             self.schedule(now_us, start_us)
 
     def schedule(self, now_us: int, start_us: int) -> None:
-        """Set the next moment of `every_us` after `now_us` in a window that starts at `start_us`."""
+        """Set the next moment of `every_us` after `now_us` in the window from `start_us` on."""
         T.schedule(self.state, now_us, start_us)
 
     @property

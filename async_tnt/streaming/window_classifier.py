@@ -199,7 +199,7 @@ class WindowClassifier:
         )
 
     def _call(self, volume: TNTVolume) -> np.ndarray:
-        """A copy of what another classifier answers: logits (n,), or a map (n_classes + 1, R, C)."""
+        """A copy of another classifier's answer: logits (n,), or a map (n_classes + 1, R, C)."""
         try:
             logits = np.asarray(self.classifier(volume.array)).astype(np.float32)
         except Exception as error:

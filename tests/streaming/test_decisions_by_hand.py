@@ -231,11 +231,9 @@ def test_a_stream_may_continue_after_finish(classifier):
     processor.push(at(0, 10))
     assert summary(processor.finish()) == [("end", 0, 10, 2)]
     assert processor.finish() == []
-    assert (
-        processor.fire().events == 0
-        and not processor.volume().any()
-        and processor.counts.received == 2
-    )
+    assert processor.fire().events == 0
+    assert not processor.volume().any()
+    assert processor.counts.received == 2
     assert processor.push_one(500, 3, 3, 1) == [] and processor.counts.dropped_late == 1
     assert processor.push_one(1500, 3, 3, 1) == []
     assert summary(processor.finish()) == [("end", 1000, 1500, 1)]

@@ -162,10 +162,12 @@ def test_without_a_landmark_the_window_stays_as_it_was(answer, error, message):
     events = random_events(60, seed=1, duration_us=2000)
     volume = TNTVolume(OF_REGRESSOR, regressor=regressor)
     untroubled = TNTVolume(OF_REGRESSOR, regressor=regressor)
-    volume.update(events[:20]), untroubled.update(events[:20])
+    for one in (volume, untroubled):
+        one.update(events[:20])
     view = volume.array
     before = view.copy()
-    volume.update(events[20:25]), untroubled.update(events[20:25])
+    for one in (volume, untroubled):
+        one.update(events[20:25])
     fails = True
     reads = (lambda: volume.array, lambda: volume.landmark, lambda: volume.counts)
     for call in (*reads, volume.close, lambda: volume.open(5000)):
@@ -175,10 +177,10 @@ def test_without_a_landmark_the_window_stays_as_it_was(answer, error, message):
     assert np.array_equal(view, before) and volume.n_events == 25
     fails = False
     assert volume.array.tobytes() == untroubled.array.tobytes()
-    volume.update(events[25:]), untroubled.update(events[25:])
-    assert (
-        volume.array.tobytes() == untroubled.array.tobytes() and volume.counts == untroubled.counts
-    )
+    for one in (volume, untroubled):
+        one.update(events[25:])
+    assert volume.array.tobytes() == untroubled.array.tobytes()
+    assert volume.counts == untroubled.counts
     fails = True
     volume.reset()  # works without a landmark
     assert volume.n_events == 0 and not volume.array.any()
