@@ -1,5 +1,4 @@
-"""Classify what an event camera sees, event by event, with the Temporal Normalization Transform
-(TNT).
+"""Classify what an event camera sees, event by event, with the Temporal Normalization Transform.
 
     import async_tnt
 
@@ -56,11 +55,31 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "streaming.streams": "WindowVolume astream stream volumes",
             "volume.volume": "TNTVolume",
         },
+        renamed={"config": "async_tnt.volume.config"},
     )
 
 __all__ = [
-    "EVENT_DTYPE", "BackgroundReader", "CompiledClassifier", "CompiledRegressor", "Counts", "Decision",
-    "Model", "Object", "PacketQueue", "PixelFilter", "Processor", "TNTConfig",
-    "TNTVolume", "WindowVolume", "astream", "bundled_models", "event_columns", "load_model", "open_recording", "replay",
-    "stream", "volumes", "warmup",
-]  # fmt: skip
+    "EVENT_DTYPE",
+    "BackgroundReader",
+    "CompiledClassifier",
+    "CompiledRegressor",
+    "Counts",
+    "Decision",
+    "Model",
+    "Object",
+    "PacketQueue",
+    "PixelFilter",
+    "Processor",
+    "TNTConfig",
+    "TNTVolume",
+    "WindowVolume",
+    "astream",
+    "bundled_models",
+    "event_columns",
+    "load_model",
+    "open_recording",
+    "replay",
+    "stream",
+    "volumes",
+    "warmup",
+]

@@ -1,5 +1,4 @@
-"""What the tests of Processor share: a stream at given times, and decisions as comparable
-values."""
+"""What tests of Processor share: classifiers, streams at given times, decisions as values."""
 
 import numpy as np
 from oracles import as_values
@@ -16,11 +15,13 @@ def total_and_size(volume):
 
 def uneven(volume):
     """A classifier whose probabilities go up and down with what it sees."""
-    total, size = float(volume.sum()), float(np.abs(volume).sum())
+    total = float(volume.sum())
+    size = float(np.abs(volume).sum())
     return np.array([total, 0.5 * size - 1.5, np.sin(size)], np.float32)
 
 
 def key(decision):
+    """All that a decision says, as values that can be compared."""
     return (*as_values(decision), decision.label, decision.probabilities.tobytes())
 
 
@@ -36,4 +37,5 @@ def at(times):
 
 
 def summary(decisions):
+    """Why, about which window, when, and with how many events each decision was made."""
     return [(d.trigger, d.window_start_us, d.time_us, d.events) for d in decisions]

@@ -11,7 +11,10 @@ from async_tnt import EVENT_DTYPE, Model, TNTConfig, TNTVolume
 def events_of(t, x, y, p) -> np.ndarray:
     """Columns as a structured array."""
     events = np.empty(len(t), EVENT_DTYPE)
-    events["t"], events["x"], events["y"], events["p"] = t, x, y, p
+    events["t"] = t
+    events["x"] = x
+    events["y"] = y
+    events["p"] = p
     return events
 
 
@@ -45,8 +48,10 @@ def random_model(
     sharpness: float = 2.0,
     seed: int = 0,
 ) -> Model:
-    """A model with random weights of a sensible size; with a landmark network where the
-    configuration needs one."""
+    """A model with random weights of a sensible size.
+
+    It has a landmark network if the configuration needs one.
+    """
     rng = np.random.default_rng(seed)
     channels, height, width = config.shape
     shapes = {
@@ -62,27 +67,27 @@ def random_model(
         weights[f"{layer}.bias"] = rng.uniform(-bound, bound, shape[0])
     if config.needs_regressor:
         weights |= _random_regressor(rng, channels, regressor_widths, sharpness)
-    return thesis_model(
-        config, weights, tuple(f"class {k}" for k in range(classes)), {"made": True}
-    )
+    names = tuple(f"class {k}" for k in range(classes))
+    return thesis_model(config, weights, names, {"made": True})
 
 
 REGRESSOR_CONFIG = TNTConfig(landmark="regressor")
 
 
 def random_regressor_model(config: TNTConfig = REGRESSOR_CONFIG, **settings) -> Model:
-    """`random_model` with a landmark network that is far from its start: its heatmap has peaks
-    where the events are, and its landmark lies pixels away from the centre (with few events: where
-    `sharpness` is large)."""
-    return random_model(
-        config.replace(landmark="regressor", transform="tnt", remove_flow=False), **settings
-    )
+    """`random_model` with a landmark network whose landmark lies pixels away from the centre.
+
+    Its heatmap has peaks where the events are. With few events that takes a large `sharpness`.
+    """
+    config = config.replace(landmark="regressor", transform="tnt", remove_flow=False)
+    return random_model(config, **settings)
 
 
 def _random_regressor(
     rng: np.random.Generator, channels: int, widths, sharpness: float
 ) -> dict[str, np.ndarray]:
-    weights, inputs = {}, channels
+    weights = {}
+    inputs = channels
     for layer, n_filters in zip(("conv1", "conv2", "conv3"), widths, strict=True):
         # sized so that numbers neither die out nor explode from layer to layer
         bound = np.sqrt(6 / (9 * inputs))
@@ -95,32 +100,34 @@ def _random_regressor(
 
 @st.composite
 def nasty_streams(draw, sensor, window_us: int, start_us: int, max_events: int = 60):
-    """Streams of hard cases: ties, bursts, borders, corners, the window's first and last
-    microsecond, times that run backwards, all at one pixel."""
+    """Streams of hard cases.
+
+    Ties, bursts, borders, corners, the window's first and last microsecond, times that run
+    backwards, all events at one pixel.
+    """
     n = draw(st.integers(0, max_events))
+    moments = (0, 1, window_us // 8, window_us // 4, window_us // 2, window_us - 1)
+    special = st.sampled_from([moment for moment in moments if moment < window_us])
     inside = st.integers(0, window_us - 1)
-    special = st.sampled_from(
-        [
-            k
-            for k in (0, 1, window_us // 8, window_us // 4, window_us // 2, window_us - 1)
-            if k < window_us
-        ]
-    )
     times = draw(st.lists(st.one_of(inside, special), min_size=n, max_size=n))
     if draw(st.booleans()):
         times = sorted(times)
-    if n and draw(st.booleans()):  # a burst: half of the stream at one moment
+    # a burst: half of the stream at one moment
+    if n and draw(st.booleans()):
         times[n // 2 :] = [times[n // 2]] * (n - n // 2)
-    side = [
-        st.one_of(st.sampled_from([0, s - 1, (s - 1) // 2, s // 2]), st.integers(0, s - 1))
-        for s in sensor
-    ]
-    x = draw(st.lists(side[0], min_size=n, max_size=n))
-    y = draw(st.lists(side[1], min_size=n, max_size=n))
+    x = draw(st.lists(_places(sensor[0]), min_size=n, max_size=n))
+    y = draw(st.lists(_places(sensor[1]), min_size=n, max_size=n))
     if n and draw(st.integers(0, 4)) == 0:
-        x, y = [x[0]] * n, [y[0]] * n
+        x = [x[0]] * n
+        y = [y[0]] * n
     p = draw(st.lists(st.integers(0, 1), min_size=n, max_size=n))
     return events_of([start_us + t for t in times], x, y, p)
+
+
+def _places(size: int):
+    """Places on a side of a sensor, often at its ends or in its middle."""
+    special = st.sampled_from([0, size - 1, (size - 1) // 2, size // 2])
+    return st.one_of(special, st.integers(0, size - 1))
 
 
 def thesis_model(config: TNTConfig, *arguments, **named) -> Model:
@@ -132,29 +139,34 @@ def thesis_network(config: TNTConfig) -> dict[str, list[dict]]:
     """The thesis' two networks as layers (Wang 2019).
 
     The classifier: two convolutions with ReLU, each followed by average pooling, then two dense
-    layers. The landmark regressor, where the configuration needs one: three convolutions with ReLU,
-    then one 1x1, the heatmap's centroid.
+    layers. The landmark regressor, if the configuration needs one: three convolutions with ReLU,
+    then one of 1x1, whose heatmap has a centroid.
     """
     pool = {"kernel": [2, 2], "stride": [2, 2], "padding": [0, 0, 0, 0]}
-    halves = [
-        s for k in (1, 2) for s in (_conv(f"conv{k}"), _relu(k), (f"pool{k}", "average_pool", pool))
-    ]
-    dense = [("flatten", "flatten", {}), _dense("fc1"), _relu(3), _dense("fc2")]
-    network = {"classifier": _chain(*halves, *dense)}
+    steps = []
+    for k in (1, 2):
+        steps += [_conv(f"conv{k}"), _relu(k), (f"pool{k}", "average_pool", pool)]
+    steps += [("flatten", "flatten", {}), _dense("fc1"), _relu(3), _dense("fc2")]
+    network = {"classifier": _chain(steps)}
     if config.needs_regressor:
-        steps = [s for k in (1, 2, 3) for s in (_conv(f"conv{k}", "regressor."), _relu(k))]
+        steps = []
+        for k in (1, 2, 3):
+            steps += [_conv(f"conv{k}", "regressor."), _relu(k)]
         # a bias would not move the centroid
-        heatmap = _conv("heatmap", "regressor.", side=1, roles=("weight",))
-        network["regressor"] = _chain(*steps, heatmap, ("landmark", "heatmap_centroid", {}))
+        steps.append(_conv("heatmap", "regressor.", side=1, roles=("weight",)))
+        steps.append(("landmark", "heatmap_centroid", {}))
+        network["regressor"] = _chain(steps)
     return network
 
 
-def _chain(*steps):
-    names = ["volume", *(name for name, _, _ in steps)]
-    return [
-        {"op": op, "name": name, "inputs": [names[k]], **more}
-        for k, (name, op, more) in enumerate(steps)
-    ]
+def _chain(steps):
+    """Layers, each of which has the one before it as its input."""
+    layers = []
+    before = "volume"
+    for name, op, more in steps:
+        layers.append({"op": op, "name": name, "inputs": [before], **more})
+        before = name
+    return layers
 
 
 def _conv(name, prefix="", side=3, roles=("weight", "bias")):

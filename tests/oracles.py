@@ -1,8 +1,8 @@
 """Slow twins: the classifier in NumPy, bit for bit, and a Processor's windows and triggers in plain
 Python.
 
-The classifier (`forward`) spells out each operation, rounded once. Nothing of the product is used
-but the order of its sums, which is part of what it promises:
+The classifier (`forward`) spells out each operation, rounded once. It uses nothing of the product
+except the order of its sums, which is part of what the product promises:
 
     convolution     bias, then row by row and tap by tap of the kernel the channels
     pooling         0, then row by row each place times 1/4
@@ -10,13 +10,13 @@ but the order of its sums, which is part of what it promises:
                     rows' sums
     dense 2         bias, then unit by unit
 
-each term added with one rounding (fma).
+Each term is added with one rounding (fma).
 
 The windows and triggers (`Oracle`) are integers, floats and lists, one event at a time, written
-from the docstrings: time passes to an event's time first, moment by moment, and windows close and
-open on the way; then the event is added to every open window that holds it, and the triggers that
-see events are asked. The oldest open window is the one that decides. What a window shows is kept in
-a TNTVolume of its own, opened by hand.
+from the docstrings. Time passes to an event's time first, moment by moment, and windows close and
+open on the way. Then the event is added to every open window that holds it, and the triggers that
+see events are asked. The oldest open window decides. What a window shows is kept in a TNTVolume of
+its own, opened by hand.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ def fma(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """a b + c in float32 with one rounding.
 
     The product of two float32 is exact in float64. The sum is rounded there to odd: where it is not
-    exact, the last bit is made 1, which keeps what is left out in view of the second rounding
-    (Boldo and Melquiond 2008).
+    exact, the last bit is made 1, so that the second rounding still sees that something was left
+    out (Boldo and Melquiond 2008).
     """
     product = np.float64(a) * np.float64(b)
     c = np.float64(c)
     total = product + c
     rest = total - product
-    error = (product - (total - rest)) + (c - rest)  # exactly what the sum lacks (Knuth's two-sum)
-    even = total.view(np.int64) & 1 == 0
-    odd = np.where(
-        (error != 0) & even, np.nextafter(total, np.where(error > 0, np.inf, -np.inf)), total
-    )
+    # exactly what the sum lacks (Knuth's two-sum)
+    error = (product - (total - rest)) + (c - rest)
+    is_even = total.view(np.int64) & 1 == 0
+    neighbour = np.nextafter(total, np.where(error > 0, np.inf, -np.inf))
+    odd = np.where((error != 0) & is_even, neighbour, total)
     return odd.astype(np.float32)
 
 
@@ -54,7 +54,8 @@ def relu(x: np.ndarray) -> np.ndarray:
 
 def pool(x: np.ndarray) -> np.ndarray:
     """(H, W, F) -> (H // 2, W // 2, F)."""
-    rows, columns = x.shape[0] // 2, x.shape[1] // 2
+    rows = x.shape[0] // 2
+    columns = x.shape[1] // 2
     total = np.zeros((rows, columns, x.shape[2]), np.float32)
     for r, q in np.ndindex(2, 2):
         total = fma(np.float32(0.25), x[r : 2 * rows : 2, q : 2 * columns : 2], total)
@@ -109,7 +110,8 @@ class Window:
     """An open window."""
 
     def __init__(self, config: TNTConfig, start_us: int, regressor: Callable | None) -> None:
-        self.start_us, self.end_us = start_us, start_us + config.window_us
+        self.start_us = start_us
+        self.end_us = start_us + config.window_us
         self.volume = TNTVolume(config, regressor=regressor)
         self.volume.open(start_us)
         self.times: list[int] = []
@@ -129,16 +131,26 @@ class Oracle:
         regressor: Callable | None = None,
         **triggers: object,
     ) -> None:
-        self.config, self.classify, self.late, self.regressor = config, classify, late, regressor
+        self.config = config
+        self.classify = classify
+        self.late = late
+        self.regressor = regressor
         self.hop_us = hop_us or config.window_us
         self.windows: list[Window] = []
         self.next_start_us = start_us
-        self.decided_from_us = math.inf  # start of the last windows in a row that confidence closed
-        self.newest_us = -1  # of all events, for `late`
-        self.n_decided = 0  # events of the oldest window at its last decision
-        self.passed_us = 0  # moments up to this one are over
-        self.close_calls = 0  # probabilities so near the level that exp's last bit decides
-        self.received = self.dropped_late = self.dropped_decided = 0
+        # start of the last windows in a row that confidence closed
+        self.decided_from_us = math.inf
+        # newest time of all events, for `late`
+        self.newest_us = -1
+        # events of the oldest window at its last decision
+        self.n_decided = 0
+        # moments up to this one are over
+        self.passed_us = 0
+        # probabilities so near the level that exp's last bit decides
+        self.close_calls = 0
+        self.received = 0
+        self.dropped_late = 0
+        self.dropped_decided = 0
         # what became of the events of each window that is no longer open
         self.closed: list[Counts] = []
         self.every_us: int | None = None
@@ -152,6 +164,7 @@ class Oracle:
         vars(self).update(triggers)
 
     def push(self, event: tuple[int, int, int, int]) -> list[Values]:
+        """The decisions that one event makes."""
         t_us = event[0]
         self.received += 1
         if self.late != "accept":
@@ -159,27 +172,33 @@ class Oracle:
                 self.dropped_late += 1
                 return []
             self.newest_us = t_us
+
         decisions = self._pass_time(t_us) if self.windows else []
         self._open_windows(t_us)
         oldest = self.windows[0]
         if t_us < oldest.start_us:
-            decided = t_us >= self.decided_from_us
-            self.dropped_decided += decided
-            self.dropped_late += not decided
+            if t_us >= self.decided_from_us:
+                self.dropped_decided += 1
+            else:
+                self.dropped_late += 1
             return decisions
+
         for window in self.windows:
             if window.start_us <= t_us:
                 window.volume.update_one(*event)
                 window.times.append(t_us)
-        by_events = self.every_events is not None and len(oldest.times) % self.every_events == 0
+
+        n = len(oldest.times)
+        newest_us = max(oldest.times)
+        by_events = self.every_events is not None and n % self.every_events == 0
         only_confidence = self.confidence is not None and not (self.every_us or self.every_events)
-        if len(oldest.times) == self.config.window_events:
+        if n == self.config.window_events:
             decisions.append(self._decision(oldest, "window", complete=True)[0])
-            self._close(decided=False, now_us=max(oldest.times))
-        elif by_events or only_confidence:
-            decisions += self._decide(
-                oldest, "every_events" if by_events else "", now_us=max(oldest.times)
-            )
+            self._close(decided=False, now_us=newest_us)
+        elif by_events:
+            decisions += self._decide(oldest, "every_events", now_us=newest_us)
+        elif only_confidence:
+            decisions += self._decide(oldest, "", now_us=newest_us)
         return decisions
 
     def push_all(self, events: np.ndarray) -> list[Values]:
@@ -195,8 +214,7 @@ class Oracle:
 
     @property
     def counts(self) -> Counts:
-        """See `Processor.counts`: of all windows together; received, late and decided count
-        once."""
+        """What became of the events, see `Processor.counts`."""
         of_windows = [*self.closed, *(window.volume.counts for window in self.windows)]
         return Counts(
             received=self.received,
@@ -208,7 +226,7 @@ class Oracle:
         )
 
     def _pass_time(self, t_us: int) -> list[Values]:
-        """What is due at moments up to `t_us`."""
+        """The decisions that are due at moments up to `t_us`."""
         decisions: list[Values] = []
         while self.windows:
             oldest = self.windows[0]
@@ -230,13 +248,14 @@ class Oracle:
         if self.every_us is None:
             return math.inf
         passed_us = max(self.passed_us, window.start_us, *window.times)
-        return (
-            window.start_us + ((passed_us - window.start_us) // self.every_us + 1) * self.every_us
-        )
+        n_passed = (passed_us - window.start_us) // self.every_us
+        return window.start_us + (n_passed + 1) * self.every_us
 
     def _open_windows(self, t_us: int) -> None:
-        """Those on the grid that hold `t_us`; where none is open, the next one, though it may begin
-        later."""
+        """Open the windows on the grid that hold `t_us`; if none is open then, the next one.
+
+        That one may begin later.
+        """
         if self.next_start_us is None:
             self.next_start_us = t_us
         while self.next_start_us + self.config.window_us <= t_us:
@@ -245,7 +264,8 @@ class Oracle:
             self.decided_from_us = math.inf
         while self.next_start_us <= t_us or not self.windows:
             if not self.windows:
-                self.n_decided, self.passed_us = 0, max(t_us, self.next_start_us)
+                self.n_decided = 0
+                self.passed_us = max(t_us, self.next_start_us)
             self.windows.append(Window(self.config, self.next_start_us, self.regressor))
             self.next_start_us += self.hop_us
 
@@ -255,17 +275,19 @@ class Oracle:
         self.closed.append(oldest.volume.counts)
         if self.config.window_events:
             self.next_start_us = None  # at the next event
+        elif decided:
+            self.decided_from_us = min(self.decided_from_us, oldest.start_us)
         else:
-            self.decided_from_us = (
-                min(self.decided_from_us, oldest.start_us) if decided else math.inf
-            )
-        self.n_decided, self.passed_us = 0, now_us
+            self.decided_from_us = math.inf
+        self.n_decided = 0
+        self.passed_us = now_us
 
     def _decide(self, oldest: Window, trigger: str, now_us: int) -> list[Values]:
         """A decision of the oldest window, which may close it."""
         decision, probability = self._decision(oldest, trigger)
         if self.confidence is not None:
-            self.close_calls += 0 < abs(probability - self.confidence) < 1e-12
+            if 0 < abs(probability - self.confidence) < 1e-12:
+                self.close_calls += 1
             if probability >= self.confidence:
                 self._close(decided=True, now_us=now_us)
                 return [("confidence", *decision[1:4], True, decision[5])]
@@ -279,7 +301,8 @@ class Oracle:
     ) -> tuple[Values, float]:
         logits = np.asarray(self.classify(window.volume.array), np.float32)
         probability = 1 / math.fsum(math.exp(float(v) - float(max(logits))) for v in logits)
-        newest_us, n = max(window.times), len(window.times)
+        newest_us = max(window.times)
+        n = len(window.times)
         return (trigger, window.start_us, newest_us, n, complete, logits.tobytes()), probability
 
 

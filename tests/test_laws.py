@@ -1,9 +1,8 @@
-"""Laws that hold for everything that takes a stream: volumes of every kind, processors with every
-trigger.
+"""Laws for everything that takes a stream: volumes of every kind, processors with every trigger.
 
-However the stream is cut into packets; after a reset, in a copy, pickled; whatever invalid packets
-arrived and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for
-bit.
+Decisions, volumes, landmarks and counts are the same, bit for bit, however the stream is cut into
+packets; after a reset, in a copy, from a pickle; whatever invalid packets arrived and whatever was
+read in between.
 """
 
 import copy
@@ -79,12 +78,11 @@ class Volume(Copied):
     """A TNTVolume, used like a Processor that never decides."""
 
     def __init__(self, config):
-        model = (
-            random_regressor_model(config, widths=(3, 4, 5), sharpness=20.0)
-            if config.needs_regressor
-            else None
-        )
-        self.volume = TNTVolume(config, regressor=model and CompiledRegressor(model))
+        regressor = None
+        if config.needs_regressor:
+            model = random_regressor_model(config, widths=(3, 4, 5), sharpness=20.0)
+            regressor = CompiledRegressor(model)
+        self.volume = TNTVolume(config, regressor=regressor)
 
     def push(self, events):
         return [1] * self.volume.update(events)
@@ -125,7 +123,8 @@ class Stream(Copied):
         self.processor.reset()
 
     def look(self):
-        processor, fired = self.processor, self.processor.fire()
+        processor = self.processor
+        fired = self.processor.fire()
         return processor.volume().tobytes(), processor.landmark, processor.counts, key(fired)
 
 
@@ -133,20 +132,21 @@ VOLUMES = {f"volume: {kind}": partial(Volume, config) for kind, config in KINDS.
 OF_A_DURATION = {"hop_us", "start_us"}
 # Each setting with both ways of deciding, and with one of the other landmarks.
 OTHERS = zip(itertools.cycle(["line", "window", "regressor", "image of mean times"]), SETTINGS)
-PROCESSORS = {
-    f"{kind}, {name}, {'network' if compiled else 'callable'}": partial(
-        Stream, KINDS[kind], compiled, SETTINGS[name]
-    )
-    for kind, name, compiled in (
-        *itertools.product(["running"], SETTINGS, (True, False)),
-        *((kind, name, True) for kind, name in OTHERS),
-        *(
-            ("of 60 events", name, name != "every_events")
-            for name, of in SETTINGS.items()
-            if not OF_A_DURATION & {*of}
-        ),
-    )
-}
+STREAMS = [
+    *itertools.product(["running"], SETTINGS, (True, False)),
+    *((kind, name, True) for kind, name in OTHERS),
+    *(
+        ("of 60 events", name, name != "every_events")
+        for name, settings in SETTINGS.items()
+        if OF_A_DURATION.isdisjoint(settings)
+    ),
+]
+"""Kind, name of settings, whether our compiled network decides."""
+PROCESSORS = {}
+for _kind, _name, _compiled in STREAMS:
+    _decides = "network" if _compiled else "callable"
+    _make = partial(Stream, KINDS[_kind], _compiled, SETTINGS[_name])
+    PROCESSORS[f"{_kind}, {_name}, {_decides}"] = _make
 ALL = VOLUMES | PROCESSORS
 of_all = pytest.mark.parametrize("make", ALL.values(), ids=ALL)
 
@@ -160,24 +160,30 @@ def events_of(make, n=400, seed=1, start_us=50):
 
 
 def fed(stream, events, sizes=(400,)):
-    """The outputs of a stream cut into packets of these sizes, over and over; 0: one event by
-    `push_one`."""
-    outputs, first, sizes = [], 0, itertools.cycle(sizes)
+    """The outputs of a stream cut into packets of these sizes, over and over.
+
+    A size of 0 is one event by `push_one`.
+    """
+    outputs = []
+    first = 0
+    sizes = itertools.cycle(sizes)
     while first < len(events):
         size = next(sizes)
-        outputs += (
-            stream.push(events[first : first + size])
-            if size
-            else stream.push_one(*events[first].tolist())
-        )
-        first += size or 1
+        if size == 0:
+            outputs += stream.push_one(*events[first].tolist())
+            first += 1
+        else:
+            outputs += stream.push(events[first : first + size])
+            first += size
     return outputs
 
 
 @of_all
 @pytest.mark.parametrize("sizes", [(2, 0, 7), (399,)], ids=str)
 def test_packets_of_any_size_give_the_same(make, sizes):
-    events, whole, cut = events_of(make), make(), make()
+    events = events_of(make)
+    whole = make()
+    cut = make()
     assert fed(whole, events) == fed(cut, events, sizes) != []
     assert cut.look() == whole.look()
     assert any(whole.look()[0]) or isinstance(whole, Stream)  # whose window may be closed early
@@ -192,8 +198,10 @@ def test_any_packets_of_any_stream_give_the_same(data):
     events = data.draw(nasty_streams(make.args[0].sensor, 3500, start_us, max_events=60))
     sizes = data.draw(st.lists(st.integers(0, 40), min_size=1, max_size=6))
     stop = data.draw(st.integers(0, 60))
-    whole, cut = make(), make()
-    expected, got = fed(whole, events), fed(cut, events[:stop], sizes)
+    whole = make()
+    cut = make()
+    expected = fed(whole, events)
+    got = fed(cut, events[:stop], sizes)
     cut = pickle.loads(pickle.dumps(cut))
     got += fed(cut, events[stop:], sizes)
     assert got == expected
@@ -204,8 +212,10 @@ def test_any_packets_of_any_stream_give_the_same(data):
 def test_blocks_of_events_have_the_bits_of_single_events(make):
     """Long packets run in vector registers, single events in scalars."""
     events = random_events(1500, seed=2, duration_us=1000, sensor=make.args[0].sensor)
-    one, many = make(), make()
-    fed(one, events, (0,)), fed(many, events, (1500,))
+    one = make()
+    many = make()
+    fed(one, events, (0,))
+    fed(many, events, (1500,))
     assert one.look() == many.look() and any(one.look()[0])
 
 
@@ -213,11 +223,14 @@ def test_blocks_of_events_have_the_bits_of_single_events(make):
 @pytest.mark.parametrize("few", [False, True])
 def test_after_a_reset_it_is_as_new(make, few):
     """Few events, close together: not all cells have to be emptied."""
-    used, new = make(), make()
+    used = make()
+    new = make()
     events = events_of(make, seed=5, start_us=90_000)
     if few:
         events = events[:2]
-        events["x"], events["y"], events["p"] = (0, 1), 0, 1
+        events["x"] = (0, 1)
+        events["y"] = 0
+        events["p"] = 1
     fed(used, events)
     used.look()
     used.reset()
@@ -231,8 +244,11 @@ def test_after_a_reset_it_is_as_new(make, few):
     "duplicate", [copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream))]
 )
 def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
-    original, alone, events = make(), make(), events_of(make)
-    fed(original, events[:170], (13,)), fed(alone, events[:170], (13,))
+    original = make()
+    alone = make()
+    events = events_of(make)
+    fed(original, events[:170], (13,))
+    fed(alone, events[:170], (13,))
     twin = duplicate(original)
     before = original.look()
     outputs = fed(twin, events[170:], (11,))
@@ -243,9 +259,12 @@ def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
 
 @of_all
 def test_invalid_packets_change_nothing(make):
-    stream, alone, events = make(), make(), events_of(make)
+    stream = make()
+    alone = make()
+    events = events_of(make)
     width = make.args[0].sensor[0]
-    fed(stream, events[:170]), fed(alone, events[:170])
+    fed(stream, events[:170])
+    fed(alone, events[:170])
     for invalid in (
         ([9000, 9001], [1, width], [1, 1], [1, 1]),
         ([9000, -1], [1, 1], [1, 1], [0, 1]),
@@ -264,7 +283,9 @@ def test_invalid_packets_change_nothing(make):
 
 @of_all
 def test_reading_changes_nothing(make):
-    read, unread, events = make(), make(), events_of(make)
+    read = make()
+    unread = make()
+    events = events_of(make)
     outputs = []
     for first in range(0, len(events), 9):
         outputs += fed(read, events[first : first + 9])
@@ -275,7 +296,8 @@ def test_reading_changes_nothing(make):
 
 @of_all
 def test_every_event_is_counted_once(make):
-    stream, events = make(), events_of(make)
+    stream = make()
+    events = events_of(make)
     fed(stream, events, (50,))
     counts = stream.look()[2]
     assert counts.received == len(events)

@@ -1,5 +1,8 @@
-"""Checks: of arguments (whole numbers as Python's int, arrays without a mask), of JSON from
-outside, of installed extras, and of calls that must not overlap; text for messages."""
+"""Checks that everything shares, and text for their messages.
+
+Arguments (whole numbers become Python's int, masked arrays are refused), JSON that comes from
+outside, installed extras, and calls that must not overlap.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,6 @@ import operator
 import re
 import reprlib
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Real
@@ -24,14 +26,15 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 class ParameterError(Exception):
     """A parameter has a value that it must not have. Raised as one of the two classes below.
 
-    The program writes the names as its options; an error about what a file states is none of these.
+    The program writes the name of the parameter as its option. So an error about what a file states
+    must be of another class.
 
     Parameters
     ----------
-    name : of the parameter.
+    name : name of the parameter.
     rule : what its value must be, such as "must be at least 1". Names of other parameters stand in
         braces: "must not be longer than {window_us}".
-    got : what came, as text, by `short` perhaps; None where the rule says it all.
+    got : the value that came, as text, see `short`; None where the rule says it all.
 
     Examples
     --------
@@ -57,7 +60,9 @@ class ParameterError(Exception):
 
         rule = re.sub(r"\{(\w+)\}", name_of, self.rule)
         named = known.get(self.name, f"`{self.name}`")
-        return f"{named} {rule}" if self.got is None else f"{named} {rule}, got {self.got}"
+        if self.got is None:
+            return f"{named} {rule}"
+        return f"{named} {rule}, got {self.got}"
 
     def __str__(self) -> str:
         return self.text()
@@ -72,8 +77,9 @@ class ParameterTypeError(ParameterError, TypeError):
 
 
 def is_whole(value: Any) -> bool:
-    """Whether it is a whole number of any type, which True and False are not."""
-    if isinstance(value, (bool, np.bool_)):  # the latter: NumPy 1 lets it pass for an index
+    """Whether a value is a whole number of any type. True and False are not."""
+    # np.bool_ too: NumPy 1 lets it pass for an index
+    if isinstance(value, (bool, np.bool_)):
         return False
     try:
         operator.index(value)
@@ -83,7 +89,12 @@ def is_whole(value: Any) -> bool:
 
 
 def real_number(name: str, value: Any) -> float:
-    """A real number of any type, which True and False are not; one beyond float is infinite."""
+    """A real number of any type as a float; one that float cannot hold becomes infinite.
+
+    Raises
+    ------
+    ParameterTypeError : not a number. True and False are not.
+    """
     if not isinstance(value, Real) or isinstance(value, bool):
         raise ParameterTypeError(name, "must be a number", short(value))
     try:
@@ -93,7 +104,13 @@ def real_number(name: str, value: Any) -> float:
 
 
 def whole_number(name: str, value: Any, low: int, end: int, rule: str = "") -> int:
-    """A whole number in [low, end), or as `rule` puts it."""
+    """A whole number in [low, end) as Python's int; `rule` describes the range in other words.
+
+    Raises
+    ------
+    ParameterTypeError : not a whole number.
+    ParameterValueError : out of the range.
+    """
     if not is_whole(value):
         raise ParameterTypeError(name, "must be a whole number", short(value))
     if not low <= value < end:
@@ -104,9 +121,9 @@ def whole_number(name: str, value: Any, low: int, end: int, rule: str = "") -> i
 
 def positive_int(name: str, value: Any) -> int:
     """A whole number of at least 1 that compiled code can hold."""
-    return whole_number(
-        name, value, 1, 1 << 62, "at least 1" if is_whole(value) and value < 1 else "below 2**62"
-    )
+    is_too_small = is_whole(value) and value < 1
+    rule = "at least 1" if is_too_small else "below 2**62"
+    return whole_number(name, value, 1, 1 << 62, rule)
 
 
 def checked_time(name: str, t_us: Any) -> int:
@@ -115,22 +132,29 @@ def checked_time(name: str, t_us: Any) -> int:
 
 
 def plain_array(name: str, values: Any) -> np.ndarray:
-    """`np.asarray`, except that a masked array, whose mask that would silently drop, is a
-    TypeError."""
-    if type(values) is not np.ndarray:  # a masked array is of another
+    """`np.asarray` that refuses masked arrays.
+
+    Raises
+    ------
+    ParameterTypeError : a masked array, whose mask `np.asarray` would silently drop.
+    """
+    # a masked array is of a subclass
+    if type(values) is not np.ndarray:
         refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
     return np.asarray(values)
 
 
 def refuse_mask(name: str, values: Any, advice: str) -> None:
-    """Raise a TypeError for a masked array, even one that masks nothing; `advice` is what to pass
-    instead."""
-    # through `sys.modules`: nothing can be masked before numpy.ma is imported, and importing it
-    # takes 10 ms
-    if isinstance(values, getattr(sys.modules.get("numpy.ma"), "MaskedArray", ())):
-        raise TypeError(
-            f"`{name}` must not be a masked array, whose mask would be ignored; pass {advice}"
-        )
+    """Raise a ParameterTypeError for a masked array, even for one that masks nothing.
+
+    `advice` says what to pass instead.
+    """
+    # Looked up in `sys.modules`: no array can be masked before numpy.ma is imported, and the import
+    # takes 10 ms.
+    masked_array = getattr(sys.modules.get("numpy.ma"), "MaskedArray", ())
+    if isinstance(values, masked_array):
+        rule = f"must not be a masked array, whose mask would be ignored; pass {advice}"
+        raise ParameterTypeError(name, rule)
 
 
 def one_line(error: Exception | str, limit: int = 300) -> str:
@@ -140,12 +164,14 @@ def one_line(error: Exception | str, limit: int = 300) -> str:
 
 
 _short = reprlib.Repr()
-_short.maxstring = _short.maxother = 120
+_short.maxstring = 120
+_short.maxother = 120
 
 
 def short(value: Any) -> str:
-    """What came, for a message: its `repr`, on one line, without the middle of what is long."""
-    return " ".join(_short.repr(value.item() if isinstance(value, np.generic) else value).split())
+    """The `repr` of a value for a message: on one line, a long one without its middle."""
+    plain = value.item() if isinstance(value, np.generic) else value
+    return " ".join(_short.repr(plain).split())
 
 
 def printable(text: str) -> str:
@@ -156,16 +182,14 @@ def printable(text: str) -> str:
     >>> print(printable("a\\nb: no events"))
     a\\nb: no events
     """
-    return (
-        text
-        if text.isprintable()
-        else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-    )
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 MAX_JSON_DEPTH = 100
-"""Lists and objects within each other. Python's reader and writer would end in a RecursionError at
-some thousand."""
+"""Most lists and objects within each other. Python's own reader and writer of JSON end in a
+RecursionError at some thousand."""
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -173,9 +197,9 @@ def parse_json(text: str | bytes) -> Any:
 
     Raises
     ------
-    ValueError : it is not JSON, is nested deeper than `MAX_JSON_DEPTH`, has a whole number of
-        thousands of digits, or an object names a value twice, of which Python would silently use
-        the last. One line.
+    ValueError : the text is not JSON; it is nested deeper than `MAX_JSON_DEPTH`; a whole number has
+        thousands of digits; or an object has a name twice (Python would silently use the last
+        value). The message is one line.
 
     Examples
     --------
@@ -190,7 +214,7 @@ def parse_json(text: str | bytes) -> Any:
         raise
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"it is not JSON: {one_line(error)}") from None
-    except ValueError:  # of Python's limit of digits
+    except ValueError:  # Python's limit of digits
         raise ValueError(
             "it has a whole number of thousands of digits; expected numbers of float64 or int64"
         ) from None
@@ -206,11 +230,12 @@ class _JsonError(ValueError):
 
 
 def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON, each of whose names is there once."""
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        twice = next(name for name, n in Counter(name for name, _ in pairs).items() if n > 1)
-        raise _JsonError(f"it names {short(twice)} twice in one object")
+    """A JSON object as a dict; no name may occur twice."""
+    values: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in values:
+            raise _JsonError(f"it names {short(name)} twice in one object")
+        values[name] = value
     return values
 
 
@@ -218,10 +243,13 @@ def _check_depth(value: Any) -> None:
     """Refuse a value with more than `MAX_JSON_DEPTH` lists and objects within each other."""
     level = [value]
     for _ in range(MAX_JSON_DEPTH):
-        inner = [
-            one.values() if type(one) is dict else one for one in level if type(one) in (dict, list)
-        ]
-        level = [one for some in inner for one in some if type(one) in (dict, list)]
+        deeper: list[Any] = []
+        for one in level:
+            if type(one) is dict:
+                deeper += one.values()
+            elif type(one) is list:
+                deeper += one
+        level = [one for one in deeper if type(one) in (dict, list)]
         if not level:
             return
     raise ValueError(_TOO_DEEP)
@@ -229,8 +257,10 @@ def _check_depth(value: Any) -> None:
 
 @contextmanager
 def needs_extra(extra: str, what: str) -> Iterator[None]:
-    """Imports within the block that fail raise an ImportError in one line: `what` needs it, and how
-    to install it."""
+    """Turn a failing import within the block into an ImportError of one line.
+
+    The line says `what` needs the package, and how the `extra` is installed.
+    """
     try:
         yield
     except ImportError as error:
@@ -243,13 +273,14 @@ def needs_extra(extra: str, what: str) -> Iterator[None]:
 
 
 class Running:
-    """Whether a call is running on an object, which errors call `name`; on a copy or a pickled one,
-    none is.
+    """Whether a call is running on an object. Errors call the object `name`.
+
+    A copy of it says that no call is running, and so does what is loaded from a pickle.
 
     With the GIL, test and assignment are one step: CPython switches threads and handles signals
     only at calls, at the start of functions and where loops jump back. So this is as safe as a
-    lock, and not left set by Ctrl-C. Without the GIL, two calls that begin within some nanoseconds
-    of each other can both pass.
+    lock, and Ctrl-C does not leave it set. Without the GIL, two calls that begin within some
+    nanoseconds of each other can both pass.
     """
 
     __slots__ = ("name", "now")
@@ -262,8 +293,10 @@ class Running:
         return Running, (self.name,)
 
     def begin(self) -> None:
-        """Refuse to begin if a call is running. To be followed by `try`, and at its end by `now =
-        False`."""
+        """Note that a call begins; a RuntimeError if another one is running.
+
+        The caller continues with `try`, and sets `now = False` in its `finally`.
+        """
         if self.now:
             raise self.overlap()
         self.now = True
@@ -272,16 +305,16 @@ class Running:
         """The error of the second call."""
         return RuntimeError(
             f"a {self.name} was called while another call on it is running, in another thread or "
-            "further up in this "
-            f"one; use one {self.name} per thread, or hold one lock around every call"
+            f"further up in this one; use one {self.name} per thread, or hold one lock around "
+            "every call"
         )
 
 
 def one_at_a_time(method: Method) -> Method:
-    """Refuse a call of this method while one of this kind is running on the same object, by its
-    `_running`.
+    """Refuse a call of this method while another decorated call runs on the same object.
 
-    Takes 0.2 us; methods that take about a microsecond themselves write it out.
+    The object has a `Running` as its attribute `_running`. The decorator costs 0.2 us: methods that
+    take about a microsecond write these lines themselves.
     """
 
     @functools.wraps(method)

@@ -1,6 +1,6 @@
-"""Files: paths as users write them, pointers of Git LFS, reading regular files alone, and writing.
+"""Files: paths as users write them, pointers of Git LFS, reading and writing.
 
-Files are written whole or not at all, replacing nothing but regular files, and by one process at a
+Only regular files are read and replaced. A file is written whole or not at all, by one process at a
 time.
 """
 
@@ -16,45 +16,48 @@ from pathlib import Path
 from typing import IO
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+"""First bytes of a pointer of Git LFS."""
 
 
 def user_path(path: str | os.PathLike[str]) -> Path:
-    """A path with `~` and `~name` as home folders; unchanged where there is no such user.
+    """A path with `~` and `~name` replaced by home folders; unchanged if there is no such user.
 
-    A shell does this only for words that begin with `~`, and Python does not.
+    A shell replaces them only in words that begin with `~`, and Python never does.
     """
     return Path(os.path.expanduser(path))
 
 
 def refuse_git_lfs(path: Path) -> None:
-    """A ValueError if a pointer of Git LFS is there in place of the file; nothing else is checked.
+    """Raise a ValueError if a file is only a pointer of Git LFS; nothing else is checked.
 
     Git leaves such a pointer, three lines of text, where a repository was cloned without its large
     files.
     """
-    if not path.is_file():  # it is missing, a folder or a pipe, which others say better
+    # a missing file, a folder or a pipe gives a better error later
+    if not path.is_file():
         return
     with path.open("rb") as file:
         is_pointer = file.read(len(LFS_POINTER)) == LFS_POINTER
     if is_pointer:
         raise ValueError(
-            f"{path}: only a Git LFS pointer to the file, not the file itself; fetch it with `git "
-            "lfs pull` in its "
-            "repository"
+            f"{path}: only a Git LFS pointer to the file, not the file itself; fetch it with "
+            "`git lfs pull` in its repository"
         )
 
 
 def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
     """Open a regular file, or a link to one, to read its bytes.
 
-    A pipe without a writer would wait forever, and a device may never end.
+    Other kinds are refused: a pipe without a writer would wait forever, and a device may never end.
 
     Raises
     ------
-    OSError : something else, such as a pipe or a device; missing, or not readable.
+    OSError : the path is something else, such as a pipe or a device; is missing; or is not
+        readable.
     """
     mode = os.stat(path).st_mode
-    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # `open` itself refuses folders
+    # `open` itself refuses folders
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise OSError(errno.EINVAL, "a pipe or a device, expected a regular file", os.fspath(path))
     return Path(path).open("rb")
 
@@ -66,8 +69,9 @@ def read_regular(path: str | os.PathLike[str]) -> bytes:
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
-    """The file to write, following a symbolic link; refuses, before any work, what `Replacement`
-    could not replace.
+    """The file that would be written, at the end of a symbolic link.
+
+    Refuses, before any work, what `Replacement` could not replace.
 
     Parameters
     ----------
@@ -75,9 +79,8 @@ def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
 
     Raises
     ------
-    ValueError : another suffix.
-    OSError : something other than a regular file is there, the folder is missing, or there is no
-        permission.
+    ValueError : the path has another suffix.
+    OSError : the path is not a regular file, the folder is missing, or there is no permission.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise ValueError(f"{path}: its name must end in {', '.join(suffixes)}")
@@ -85,26 +88,25 @@ def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
     if not target.parent.is_dir():
         raise FileNotFoundError(f"no folder {target.parent} to write {target.name} to")
     _check_regular(path)
-    if not os.access(target.parent, os.W_OK) or (
-        target.exists() and not os.access(target, os.W_OK)
-    ):
+    is_locked = target.exists() and not os.access(target, os.W_OK)
+    if is_locked or not os.access(target.parent, os.W_OK):
         raise PermissionError(f"{path} cannot be written: no permission")
     _check_regular(_part_of(target), follow_symlinks=False)
     return target
 
 
 def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
-    """Refuse, before any work, to replace files that the user has not named and this program has
-    not written.
+    """Refuse, before any work, to replace files that another program has written.
 
     Parameters
     ----------
-    paths : written together. If any of them exists, the first must be ours, and then all are.
-    marks : what a first file of ours contains.
+    paths : files that are written together. If one of them exists, the first one must be ours; then
+        all are taken for ours.
+    marks : texts that the first file contains if it is ours.
 
     Raises
     ------
-    OSError : they are not ours, or see `check_writable`.
+    OSError : the files are not ours, or cannot be written, see `check_writable`.
     """
     there = [path for path in paths if check_writable(path).exists()]
     content = paths[0].read_bytes() if paths[0] in there else b""
@@ -116,51 +118,60 @@ def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
 
 
 def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
-    """An OSError, before any work, if a folder, or these files in it, could not be made or
-    written."""
-    there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    """Raise an OSError, before any work, if a folder could not be made or written.
+
+    names : files in the folder that will be written; they are checked, too.
+    """
+    there = folder
+    if not os.path.lexists(there):
+        there = next(path for path in folder.absolute().parents if os.path.lexists(path))
     if not there.is_dir():
         raise NotADirectoryError(f"{there} is not a folder; expected a folder to write to")
     if not os.access(there, os.W_OK):
         raise PermissionError(f"{folder} cannot be written: no permission")
-    for name in names if folder.is_dir() else ():
-        check_writable(folder / name)
+    if folder.is_dir():
+        for name in names:
+            check_writable(folder / name)
 
 
 class Replacement:
-    """A file that replaces another, whose permissions stay, when it is complete; until then it is
-    NAME.part.
+    """A new file that replaces another one when it is complete; until then it is NAME.part.
 
-    Parameters and errors are those of `check_writable`.
+    The permissions of the old file stay. Parameters and errors are those of `check_writable`.
+
+    Attributes
+    ----------
+    part : the path of NAME.part, to be written.
     """
 
     def __init__(self, path: Path) -> None:
         self._target = check_writable(path)
         self.part = _part_of(self._target)
         self.part.unlink(missing_ok=True)  # left by a killed process
-        # O_EXCL does not follow a link placed there meanwhile; what replaces a private file is
-        # private from the start
+
+        # What replaces a private file is private from the start. O_EXCL does not follow a link that
+        # somebody placed there meanwhile.
         mode = 0o600 if self._target.exists() else 0o666
         os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
 
     def complete(self) -> None:
         """Replace the file."""
-        # nothing to replace, or a file system without permissions
+        # suppressed: there is nothing to replace, or the file system has no permissions
         with contextlib.suppress(OSError):
             shutil.copymode(self._target, self.part)
         self.part.replace(self._target)
 
     def discard(self) -> None:
-        """Leave the file as it was; nothing happens after `complete`."""
+        """Leave the old file as it was. After `complete` this does nothing."""
         self.part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Write the file that this yields, a `Replacement.part`: after the block it replaces `path`.
+    """Yield a path to write, NAME.part: after the block that file replaces `path`.
 
     If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and
-    maybe a `.part`.
+    perhaps NAME.part.
     """
     file = Replacement(path)
     try:
@@ -173,7 +184,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """An OSError of the block that names no file, as that of a full disk, names this one."""
+    """Name this file in an OSError of the block that names none, such as that of a full disk."""
     try:
         yield
     except OSError as error:
@@ -183,16 +194,20 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a whole file of UTF-8."""
+    """Write a whole text file in UTF-8."""
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def open_locked(path: Path, busy: str) -> IO[bytes]:
-    """Open a file, made if missing, and lock it until it is closed or its process ends in any way.
+    """Open a file, and lock it until it is closed or this process ends; make it if it is missing.
 
-    BlockingIOError, with the text `busy`, if another process has locked it, or has just replaced or
-    deleted it. Where the system has no such locks, nothing is locked.
+    Where the system has no such locks, nothing is locked.
+
+    Raises
+    ------
+    BlockingIOError : with the text `busy`: another process has locked the file, or has just
+        replaced or deleted it.
     """
     _check_regular(path, follow_symlinks=False)
     file = path.open("a+b")
@@ -214,10 +229,13 @@ def open_locked(path: Path, busy: str) -> IO[bytes]:
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, name: str) -> Iterator[None]:
-    """Make a folder, and lock the file `name` in it for the block; BlockingIOError if another
-    process has locked it.
+    """Make a folder, and lock the file `name` in it for the block.
 
-    What was made here and is empty in the end is removed again.
+    Folders that were made here are removed again if they are empty in the end.
+
+    Raises
+    ------
+    BlockingIOError : another process has locked the file.
     """
     busy = f"{folder}: another program is at work there; wait for that one, or give another folder"
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
@@ -237,9 +255,10 @@ def _part_of(target: Path) -> Path:
 
 
 def _check_regular(path: Path, *, follow_symlinks: bool = True) -> None:
-    """Refuse anything but a regular file, or nothing at all."""
+    """Refuse a path that exists and is not a regular file."""
     with contextlib.suppress(FileNotFoundError):
-        if not stat.S_ISREG(os.stat(path, follow_symlinks=follow_symlinks).st_mode):
+        mode = os.stat(path, follow_symlinks=follow_symlinks).st_mode
+        if not stat.S_ISREG(mode):
             raise FileExistsError(
                 f"{path} is not a regular file; only those are replaced: give another name"
             )

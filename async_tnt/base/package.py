@@ -1,5 +1,7 @@
-"""What is known of the package and the machine before anything is imported: version, cores, and
-names that are imported when first used, so that programs start at once."""
+"""The version, names that are imported when they are first used, and the machine's cores.
+
+This module imports nothing, so that programs start at once.
+"""
 
 __version__ = "0.3.0"
 
@@ -9,26 +11,35 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def lazy_names(package: "dict[str, Any]", modules: "dict[str, str]") -> "tuple[Callable, Callable]":
+def lazy_names(
+    package: "dict[str, Any]", modules: "dict[str, str]", renamed: "dict[str, str] | None" = None
+) -> "tuple[Callable, Callable]":
     """`__getattr__` and `__dir__` of a package.
 
         __getattr__, __dir__ = lazy_names(globals(), {"module": "Name other_name", ...})
 
-    Type checkers do not see through it: for them the package imports the same names `if
-    TYPE_CHECKING`, and lists them in `__all__`.
+    Type checkers do not see through it. For them the package imports the same names
+    `if TYPE_CHECKING`, and lists them in `__all__`.
 
     Parameters
     ----------
-    package : its `globals()`.
+    package : the package's `globals()`.
     modules : submodule -> its public names, separated by spaces.
+    renamed : name of an earlier release -> what to write instead. The old name is an
+        AttributeError that says so.
     """
-    module_of = {name: module for module, names in modules.items() for name in names.split()}
     own_name = package["__name__"]
+    module_of = {name: module for module, names in modules.items() for name in names.split()}
+    new_name_of = renamed or {}
 
     def get(name: str) -> "Any":
         import importlib
 
-        module = module_of.get(name, name)  # otherwise a submodule
+        if name in new_name_of:
+            raise AttributeError(f"{own_name}.{name} is now {new_name_of[name]}")
+
+        # a name that is not in the table may be a submodule
+        module = module_of.get(name, name)
         try:
             value: Any = importlib.import_module(f"{own_name}.{module}")
         except ModuleNotFoundError as error:
@@ -40,11 +51,16 @@ def lazy_names(package: "dict[str, Any]", modules: "dict[str, str]") -> "tuple[C
         package[name] = value
         return value
 
-    return get, lambda: sorted({*package, *module_of})
+    def names() -> "list[str]":
+        return sorted({*package, *module_of})
+
+    return get, names
 
 
 def available_cores() -> int:
-    """Cores this process may use."""
+    """Cores that this process may use."""
     import os
 
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

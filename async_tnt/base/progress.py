@@ -1,5 +1,4 @@
-"""The progress bar of every command: one line on stderr where that is a terminal, nothing
-elsewhere."""
+"""The progress bar of every command: one line on stderr if that is a terminal, else nothing."""
 
 from __future__ import annotations
 
@@ -9,48 +8,60 @@ import sys
 import time
 from typing import TextIO
 
-FIRST_S, EVERY_S = 1.0, 0.1
-"""Seconds until the bar appears, and between its updates."""
+FIRST_S = 1.0
+"""Seconds until the bar appears."""
+EVERY_S = 0.1
+"""Seconds between its updates."""
 
 
 class Bar(contextlib.AbstractContextManager["Bar"]):
-    """How much of `total` is done. A context manager: it clears its line at the end, even after an
-    error.
+    """A line that shows how much of `total` is done.
+
+    A context manager: it clears its line at the end, even after an error.
 
     Parameters
     ----------
     total : units of work; 0 if unknown.
     title : what is being done.
-    file : a terminal; None shows nothing: so `Bar` itself may stand in place of `progress`.
-    done : units done before, which do not count towards the rate.
+    file : a terminal. None shows nothing, so that `Bar` itself may stand in place of `progress`.
+    done : units that were done before. They do not count towards the rate.
     """
 
     def __init__(
         self, total: int, title: str, file: TextIO | None = None, *, done: int = 0
     ) -> None:
-        self.total, self.title, self.done = total, title, done
-        self._file, self._first = file, done
-        self._started = time.monotonic()
-        self._next_draw = self._started + FIRST_S
+        self.total = total
+        self.title = title
+        self.done = done
+        self._file = file
+        self._done_before = done
+        self._started_s = time.monotonic()
+        self._next_draw_s = self._started_s + FIRST_S
         self._width = 0
 
     def update(self, n: int = 1, title: str | None = None) -> None:
         """`n` more units are done; `title`, if given, replaces the title."""
         self.done += n
-        self.title = self.title if title is None else title
-        if self._file is None or (now := time.monotonic()) < self._next_draw:
+        if title is not None:
+            self.title = title
+        if self._file is None:
             return
-        self._next_draw = now + EVERY_S
-        text = describe(
-            self.title, self.done, self.total, self.done - self._first, now - self._started
-        )
+        now_s = time.monotonic()
+        if now_s < self._next_draw_s:
+            return
+
+        self._next_draw_s = now_s + EVERY_S
+        n_since = self.done - self._done_before
+        text = describe(self.title, self.done, self.total, n_since, now_s - self._started_s)
         text = text[: shutil.get_terminal_size().columns - 1]
         self._write("\r" + text.ljust(self._width))
         self._width = len(text)
 
     def clear(self) -> None:
-        """Clear the line, for example before something else is printed. The next update draws it
-        again."""
+        """Clear the line, for example before something else is printed.
+
+        The next update draws it again.
+        """
         if self._width:
             self._write("\r" + " " * self._width + "\r")
             self._width = 0
@@ -87,19 +98,22 @@ def describe(title: str, done: int, total: int, n: int, seconds: float) -> str:
     if total > 0:
         share = min(done / total, 1.0)
         text = f"{title} {100 * share:3.0f} % [{'#' * int(20 * share):.<20}] {done:,}/{total:,}"
-    if n > 0 and seconds > 0:
-        rate = n / seconds
-        text += (
-            f", {rate:,.0f}/s"
-            if rate >= 10
-            else f", {rate:.1f}/s"
-            if rate >= 1
-            else f", {seconds / n:.1f} s each"
-        )
-        if total > 0:
-            minutes, left = divmod(round(max(total - done, 0) / rate), 60)
-            hours, minutes = divmod(minutes, 60)
-            text += (
-                f", {hours}:{minutes:02}:{left:02} left" if hours else f", {minutes}:{left:02} left"
-            )
+    if n <= 0 or seconds <= 0:
+        return text
+
+    rate = n / seconds
+    if rate >= 10:
+        text += f", {rate:,.0f}/s"
+    elif rate >= 1:
+        text += f", {rate:.1f}/s"
+    else:
+        text += f", {seconds / n:.1f} s each"
+
+    if total > 0:
+        minutes, left = divmod(round(max(total - done, 0) / rate), 60)
+        hours, minutes = divmod(minutes, 60)
+        if hours:
+            text += f", {hours}:{minutes:02}:{left:02} left"
+        else:
+            text += f", {minutes}:{left:02} left"
     return text

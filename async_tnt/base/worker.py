@@ -1,9 +1,8 @@
-"""Worker processes, which call one function after another and may crash or hang without harm to
-this process.
+"""Worker processes, which call functions for this process and may crash or hang without harm to it.
 
-`subprocess` starts them: a process of `multiprocessing` imports the user's script again, which then
-needs the line `if __name__ == "__main__":`, and a daemonic process, such as a worker of torch's
-DataLoader, may not start any.
+They are started by `subprocess`, not by `multiprocessing`: that would import the user's script
+again, which then needs the line `if __name__ == "__main__":`; and a daemonic process, such as a
+worker of torch's DataLoader, could not start any.
 """
 
 from __future__ import annotations
@@ -21,7 +20,8 @@ from multiprocessing import connection
 from queue import SimpleQueue
 from typing import Any
 
-MAX_ANSWER_BYTES = 1 << 30  # a process that is about to crash may send anything
+MAX_ANSWER_BYTES = 1 << 30
+"""Bytes that an answer may have at most: a process that is about to crash may send anything."""
 
 
 class WorkerEnded(ChildProcessError):
@@ -31,7 +31,7 @@ class WorkerEnded(ChildProcessError):
 class Worker:
     """A process that calls importable functions until `end`, or until this process ends in any way.
 
-    It has its own process group, so that Ctrl-C reaches this process alone, which ends its workers.
+    It has its own process group: Ctrl-C reaches this process alone, which then ends its workers.
 
     Attributes
     ----------
@@ -59,34 +59,36 @@ class Worker:
 
     @property
     def is_running(self) -> bool:
+        """Whether the process has not ended yet."""
         return self._process.poll() is None
 
     def submit(self, function: Callable[..., Any], *args: Any, limit_s: float = 0.0) -> None:
-        """Call a function after those before have returned; a call that takes more than `limit_s`
-        ends the process."""
+        """Call a function after the earlier calls have returned.
+
+        A call that takes more than `limit_s` seconds ends the process; 0: no limit.
+        """
         call = pickle.dumps((function, args, limit_s))
-        with contextlib.suppress(OSError):  # the process has ended: `result` raises
+        # suppressed: the process has ended, and `result` raises
+        with contextlib.suppress(OSError):
             self.pipe.send_bytes(call)
 
     def result(self, limit_s: float | None = None) -> Any:
-        """What the oldest call returned, or its error, raised, with the worker's traceback as a
-        note.
+        """The value that the oldest call returned.
+
+        limit_s : seconds to wait for it; None: without a limit.
 
         Raises
         ------
-        WorkerEnded : no answer within `limit_s` (None: however long it takes), or none any more.
+        Exception : the error that the call raised, with the worker's traceback as a note.
+        WorkerEnded : no answer came in time, or the process has ended.
         """
+        ended = WorkerEnded("a worker process crashed, hung, was killed, or ran out of memory")
         try:
-            answer = (
-                self.pipe.recv_bytes(MAX_ANSWER_BYTES)
-                if connection.wait([self.pipe], limit_s)
-                else b""
-            )
-            is_error, value = pickle.loads(answer)
+            if not connection.wait([self.pipe], limit_s):
+                raise ended
+            is_error, value = pickle.loads(self.pipe.recv_bytes(MAX_ANSWER_BYTES))
         except (EOFError, OSError, pickle.UnpicklingError):
-            raise WorkerEnded(
-                "a worker process crashed, hung, was killed, or ran out of memory"
-            ) from None
+            raise ended from None
         if is_error:
             raise value
         return value
@@ -99,9 +101,9 @@ class Worker:
 
 
 def serve() -> None:
-    """In a worker: answer the calls that come through its standard input, a pipe in both
-    directions."""
-    fd = os.dup(0)  # nothing that is called may read it
+    """Answer calls in a worker; they come through its standard input, a pipe in both directions."""
+    # moved away from standard input, so that no called function reads it
+    fd = os.dup(0)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if sys.platform == "win32":
         import msvcrt
@@ -118,7 +120,7 @@ def serve() -> None:
 
 
 def _receive(pipe: Any, calls: SimpleQueue[bytes]) -> None:
-    """Queue calls; when the parent is gone, end this process, also in the middle of a call."""
+    """Queue calls; when the parent is gone, end this process, even in the middle of a call."""
     try:
         while True:
             calls.put(pipe.recv_bytes())
@@ -127,18 +129,29 @@ def _receive(pipe: Any, calls: SimpleQueue[bytes]) -> None:
 
 
 def _answer(call: bytes) -> bytes:
+    """Call a function; the pickle of (False, its value) or of (True, its error)."""
     try:
         function, args, limit_s = pickle.loads(call)
-        if limit_s:  # a library that hangs may never let a thread of Python run
+        # by `faulthandler`: a library that hangs may never let a thread of Python run
+        if limit_s:
             faulthandler.dump_traceback_later(limit_s, exit=True)
         return pickle.dumps((False, function(*args)), pickle.HIGHEST_PROTOCOL)
     except BaseException as error:  # a panic in Rust derives from BaseException alone
         note = traceback.format_exc()
-        try:
-            is_plain = isinstance(pickle.loads(pickle.dumps(error)), Exception)
-        except Exception:  # what cannot be sent would look like the worker's end
-            is_plain = False
-        if not is_plain:
-            error = RuntimeError(f"{type(error).__name__}: {error}")
-        error.add_note(note)
-        return pickle.dumps((True, error))
+        sendable = _sendable(error)
+        sendable.add_note(note)
+        return pickle.dumps((True, sendable))
+
+
+def _sendable(error: BaseException) -> Exception:
+    """An error itself if a pickle can hold it, else a RuntimeError with its text.
+
+    An error that cannot be sent would look as if the worker had ended.
+    """
+    try:
+        sent = pickle.loads(pickle.dumps(error))
+    except Exception:
+        sent = None
+    if isinstance(error, Exception) and isinstance(sent, Exception):
+        return error
+    return RuntimeError(f"{type(error).__name__}: {error}")

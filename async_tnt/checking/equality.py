@@ -1,17 +1,18 @@
 """Compare the stream with the batch reference on one recording: the promise of equality as a
 function.
 
-(a) the streamed volume is bit for bit the same however the stream was cut into packets, and made of
-the events that
-    the reference has in that window;
-(b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9
-px; (c) logits equal the reference's to 1e-4 (of the largest, where it exceeds 1), and with them the
-class, but for ties; (d) a decision after every event, for which only what changed is computed, has
-the bits of the whole network's;
+(a) However the stream was cut into packets, the streamed volume is the same, bit for bit. It is
+    made of the events that the reference has in that window.
+(b) At every prefix the volume equals that of the batch reference to 1e-6 of its largest cell, and
+    the landmark to 1e-9 pixels.
+(c) Logits equal the reference's to 1e-4 (of the largest one where that exceeds 1), and with them
+    the class, except for ties.
+(d) A decision after every event, for which only what changed is computed, has the bits of the whole
+    network.
 
-but for (b) where the tolerance of the border ends, 1e-9 px beyond it, where rounding decides
-whether an event is kept, and for (d) if the caller switches `torch.set_flush_denormal` between two
-decisions.
+There are two exceptions. (b): an event may lie where the tolerance of the border ends, 1e-9 pixels
+beyond it; rounding decides then whether it is kept. (d): the caller may switch
+`torch.set_flush_denormal` between two decisions.
 
 Needs torch (extra `reference`), which is imported only when something is checked.
 """
@@ -31,16 +32,21 @@ from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.torch_modules import landmark_function
 from async_tnt.streaming.processor import Processor
 from async_tnt.volume.config import LANDMARKS, TIME_IMAGES, TNTConfig
-from async_tnt.volume.state import Regressor
+from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
 
-PACKET_SIZES = (1, 2, 7, 100, 0)  # 0: everything at once
-VOLUME_BOUND = 1e-6  # of the largest cell
-# events: where all cells are below it, opposite events cancelled and left their rounding
+PACKET_SIZES = (1, 2, 7, 100, 0)
+"""Events in a packet; 0: everything at once."""
+VOLUME_BOUND = 1e-6
+"""Largest difference of two volumes, as a share of the largest cell."""
 CANCELLED = 1e-9
-LANDMARK_BOUND = 1e-9  # pixels
+"""Events. Where all cells are below it, opposite events cancelled and left their rounding."""
+LANDMARK_BOUND = 1e-9
+"""Largest distance of two landmarks, in grid pixels."""
+REGRESSED_LANDMARK_BOUND = 1e-4
+"""The same for landmark `regressor`, which comes from float32 convolutions."""
 LOGIT_BOUND = 1e-4
-REGRESSED_LANDMARK_BOUND = 1e-4  # landmark "regressor" comes from float32 convolutions
+"""Largest difference of two logits."""
 
 
 @dataclass
@@ -54,12 +60,14 @@ class Comparison:
     worst: float = 0.0
 
     def add(self, difference: float) -> None:
+        """Note one difference."""
         self.include(Comparison(self.what, self.config, self.bound, 1, float(difference)))
 
     def include(self, other: Comparison) -> None:
         """Merge the comparisons of another recording."""
         self.n += other.n
-        if not (math.isnan(self.worst) or other.worst <= self.worst):  # a nan must stay, and fail
+        # a nan must stay, and fail; and it is not below any number
+        if not math.isnan(self.worst) and not other.worst <= self.worst:
             self.worst = other.worst
 
     @property
@@ -69,8 +77,10 @@ class Comparison:
 
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
-    """A configuration with every landmark (`regressor` where it has one), with the flow removed,
-    and without the transform; images of times have only the last."""
+    """Name -> configuration: with every landmark, with the flow removed, without the transform.
+
+    The landmark `regressor` is there only if `base` has it. Images of times have no transform.
+    """
     if base.representation in TIME_IMAGES:
         return {"no transform": base}
     tnt = base.replace(transform="tnt", remove_flow=False)
@@ -94,101 +104,131 @@ def check_recording(
     Parameters
     ----------
     events : structured array of `EVENT_DTYPE`.
-    model : its configuration, under every landmark, and its networks.
+    model : its configuration is checked under every landmark, and its networks.
     prefixes : how many prefixes of each window are compared with the reference, evenly spread, the
-        last one included; None for all of them (minutes for a recording of some thousand events).
+        last one included. None: all of them, which takes minutes for some thousand events.
     start_us : start of the first window; the first event by default.
     on_progress : called after every configuration.
     """
     comparisons = []
     for name, config in configurations(model.config).items():
-        comparisons += _check_config(events, name, config, model, prefixes, start_us)
+        regressor = CompiledRegressor(model) if config.needs_regressor else None
+        closed = _closed_windows(events, config, PACKET_SIZES[0], start_us, regressor)
+        comparisons.append(_check_packets(events, name, config, start_us, regressor, closed))
+        comparisons += _check_volumes(events, name, config, model, prefixes, start_us, closed)
         on_progress()
     comparisons += _check_network(events, model, prefixes, start_us)
     on_progress()
     return comparisons
 
 
-def _check_config(
+def _check_packets(
+    events: np.ndarray,
+    name: str,
+    config: TNTConfig,
+    start_us: int | None,
+    regressor: Regressor | None,
+    closed: list[tuple[int, bytes]],
+) -> Comparison:
+    """The first half of promise (a): volumes do not depend on packets.
+
+    closed : the `_closed_windows` of the first packet size.
+    """
+    packets = Comparison("volumes that depend on packets", name, 0.0)
+    for size in PACKET_SIZES[1:]:
+        got = _closed_windows(events, config, size, start_us, regressor)
+        packets.add(abs(len(got) - len(closed)))
+        for one, other in zip(closed, got, strict=False):
+            packets.add(float(one != other))
+    return packets
+
+
+def _check_volumes(
     events: np.ndarray,
     name: str,
     config: TNTConfig,
     model: Model,
     prefixes: int | None,
     start_us: int | None,
+    closed: list[tuple[int, bytes]],
 ) -> list[Comparison]:
-    """Promises (a) and (b) for one configuration."""
+    """The second half of promise (a), and promise (b): windows, volumes and landmarks.
+
+    closed : the `_closed_windows` of a stream.
+    """
     from async_tnt.checking.reference import reference_landmark, reference_volume, reference_windows
 
-    regressed, transformed = config.needs_regressor, config.transform == "tnt"
-    regressor = CompiledRegressor(model) if regressed else None
-    find_landmark = landmark_function(model) if regressed else None
-    packets = Comparison("volumes that depend on packets", name, 0.0)
+    is_regressed = config.needs_regressor
+    landmark_bound = REGRESSED_LANDMARK_BOUND if is_regressed else LANDMARK_BOUND
+    windows = Comparison("windows against reference", name, 0.0)
     volumes = Comparison("volume against reference, of the largest cell", name, VOLUME_BOUND)
-    landmark_bound = REGRESSED_LANDMARK_BOUND if regressed else LANDMARK_BOUND
     landmarks = Comparison("landmark against reference, px", name, landmark_bound)
 
-    expected = _closed_windows(events, config, PACKET_SIZES[0], start_us, regressor)
-    for size in PACKET_SIZES[1:]:
-        got = _closed_windows(events, config, size, start_us, regressor)
-        packets.add(abs(len(got) - len(expected)))
-        for one, other in zip(expected, got, strict=False):
-            packets.add(float(one != other))
-
-    volume = TNTVolume(config, regressor=regressor)
-    windows = Comparison("windows against reference", name, 0.0)
     in_reference = reference_windows(events, config, start_us)
-    windows.add(float([start for start, _ in expected] != [start for start, _ in in_reference]))
-    of_window = dict(expected)
+    starts = [start for start, _ in closed]
+    windows.add(float(starts != [start for start, _ in in_reference]))
+
+    digest_of = dict(closed)
+    regressor = CompiledRegressor(model) if is_regressed else None
+    find_landmark = landmark_function(model) if is_regressed else None
+    untransformed = config.replace(transform="none") if is_regressed else config
+    volume = TNTVolume(config, regressor=regressor)
     for start, inside, ends in _prefixes(in_reference, prefixes):
         volume.open(start)
         for before, n in pairwise([0, *ends]):
             volume.update(inside[before:n])
-            seen, ours = inside[:n], volume.landmark
-            reference = reference_volume(seen, config, start, ours if regressed else None)
+            seen = inside[:n]
+            ours = volume.landmark
+            reference = reference_volume(seen, config, start, ours if is_regressed else None)
             volumes.add(_difference(volume.array, reference))
             if find_landmark is not None:
-                theirs = find_landmark(
-                    reference_volume(seen, config.replace(transform="none"), start)
-                )
+                theirs = find_landmark(reference_volume(seen, untransformed, start))
                 landmarks.add(_distance(ours, theirs))
-            elif transformed:
+            elif config.transform == "tnt":
                 landmarks.add(_distance(ours, reference_landmark(seen, config, start)))
-        windows.add(float(_digest(volume.array) != of_window.get(start)))
-    return [packets, windows, volumes, *[landmarks] * transformed]
+        windows.add(float(_digest(volume.array) != digest_of.get(start)))
+
+    if config.transform == "tnt":
+        return [windows, volumes, landmarks]
+    return [windows, volumes]
 
 
 def _check_network(
     events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None
 ) -> list[Comparison]:
-    """Promises (c) and (d): a decision after each event, in packets, compared where prefixes
-    end."""
+    """Promises (c) and (d): a decision after each event, compared where prefixes end."""
     from async_tnt.checking.reference import reference_pipeline, reference_windows
 
     repeated = Comparison("bits that depend on earlier decisions", "the model", 0.0)
     logits = Comparison("logits against reference", "the model", LOGIT_BOUND)
-    config, dense, pipeline = model.config, CompiledClassifier(model), reference_pipeline(model)
+    config = model.config
+    pipeline = reference_pipeline(model)
+    whole_network = CompiledClassifier(model)
+    # one for all windows
+    incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
-    incremental = CompiledClassifier(model)  # through all windows
     # with a landmark that is found at each read, a decision after each event is as slow as the
     # window is long
-    every = None if config.needs_replay else 1
+    every_events = None if config.needs_replay else 1
     for start, inside, ends in _prefixes(reference_windows(events, config, start_us), prefixes):
-        if config.window_events is None:
-            first_us, still_open = start, config
-        else:  # a full window would be closed, and could not be read
-            first_us, still_open = None, config.replace(window_events=inside.size + 1)
+        first_us: int | None = start
+        still_open = config
+        if config.window_events is not None:
+            # a full window would be closed, and could not be read
+            first_us = None
+            still_open = config.replace(window_events=inside.size + 1)
         processor = Processor(
             still_open,
             classifier=incremental,
             regressor=regressor,
             start_us=first_us,
-            every_events=every,
+            every_events=every_events,
         )
         for before, n in pairwise([0, *ends]):
             decisions = processor.push(inside[before:n])
-            ours = decisions[-1].logits if every else processor.fire().logits
-            whole = dense(processor.volume())
+            decision = processor.fire() if every_events is None else decisions[-1]
+            ours = decision.logits
+            whole = whole_network(processor.volume())
             theirs = pipeline(inside[:n], start).reshape(ours.shape)
             repeated.add(float(np.count_nonzero(ours.view(np.uint32) != whole.view(np.uint32))))
             logits.add(float(np.abs(ours - theirs).max() / max(1.0, np.abs(theirs).max())))
@@ -212,8 +252,10 @@ def _closed_windows(
     start_us: int | None,
     regressor: Regressor | None = None,
 ) -> list[tuple[int, bytes]]:
-    """The start of each window with events, and the digest of its volume; streamed in packets of a
-    size (0: all at once; 1: event by event as Python's own integers)."""
+    """The start of each window with events, and the digest of its volume, of one stream.
+
+    packet_size : events in a packet. 0: all at once. 1: event by event, as Python's own integers.
+    """
     digests: list[bytes] = []
 
     def keep(volume: np.ndarray) -> list[float]:
@@ -221,19 +263,17 @@ def _closed_windows(
         return [0.0]
 
     processor = Processor(config, classifier=keep, regressor=regressor, start_us=start_us)
-    size = packet_size or max(1, events.size)
-    packets = (
-        events.tolist()
-        if packet_size == 1
-        else [events[k : k + size] for k in range(0, events.size, size)]
-    )
-    decisions = [
-        decision for packet in packets for decision in processor.push(packet)
-    ] + processor.finish()
-    return [
-        (decision.window_start_us, digest)
-        for decision, digest in zip(decisions, digests, strict=True)
-    ]
+    if packet_size == 1:
+        packets = events.tolist()
+    else:
+        size = packet_size or max(1, events.size)
+        packets = [events[k : k + size] for k in range(0, events.size, size)]
+
+    starts = []
+    for packet in packets:
+        starts += [decision.window_start_us for decision in processor.push(packet)]
+    starts += [decision.window_start_us for decision in processor.finish()]
+    return list(zip(starts, digests, strict=True))
 
 
 def _digest(volume: np.ndarray) -> bytes:

@@ -25,6 +25,7 @@ PIPELINE_SETTINGS = (
     "remove_flow",
     "representation",
 )
+"""Fields of a configuration that `tnt_reference.Pipeline` has under the same names."""
 
 
 def reference_volume(
@@ -34,41 +35,44 @@ def reference_volume(
 
     Parameters
     ----------
-    landmark : (x, y) in grid pixels instead of the configuration's; with landmark "regressor" it is
-        needed.
+    landmark : (x, y) in grid pixels instead of the configuration's landmark; needed where that is
+        "regressor".
     """
     columns = [events[field] for field in "txyp"]
-    settings: dict[str, Any] = {**_window(events, config, start_us), "polarity": config.polarity}
+    settings = _window(events, config, start_us)
+    settings["polarity"] = config.polarity
     if config.representation in TIME_IMAGES:
-        return tnt_reference.time_image(
-            *columns, **settings, representation=config.representation
-        ).numpy()
+        settings["representation"] = config.representation
+        return tnt_reference.time_image(*columns, **settings).numpy()
     settings["bins"] = config.bins
     if config.transform == "none":
         return tnt_reference.event_volume(*columns, **settings).numpy()
-    settings |= {"t_max": config.t_max, "remove_flow": config.remove_flow}
+    settings["t_max"] = config.t_max
+    settings["remove_flow"] = config.remove_flow
     settings["landmark"] = config.landmark if landmark is None else landmark
     return tnt_reference.tnt_volume(*columns, **settings).numpy()
 
 
 def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> Landmark:
     """The landmark of the newest event, in grid pixels; not for landmark "regressor"."""
-    columns = (events[field] for field in "txy")
-    x, y = tnt_reference.landmark(config.landmark, *columns, **_window(events, config, start_us))[
-        -1
-    ].tolist()
+    window = _window(events, config, start_us)
+    landmarks = tnt_reference.landmark(
+        config.landmark, events["t"], events["x"], events["y"], **window
+    )
+    x, y = landmarks[-1].tolist()
     return x, y
 
 
 def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
     """The whole model in torch: a window's events and its start -> logits."""
     config = model.config
+    settings = {name: getattr(config, name) for name in PIPELINE_SETTINGS}
     pipeline = tnt_reference.Pipeline(
         torch_classifier(model),
         window_us=config.window_us if config.window_events is None else None,
-        **{name: getattr(config, name) for name in PIPELINE_SETTINGS},
         landmark=config.landmark if config.transform == "tnt" else "center",
         regressor=torch_regressor(model),
+        **settings,
     )
 
     def forward(events: np.ndarray, start_us: int) -> np.ndarray:
@@ -81,26 +85,33 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
 def reference_windows(
     events: np.ndarray, config: TNTConfig, start_us: int | None
 ) -> list[tuple[int, np.ndarray]]:
-    """The start and the events of each window that holds events, for a stream from `start_us`, or
-    the first event, on.
+    """The start and the events of each window that holds events.
 
-    An event that comes after its window has closed is late, and belongs to none.
+    The first window begins at `start_us`, or else at the first event. An event that comes after its
+    window has closed is late, and belongs to no window.
     """
     if not events.size:
         return []
+    t = events["t"]
     if config.window_events is not None:
-        lots = tnt_reference.windows_of_events(events["t"], config.window_events, config.window_us)
-        return [(int(events["t"][lot[0]]), events[lot.numpy()]) for lot in lots]
-    first_us = int(events["t"][0]) if start_us is None else start_us
-    number = (events["t"] - first_us) // config.window_us
+        lots = tnt_reference.windows_of_events(t, config.window_events, config.window_us)
+        return [(int(t[lot[0]]), events[lot.numpy()]) for lot in lots]
+
+    first_us = int(t[0]) if start_us is None else start_us
+    number = (t - first_us) // config.window_us
     in_time = (number >= 0) & (number == np.maximum.accumulate(number))
-    starts = [(int(k), first_us + int(k) * config.window_us) for k in np.unique(number[in_time])]
-    return [(start, events[in_time & (number == k)]) for k, start in starts]
+    windows = []
+    for k in np.unique(number[in_time]).tolist():
+        inside = events[in_time & (number == k)]
+        windows.append((first_us + k * config.window_us, inside))
+    return windows
 
 
 def _window(events: np.ndarray, config: TNTConfig, start_us: int) -> dict[str, Any]:
-    by_time = config.window_events is None
-    window_us = config.window_us if by_time else tnt_reference.until_newest(events["t"], start_us)
+    """The arguments of the reference that describe a window."""
+    window_us = config.window_us
+    if config.window_events is not None:
+        window_us = tnt_reference.until_newest(events["t"], start_us)
     return {
         "start_us": start_us,
         "window_us": window_us,

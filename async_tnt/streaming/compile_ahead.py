@@ -9,31 +9,40 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import short
+from async_tnt.base.checks import ParameterTypeError, short
 from async_tnt.base.package import available_cores
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
+from async_tnt.kernels.network.forward import forward
+from async_tnt.kernels.volume.absorb import absorb
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.models.model import Model
-from async_tnt.streaming.entry_points import ENTRY_POINTS, MAP_PARTS, PARTS
-from async_tnt.streaming.triggers import TriggerSettings
+from async_tnt.networks.models.objects import ObjectReader
+from async_tnt.streaming.entry_points import MAP_PARTS, NETWORK_PARTS, TYPES, Kernel
+from async_tnt.streaming.triggers import Triggers, TriggerSettings
+from async_tnt.streaming.window_classifier import WindowClassifier
 from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.events import EventDecoder
+from async_tnt.volume.replay import ReplayBuffer
+from async_tnt.volume.volume import TNTVolume
 
-CHILD_S = 120.0  # a second process that takes longer is not waited for
+CHILD_S = 120.0
+"""Seconds that this process waits for a second one that compiles."""
 
-EVENTS = {"load_records", "check_columns", "empty_volume", "absorb", "absorb_one", "schedule"}
-LATE = {"find_late"}
-REPLAY = {"store_events", "cells_to_float32"}
-CLASSIFIER = {"classify_cells"}
-WHOLE_NETWORK = {"set_input", "forward"}
-REGRESSOR = WHOLE_NETWORK | {"centroid"}
-LOCATOR = {"locate_cells"}
-OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
-EVENT_TRIGGERS = {"until_due", "why_due"}
+EVERY_STREAM = {*EventDecoder.KERNELS, *TNTVolume.KERNELS, *Triggers.KERNELS}
+"""Kernels that every stream calls."""
+OTHER_CLASSIFIERS = {*TNTVolume.ARRAY_KERNELS, *WindowClassifier.KERNELS}
+"""Kernels around a classifier that is not our own compiled one."""
+NETWORKS = {
+    *CompiledClassifier.KERNELS,
+    *CompiledClassifier.MAP_KERNELS,
+    *CompiledRegressor.KERNELS,
+}
+"""Kernels of networks: these have nothing in common with those of events."""
 
 
 def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
@@ -45,33 +54,43 @@ def warmup(model: Model | TNTConfig | str | Path | None = None) -> float:
 
     Parameters
     ----------
-    model : for streams of this model, given also by its name or path, or configuration only; by
-        default, for any.
+    model : the model of the streams, or its name or path, or a configuration for streams with other
+        classifiers; by default everything is compiled, for any stream.
 
     Returns
     -------
-    float : seconds it took.
+    float : seconds that it took.
     """
-    started = time.perf_counter()
+    started_s = time.perf_counter()
     if isinstance(model, (str, Path)):
         model = load_model(model)
     if not isinstance(model, (Model, TNTConfig, type(None))):
-        raise TypeError(
-            f"`model` must be a Model, the name or path of one, or a TNTConfig, got {short(model)}"
-        )
+        rule = "must be a Model, the name or path of one, or a TNTConfig"
+        raise ParameterTypeError("model", rule, short(model))
+    kernels = _kernels_for_any_settings(model)
+    fill_cache(kernels)
+    compile_kernels(kernels)
+    return time.perf_counter() - started_s
+
+
+def _kernels_for_any_settings(model: Model | TNTConfig | None) -> set[Kernel]:
+    """All kernels that streams of a model, or of a configuration, may call; None: all there are."""
     config = model.config if isinstance(model, Model) else model
-    names = EVENTS | LATE | OTHER_CLASSIFIERS | EVENT_TRIGGERS
+    finds_objects = isinstance(model, Model) and model.places is not None
+    classifies = isinstance(model, Model) and model.places is None
+
+    kernels = EVERY_STREAM | OTHER_CLASSIFIERS
+    kernels |= {*EventDecoder.LATE_KERNELS, *Triggers.EVENT_KERNELS}
     if config is None or config.needs_replay:
-        names |= REPLAY
+        kernels |= {*ReplayBuffer.KERNELS}
     if config is None or config.needs_regressor:
-        names |= REGRESSOR
-    if config is None or (isinstance(model, Model) and model.places is not None):
-        names |= LOCATOR | {"locate_on_map"}
-    if config is None or (isinstance(model, Model) and model.places is None):
-        names |= CLASSIFIER | WHOLE_NETWORK | {"absorb_and_decide"}
-    fill_cache(names)
-    compile_kernels(names)
-    return time.perf_counter() - started
+        kernels |= {*CompiledRegressor.KERNELS}
+    if model is None or finds_objects:
+        kernels |= {*CompiledClassifier.MAP_KERNELS, *ObjectReader.KERNELS}
+    if model is None or classifies:
+        kernels |= {*CompiledClassifier.KERNELS, *CompiledClassifier.STRETCH_KERNELS}
+        kernels |= {*CompiledClassifier.ARRAY_KERNELS}
+    return kernels
 
 
 def compile_for(
@@ -86,86 +105,102 @@ def compile_for(
     Parameters
     ----------
     config : TNTConfig.
-    classifier, regressor : what decides, and what finds the landmark or None; other code than ours
-        is not compiled.
+    classifier : what decides. Only our own code is compiled.
+    regressor : what finds the landmark, or None.
     triggers : when decisions are made.
     finds_late : whether late events are searched for.
     """
-    compiled = classifier if type(classifier) is CompiledClassifier else None
-    finds_objects = compiled is not None and compiled.reader is not None
-    names = EVENTS | (
-        OTHER_CLASSIFIERS if compiled is None else LOCATOR if finds_objects else CLASSIFIER
-    )
-    if compiled is None and getattr(classifier, "places", None) is not None:
-        names |= {"locate_on_map"}
+    kernels = set(EVERY_STREAM)
     if finds_late:
-        names |= LATE
+        kernels |= {*EventDecoder.LATE_KERNELS}
     if config.needs_replay:
-        names |= REPLAY
-    if type(regressor) is CompiledRegressor:
-        names |= REGRESSOR
+        kernels |= {*ReplayBuffer.KERNELS}
     if triggers.by_event:
-        names |= EVENT_TRIGGERS
-    if (
-        (triggers.by_event or triggers.every_us)
-        and compiled
-        and not finds_objects
-        and not config.needs_replay
-    ):
-        names |= {"absorb_and_decide"}
-    compile_kernels(names)
+        kernels |= {*Triggers.EVENT_KERNELS}
+    if type(regressor) is CompiledRegressor:
+        kernels |= {*CompiledRegressor.KERNELS}
+
+    if type(classifier) is not CompiledClassifier:
+        kernels |= OTHER_CLASSIFIERS
+        if getattr(classifier, "places", None) is not None:
+            kernels |= {*ObjectReader.KERNELS}
+    elif classifier.reader is not None:
+        kernels |= {*CompiledClassifier.MAP_KERNELS}
+    else:
+        kernels |= {*CompiledClassifier.KERNELS}
+        has_triggers = triggers.by_event or triggers.every_us is not None
+        if has_triggers and not config.needs_replay:
+            kernels |= {*CompiledClassifier.STRETCH_KERNELS}
+    compile_kernels(kernels)
 
 
-def compile_kernels(names: Iterable[str]) -> None:
+def compile_kernels(kernels: Iterable[Kernel]) -> None:
     """Compile these kernels, or load them from Numba's cache."""
     with _not_collecting():
-        for name in _in_order(names):
-            compile_for_types(*ENTRY_POINTS[name])
+        for kernel in _in_order(kernels):
+            compile_for_types(kernel, TYPES[kernel])
+
+
+def compile_named(names: Collection[str]) -> None:
+    """Compile the kernels with these names: what a second process does."""
+    compile_kernels([kernel for kernel in TYPES if kernel.__name__ in names])
 
 
 def fill_cache(
-    names: Iterable[str] | None = None,
+    kernels: Iterable[Kernel] | None = None,
     model: object = None,
     first: Callable[[], object] = lambda: None,
 ) -> None:
-    """Where nothing has been compiled yet, say so on stderr and compile these kernels with two
-    processes.
+    """Compile kernels with two processes, if nothing has been compiled on this machine yet.
 
-    The commands call it with their model, for the largest kernels of its streams, before they make
-    a `Processor`.
+    A line on stderr says so. The commands call this with their model, for the largest kernels of
+    its streams, before they make a `Processor`.
 
     Parameters
     ----------
+    kernels : by default those that every stream of the model calls.
+    model : the model of the streams.
     first : called before a compilation. It raises what would otherwise show only 20 s later.
     """
-    names = names or EVENTS | (
-        LOCATOR if getattr(model, "places", None) is not None else CLASSIFIER
-    )
-    absorb, types = ENTRY_POINTS["absorb"]
+    if kernels is None:
+        finds_objects = getattr(model, "places", None) is not None
+        of_network = CompiledClassifier.MAP_KERNELS if finds_objects else CompiledClassifier.KERNELS
+        wanted = EVERY_STREAM | {*of_network}
+    else:
+        wanted = set(kernels)
     with _not_collecting():
-        if is_cached(absorb, types):
+        if is_cached(absorb, TYPES[absorb]):
             return
     first()
     if not can_be_cached(absorb):
-        told = "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can"
-        print(f"async_tnt: compiling kernels, {told} ...", file=sys.stderr, flush=True)
+        _say(
+            "compiling kernels, in every process, as no cache folder can be written; set "
+            "NUMBA_CACHE_DIR to one that can ..."
+        )
         return
-    print(
-        "async_tnt: compiling kernels, once on this machine (8 to 20 s) ...",
-        file=sys.stderr,
-        flush=True,
-    )
-    # the network's kernels and those for events have nothing in common; `absorb_and_decide` has
-    # both
-    network = (CLASSIFIER | LOCATOR | REGRESSOR).intersection(names)
-    child = _start_child(_in_order(network | {"forward"})) if network else None
+    _say("compiling kernels, once on this machine (8 to 20 s) ...")
+    _compile_with_a_second_process(wanted)
+
+
+def _compile_with_a_second_process(kernels: set[Kernel]) -> None:
+    """Let a second process compile the network's kernels, and compile the others here.
+
+    `absorb_and_decide` has parts of both: it is left for later.
+    """
+    of_network = kernels & NETWORKS
+    if not of_network:
+        return
+    of_network.add(forward)  # the others call it
+    child = _start_child([kernel.__name__ for kernel in _in_order(of_network)])
     if child is None:
         return
     try:
         # the child finds these in the cache when it needs them
-        for kernel, types in PARTS + (MAP_PARTS if LOCATOR & network else ()):
-            compile_for_types(kernel, types)
-        compile_kernels(set(names) - network - {"forward", "absorb_and_decide"})
+        finds_objects = not of_network.isdisjoint(CompiledClassifier.MAP_KERNELS)
+        parts = NETWORK_PARTS + MAP_PARTS if finds_objects else NETWORK_PARTS
+        for kernel in parts:
+            compile_for_types(kernel, TYPES[kernel])
+        compile_kernels(kernels - of_network - {*CompiledClassifier.STRETCH_KERNELS})
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(CHILD_S)
     finally:
@@ -173,40 +208,49 @@ def fill_cache(
         child.wait()
 
 
+def _say(text: str) -> None:
+    print(f"async_tnt: {text}", file=sys.stderr, flush=True)
+
+
 @contextlib.contextmanager
 def _not_collecting() -> Iterator[None]:
-    """Without garbage collection: a tenth of the time, and Numba makes no garbage in the
-    meantime."""
-    collecting = gc.isenabled()
+    """Run the block without garbage collection, which takes a tenth of the time.
+
+    Numba makes no garbage in the meantime.
+    """
+    was_collecting = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if collecting:
+        if was_collecting:
             gc.enable()
 
 
-def _in_order(names: Iterable[str]) -> list[str]:
-    """Kernels in the order of compilation: what is built of others comes after them."""
-    wanted = set(names)
-    return [name for name in ENTRY_POINTS if name in wanted]
+def _in_order(kernels: Iterable[Kernel]) -> list[Kernel]:
+    """Kernels in the order of compilation: one that calls others comes after them."""
+    order = list(TYPES)
+    return sorted(set(kernels), key=order.index)
 
 
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
-    """Start a process that compiles these kernels into the cache; None where that cannot be or
-    would save no time."""
+    """Start a process that compiles these kernels into the cache.
+
+    None where that is impossible, or would save no time.
+    """
     if available_cores() < 2 or not sys.executable or getattr(sys, "frozen", False):
         return None
     # -P, and our own path: it shall find the same modules as this process, and nothing in the
     # current folder
     path = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)
-    nothing: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    code = (
-        f"from async_tnt.streaming.compile_ahead import compile_kernels; compile_kernels({names})"
-    )
+    code = f"from async_tnt.streaming.compile_ahead import compile_named; compile_named({names})"
+    nothing: dict[str, Any] = {
+        "stdin": subprocess.DEVNULL,
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+    }
+    environment = os.environ | {"PYTHONPATH": path}
     try:
-        return subprocess.Popen(
-            [sys.executable, "-P", "-c", code], env=os.environ | {"PYTHONPATH": path}, **nothing
-        )
+        return subprocess.Popen([sys.executable, "-P", "-c", code], env=environment, **nothing)
     except OSError:
         return None

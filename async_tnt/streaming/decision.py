@@ -1,5 +1,4 @@
-"""Decision: what a window shows at one moment; Object: what stands where; Counts: what became of
-the events."""
+"""Decision: what a window shows at one moment; Object: what stands where in it."""
 
 from __future__ import annotations
 
@@ -21,108 +20,120 @@ class Object:
     index: int
     """Number of that class, from 0."""
     probability: float
-    """Of that class, at this place."""
+    """Probability of that class at this place."""
     x: float
-    """Where it stands, in sensor pixels."""
+    """Column where it stands, in sensor pixels."""
     y: float
+    """Row where it stands, in sensor pixels."""
     id: int
-    """The same from decision to decision while it moves little. A new object that `fire` finds has
-    the number of the next one; the next decision may give it to another."""
+    """Number of the object. It stays the same while the object moves little between two decisions;
+    a new object gets the next unused number. `fire` uses up no number: if an object is new to it,
+    the next decision may give that number to another object."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; probability to six decimals, position to two."""
-        numbers = {
+        return {
+            "id": self.id,
+            "label": self.label,
             "probability": round(self.probability, 6),
             "x": round(self.x, 2),
             "y": round(self.y, 2),
         }
-        return {"id": self.id, "label": self.label, **numbers}
 
 
 LIKELIEST = 3
-"""Classes, or objects, that the `repr` of a decision names."""
+"""How many classes, or objects, the `repr` of a decision names."""
 
 
-# arrays have no truth value to compare by
+# eq=False: arrays have no truth value to compare by
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Decision:
     """What a window shows at one moment: its class, or with a map model the objects in it."""
 
     label: str | None
-    """Name of the likeliest class; of objects the likeliest one's, None where there is none."""
+    """Name of the likeliest class. With a map model the class of the likeliest object, or None if
+    there is no object."""
     index: int
-    """Number of that class, from 0; -1 where there is no object."""
+    """Number of that class, from 0; -1 if there is no object."""
     probabilities: np.ndarray
-    """Softmax of the logits: float64, shape (n_classes,); of n objects (n, n_classes + 1), the last
-    column nothing."""
+    """Softmax of the logits: float64, shape (n_classes,). With a map model (n_objects,
+    n_classes + 1), where the last column is that of no object."""
     logits: np.ndarray
-    """What the classifier answered: float32, shape (n_classes,); of a map model (n_classes + 1, R,
-    C), read-only, and valid until the next decision: copy it to keep it."""
+    """What the classifier answered: float32, shape (n_classes,). With a map model (n_classes + 1,
+    R, C), read-only, and valid until the next decision: copy it to keep it."""
     window_start_us: int
     """Start of the window, in microseconds."""
     time_us: int
-    """Time of the newest event in the window, in microseconds; the window's start if it has
-    none."""
+    """Time of the newest event in the window, in microseconds; without events the window's
+    start."""
     events: int
     """Events in the window so far."""
     complete: bool
-    """Whether this decision closes the window: at its end, or early by `confidence`; not at the end
-    of the stream."""
+    """Whether this decision closes the window, at its end or early by `confidence`. The end of the
+    stream completes no window."""
     trigger: Trigger
     """What caused it: `window` (which closed), `every_us`, `every_events`, `confidence` (which
     closed the window), `fire` (on demand), `end` (of the stream)."""
     objects: tuple[Object, ...] | None = None
-    """What a map model has found, the likeliest first; None with any other model."""
+    """Objects that a map model has found, the likeliest first; None with any other model."""
 
     @property
     def probability(self) -> float:
-        """Probability of the likeliest class; 0 where there is no object."""
+        """Probability of the likeliest class, or of the likeliest object; 0 without objects."""
         if self.objects is None:
             return float(self.probabilities[self.index])
-        return self.objects[0].probability if self.objects else 0.0
+        if not self.objects:
+            return 0.0
+        return self.objects[0].probability
 
     def __repr__(self) -> str:
-        """What was decided, why and when, on one line: the arrays may hold thousands of numbers."""
-        if self.objects is None:
-            best = np.argsort(-self.probabilities, kind="stable")[:LIKELIEST].tolist()
-            listed = ", ".join(f"{k}: {self.probabilities[k]:.3f}" for k in best)
-            rest = f"likeliest={{{listed}}}"
-        else:
-            named = [
-                f"{one.label!r} at ({one.x:.1f}, {one.y:.1f})" for one in self.objects[:LIKELIEST]
-            ]
-            more = len(self.objects) - len(named)
-            rest = f"objects=[{', '.join([*named, *([f'{more} more'] if more else [])])}]"
+        """What was decided, why and when, on one line. The arrays may hold thousands of numbers."""
+        answer = self._likeliest_classes() if self.objects is None else self._likeliest_objects()
         return (
             f"Decision(label={self.label!r}, probability={self.probability:.3f}, "
-            f"trigger={self.trigger!r}, "
-            f"time_us={self.time_us}, events={self.events}, {rest})"
+            f"trigger={self.trigger!r}, time_us={self.time_us}, events={self.events}, {answer})"
         )
 
+    def _likeliest_classes(self) -> str:
+        best = np.argsort(-self.probabilities, kind="stable")[:LIKELIEST].tolist()
+        listed = ", ".join(f"{k}: {self.probabilities[k]:.3f}" for k in best)
+        return f"likeliest={{{listed}}}"
+
+    def _likeliest_objects(self) -> str:
+        objects = self.objects or ()
+        listed = [f"{one.label!r} at ({one.x:.1f}, {one.y:.1f})" for one in objects[:LIKELIEST]]
+        n_more = len(objects) - len(listed)
+        if n_more:
+            listed.append(f"{n_more} more")
+        return f"objects=[{', '.join(listed)}]"
+
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; probabilities to six decimals, no logits. With a map model
-        `objects` in place of `probabilities`."""
-        if self.objects is None:
-            answer: dict[str, Any] = {
-                "probabilities": [round(float(p), 6) for p in self.probabilities]
-            }
-        else:
-            answer = {"objects": [found.to_dict() for found in self.objects]}
-        return {
+        """Plain values, for JSON: no logits, probabilities to six decimals.
+
+        With a map model `objects` stand in place of `probabilities`.
+        """
+        values: dict[str, Any] = {
             "time_us": self.time_us,
             "window_start_us": self.window_start_us,
             "label": self.label,
             "probability": round(self.probability, 6),
-            **answer,
-            "events": self.events,
-            "complete": self.complete,
-            "trigger": self.trigger,
         }
+        if self.objects is None:
+            values["probabilities"] = [round(float(p), 6) for p in self.probabilities]
+        else:
+            values["objects"] = [found.to_dict() for found in self.objects]
+        values["events"] = self.events
+        values["complete"] = self.complete
+        values["trigger"] = self.trigger
+        return values
 
 
 def class_of_recording(classes: Sequence[str], windows: Sequence[np.ndarray]) -> tuple[str, str]:
-    """The class of the highest mean probability over the last decisions of its windows; and that
-    mean, in words."""
+    """The class that the windows of a recording show on average, and its mean probability in words.
+
+    classes : names of the classes.
+    windows : probabilities of the classes in the last decision of each window.
+    """
     mean = np.mean(windows, axis=0)
     best = int(mean.argmax())
     n_windows = "1 window" if len(windows) == 1 else f"{len(windows)} windows"

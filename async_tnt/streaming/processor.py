@@ -1,11 +1,10 @@
 """Processor: from packets of events to decisions, window by window.
 
-A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb ->
-             kernels.absorb
-A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) ->
-             WindowClassifier.decide
-Both:        of our own network, in one compiled call (`_absorb_stretch`) ->
-             WindowClassifier.decide_stretch
+A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> a kernel
+A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`)
+             -> WindowClassifier.decide
+Both:        with our own network, in one compiled call (`_absorb_stretch`)
+             -> WindowClassifier.decide_stretch
 """
 
 from __future__ import annotations
@@ -18,15 +17,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from async_tnt.base.checks import Method, Running, one_at_a_time, short
+from async_tnt.base.checks import Method, ParameterValueError, Running, one_at_a_time, short
 from async_tnt.kernels.decisions.trigger import NOT_DUE, until_due, why_due
-from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE, REFUSED
+from async_tnt.kernels.volume.absorb import ABSORBED, AT_LIMIT, LATE
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.compile_ahead import compile_for
 from async_tnt.streaming.decision import Decision
 from async_tnt.streaming.restarts import OnRestart, RestartWatch, part_of
-from async_tnt.streaming.saved_state import dump_state, load_state
+from async_tnt.streaming.saved_state import dump_state, load_state, named_networks
+from async_tnt.streaming.stream_networks import networks_of
 from async_tnt.streaming.triggers import (
     TriggerAttributes,
     Triggers,
@@ -38,18 +38,17 @@ from async_tnt.streaming.window_classifier import (
     TRIGGER_NAMES,
     Classifier,
     WindowClassifier,
-    networks_of,
 )
 from async_tnt.streaming.windows import WindowScheduler
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
-from async_tnt.volume.state import Regressor
+from async_tnt.volume.regressor import Regressor
 from async_tnt.volume.volume import TNTVolume
 
 
 def _recovering(method: Method) -> Method:
-    """After an exception in this method of a Processor, make its state that of a stream again."""
+    """Make the state of a Processor consistent after an exception in this method."""
 
     @functools.wraps(method)
     def recovering(self: Any, *args: Any, **kwargs: Any) -> Any:
@@ -66,54 +65,69 @@ class Processor(TriggerAttributes):
     """Classifies windows of an event stream while the events arrive.
 
     Windows lie end to end, from `start_us` or else from the first event. A window is classified
-    when it closes, and skipped if it holds no events; one of `window_events` begins with the first
-    event after the previous window, and is classified when its last event arrives. The decisions do
-    not depend on how the stream is cut into packets.
+    when it closes, and skipped if it holds no events. A window of `window_events` begins with the
+    first event after the previous window, and is classified when its last event arrives. The
+    decisions do not depend on how the stream is cut into packets.
 
     Parameters
     ----------
     model : a Model, its name or path, or a TNTConfig together with `classifier`.
-    classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during
-        the call) to finite logits; by default the model's own network, compiled, which computes
+    classifier : a callable from a volume (float32 array, shape (C, H, W), read-only, valid during
+        the call) to finite logits. By default the model's own network, compiled, which computes
         only what has changed since the last decision. Others are in `async_tnt.networks`.
     classes : class names; by default the model's, or "0", "1", ...
-    start_us : start of the first window, in microseconds. It and `hop_us` cannot be given with
-        `window_events`.
-    hop_us : distance between the starts of windows, by default `window_us`. With a smaller one
-        windows overlap; triggers and `fire` then concern the oldest open window, the most complete
-        one.
+    start_us : start of the first window, in microseconds. Not with `window_events`.
+    hop_us : distance between the starts of windows, by default `window_us`. With a smaller distance
+        windows overlap. Triggers and `fire` then concern the oldest open window, the most complete
+        one. Not with `window_events`.
     every_us : decide also whenever this much time has passed since the window's start, if new
         events have arrived. The decision is made when the first event at or after that moment
         arrives, and only for the oldest window.
-    every_events : decide also after every this many events of the window.
+    every_events : decide also whenever this many more events of the window have arrived.
     confidence : close the window early, with a last decision, as soon as the likeliest class has
         this probability. It is checked at every decision of the other triggers, or after every
-        event if there are none. Events that still arrive for the window are counted as
+        event if there are no others. Events that still arrive for the window are counted as
         `dropped_decided`. Not for models that find objects.
     regressor, late : see `TNTVolume`; a model has a compiled regressor of its own.
     on_restart : what to do where the clock of the events begins again, as in a recording that is
         read twice or after a camera was plugged in again, so that whole packets are older than the
         open window. "warn": warn once; the events are dropped as late. "reset": decide about the
-        open windows, call `reset()`, and use these events. "raise": a ValueError, before any event
-        of the packet is used. See `async_tnt.streaming.restarts` for how a restart is told.
+        open windows, call `reset()`, and use these events. "raise": raise a ValueError before any
+        event of the packet is used. `async_tnt.streaming.restarts` says how a restart is told from
+        late events.
 
-    Copies and pickles continue the stream, bit for bit. The three triggers, from `every_us` to
-    `confidence`, and `classifier` are attributes, too, and may change between calls. A call while
-    another one is running, in another thread or further up in the same, is a RuntimeError.
+    A copy continues the stream, bit for bit, and so does a pickle. `every_us`, `every_events`,
+    `confidence` and `classifier` are attributes, too, and may change between calls. A call while
+    another one is running, in another thread or further up in the same one, is a RuntimeError.
 
     Examples
     --------
-    >>> processor = Processor(TNTConfig(window_us=1000), classifier=lambda volume: [volume.sum(), 0.0])
+    >>> config = TNTConfig(window_us=1000)
+    >>> processor = Processor(config, classifier=lambda volume: [volume.sum(), 0.0])
     >>> processor.push(([0, 10, 999], [16, 17, 16], [16, 16, 17], [1, 1, 1]))
     []
     >>> [decision.events for decision in processor.push(([1000], [5], [5], [0]))]
     [3]
     """
 
-    __slots__ = (  # so that a mistyped trigger is an error
-        "__weakref__", "_absorb_one", "_accepts_late", "_begun_for", "_by_event", "_classifier", "_decoder",
-        "_in_stretches", "_late_before_us", "_restarts", "_running", "_seen_us", "_triggers", "_windows", "config",
-    )  # fmt: skip
+    # so that the assignment of a mistyped trigger is an error
+    __slots__ = (
+        "__weakref__",
+        "_accepts_late",
+        "_begun_for",
+        "_by_event",
+        "_classifier",
+        "_decoder",
+        "_direct_volume",
+        "_in_stretches",
+        "_late_before_us",
+        "_restarts",
+        "_running",
+        "_seen_us",
+        "_triggers",
+        "_windows",
+        "config",
+    )
 
     def __init__(
         self,
@@ -130,22 +144,27 @@ class Processor(TriggerAttributes):
         late: Late = "accept",
         on_restart: OnRestart = "warn",
     ) -> None:
-        self.config, classifier, regressor, classes = networks_of(
-            model, classifier, regressor, classes
+        networks = networks_of(model, classifier, regressor, classes)
+        config = networks.config
+        self.config = config
+        self._classifier = WindowClassifier(
+            config, networks.classifier, networks.classes, confidence
         )
-        self._classifier = WindowClassifier(self.config, classifier, classes, confidence)
         self._running = Running("Processor")
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence))
-        warn_if_never_due(self._triggers.settings, self.config)
-        self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
+        warn_if_never_due(self._triggers.settings, config)
+        self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
         self._accepts_late = late == "accept"
-        self._restarts = RestartWatch(on_restart, self.config.window_us)
-        self._windows = WindowScheduler(self.config, hop_us, start_us, regressor)
+        self._restarts = RestartWatch(on_restart, config.window_us)
+        self._windows = WindowScheduler(config, hop_us, start_us, networks.regressor)
         self._prepare()
         self.reset()
 
     def __repr__(self) -> str:
-        return f"Processor({self.config}, {len(self._windows)} open windows, {self.counts.received} events received)"
+        return (
+            f"Processor({self.config}, {len(self._windows)} open windows, "
+            f"{self.counts.received} events received)"
+        )
 
     @one_at_a_time
     @_recovering
@@ -166,21 +185,24 @@ class Processor(TriggerAttributes):
     def push(self, events: Any) -> list[Decision]:
         """Process a packet of `events`, in any form that `async_tnt.volume.event_forms` lists.
 
-        Returns one decision for each window that the packet closes and for each trigger that fires.
+        Returns
+        -------
+        list : one decision for each window that the packet closes and for each trigger that fires.
 
         Raises
         ------
         ValueError, TypeError : the packet is invalid. The message names field, rule, value and
             event; nothing changes.
-
-        Errors of classifier and regressor pass through. The events before that decision have then
-        been processed, the others have not (but `late` has seen them: pushed again, they are late),
-        and the packet's earlier decisions are lost. The next push repeats one at a window's end or
-        of `every_us`; one that was due by an event is lost.
+        Exception : what classifier and regressor raise passes through. The events before that
+            decision have been processed then, and the others have not; but with `late` other than
+            "accept" all have been seen, and are late if they are pushed again. The packet's earlier
+            decisions are lost. The next push repeats a decision at a window's end or of `every_us`;
+            a decision that was due by an event is lost.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
-        running = self._running  # `begin`, whose call would take another 30 ns
+        # the lines of `Running.begin`, a call of which would take another 30 ns
+        running = self._running
         if running.now:
             raise running.overlap()
         running.now = True
@@ -199,28 +221,31 @@ class Processor(TriggerAttributes):
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
         -1/+1."""
-        running = self._running  # `begin`, whose call would take another 30 ns
+        # the lines of `Running.begin`, a call of which would take another 30 ns
+        running = self._running
         if running.now:
             raise running.overlap()
         running.now = True
         try:
-            n_before = self._windows.oldest.n_events if self._by_event else -1
-            answer = self._absorb_one(t, x, y, p)
+            volume = self._direct_volume
+            if volume is None:
+                return self._take_watched(self._decoder.decode_one(t, x, y, p, False))
+            n_before = volume.n_events if self._by_event else -1
+            answer = volume.absorb_one(t, x, y, p)
             if answer == ABSORBED and n_before < 0:
                 return []
+
             decisions: list[Decision] = []
             if answer == AT_LIMIT:
                 self._advance(t, decisions)
-                n_before = self._windows.oldest.n_events
-                answer = self._absorb_one(t, x, y, p)
+                n_before = volume.n_events
+                answer = volume.absorb_one(t, x, y, p)
             if answer == LATE:
                 return decisions + self._look_at_late(t, x, y, p)
             if answer != ABSORBED:
                 return decisions + self._take_watched(self._decoder.decode_one(t, x, y, p, False))
             if self._by_event:
-                self._accept(
-                    self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions
-                )
+                self._accept(self._decide_if_due(n_before), volume.newest_us, decisions)
             return decisions
         except BaseException:
             self._recover()
@@ -229,8 +254,11 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def _recover(self) -> None:
-        """After any exception, Ctrl-C in the middle of a step too: the state of a stream that ends
-        at some event of the packet. After one of a classifier, nothing is to be done."""
+        """Make the state that of a stream which ends at some event of the packet.
+
+        Called after any exception, also after Ctrl-C in the middle of a step. After an error of a
+        classifier nothing has to be done.
+        """
         windows = self._windows
         windows.recover()
         self._triggers.set(self._triggers.settings)
@@ -241,9 +269,11 @@ class Processor(TriggerAttributes):
         windows.set_limit(self._triggers.next_due_us)
 
     def _oldest_window(self) -> tuple[TNTVolume, int] | None:
-        """The oldest open window, and its start, if there is any."""
+        """The oldest open window and its start; None: no window is open."""
         windows = self._windows
-        return (windows.oldest, windows.oldest.start_us) if len(windows) else None
+        if not len(windows):
+            return None
+        return windows.oldest, windows.oldest.start_us
 
     def _take_watched(self, columns: Columns) -> list[Decision]:
         """Add checked events, after a look for a restart if the first of them is late."""
@@ -258,11 +288,12 @@ class Processor(TriggerAttributes):
         return decisions
 
     def _look_at_late(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """Look whether the clock has begun again at a single event that has been counted as
-        late."""
+        """Look whether the clock has begun again at an event that has been counted as late."""
         columns = self._decoder.decode_one(t, x, y, p, False)
         first = self._restarts.look(columns, self._newest_us, self._windows.oldest.n_events)
-        return [] if first is None else self._begin_again(columns, first)
+        if first is None:
+            return []
+        return self._begin_again(columns, first)
 
     @property
     def _newest_us(self) -> int:
@@ -270,7 +301,7 @@ class Processor(TriggerAttributes):
         return max(self._seen_us, self._windows.oldest.newest_us)
 
     def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
-        """End the stream, and begin another one with the packets that waited and with the event
+        """End the stream, and begin another one with the packets that waited and the event
         `first`."""
         waiting = self._restarts.waiting
         decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
@@ -284,8 +315,9 @@ class Processor(TriggerAttributes):
         """Add checked events and make the decisions that become due."""
         windows = self._windows
         decisions: list[Decision] = []
-        first, n = 0, columns.n
-        # a window that was full before: the classifier raised an error
+        first = 0
+        n = columns.n
+        # a window is full before the first event if the classifier raised an error at its end
         while first < n or windows.is_full:
             if not len(windows):
                 self._open_windows(int(columns.t[first]))
@@ -293,6 +325,7 @@ class Processor(TriggerAttributes):
                 first = self._absorb_until_decision(columns, first, decisions)
             else:
                 first = windows.absorb(columns, first, n)
+
             if windows.is_full:
                 self._close_oldest(windows.oldest.newest_us, decisions)
             elif first < n and len(windows):
@@ -306,22 +339,28 @@ class Processor(TriggerAttributes):
     def _absorb_until_decision(
         self, columns: Columns, first: int, decisions: list[Decision]
     ) -> int:
-        """Add events until one makes a decision due (compiled code may add more); returns the first
-        one not added."""
+        """Add events until one makes a decision due, or further if compiled code decides.
+
+        Returns the first event not added.
+        """
         if self._in_stretches:
             return self._absorb_stretch(columns, first, decisions)
-        windows, oldest = self._windows, self._windows.oldest
+        windows = self._windows
+        oldest = windows.oldest
         n_before = oldest.n_events
         last = min(columns.n, first + windows.room)
         stop = until_due(self._triggers.state, n_before, first, last)
         absorbed = windows.absorb(columns, first, stop)
-        if not windows.is_full:  # or else decided as a whole
+        # a full window gets its last decision when it is closed
+        if not windows.is_full:
             self._accept(self._decide_if_due(n_before), oldest.newest_us, decisions)
         return absorbed
 
     def _absorb_stretch(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
-        """Add events up to the window's end, or to a decision that closes it; returns the first one
-        not added."""
+        """Add events up to the window's end, or to a decision that closes the window.
+
+        Returns the first event not added.
+        """
         oldest = self._windows.oldest
         self._windows.begin_sharing(columns, first)
         absorbed, new, error = self._classifier.decide_stretch(
@@ -334,30 +373,33 @@ class Processor(TriggerAttributes):
         return absorbed
 
     def _decide_if_due(self, n_before: int) -> list[Decision]:
-        """Decide if the oldest window's newest event made that due; it held `n_before` events
-        before."""
-        oldest, triggers = self._windows.oldest, self._triggers
+        """The decision that the oldest window's newest event made due, if any.
+
+        n_before : events that the window held before.
+        """
+        oldest = self._windows.oldest
+        triggers = self._triggers
         why = why_due(triggers.state, n_before, oldest.n_events)
         if why == NOT_DUE:
             return []
         decision = self._classifier.decide(
             oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence
         )
+        # no trigger: it would have been made only if the class were sure
         return [decision] if decision.trigger else []
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
         """Let time pass to `t_us`: `every_us` fires, windows close and open on the way."""
-        windows, triggers = self._windows, self._triggers
+        windows = self._windows
+        triggers = self._triggers
         while len(windows):
-            oldest, end_us = windows.oldest, windows.oldest_end_us
+            oldest = windows.oldest
+            end_us = windows.oldest_end_us
             if triggers.next_due_us <= t_us and triggers.next_due_us < end_us:
                 new = []
                 if oldest.n_events > triggers.n_at_decision:
-                    new.append(
-                        self._classifier.decide(
-                            oldest, "every_us", confidence=triggers.settings.confidence
-                        )
-                    )
+                    confidence = triggers.settings.confidence
+                    new = [self._classifier.decide(oldest, "every_us", confidence=confidence)]
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new, t_us, decisions)
             elif end_us <= t_us:
@@ -367,9 +409,10 @@ class Processor(TriggerAttributes):
         self._open_windows(t_us)
 
     def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
-        """The oldest window is complete: decide, unless it is empty, and close it."""
-        # first: should the classifier raise, the window stays open
-        if (oldest := self._windows.oldest).n_events:
+        """Decide about the oldest window, which is complete, unless it is empty; and close it."""
+        oldest = self._windows.oldest
+        # before it is closed: if the classifier raises, the window stays open
+        if oldest.n_events:
             decisions.append(self._classifier.decide(oldest, "window", complete=True))
         self._seen_us = max(self._newest_us, now_us)
         self._windows.close_oldest()
@@ -382,7 +425,7 @@ class Processor(TriggerAttributes):
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _accept(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
-        """Append decisions about the oldest window; a complete one closes it early."""
+        """Append new decisions about the oldest window; a complete one closes it early."""
         decisions += new
         if new:
             self._triggers.n_at_decision = new[-1].events
@@ -393,18 +436,25 @@ class Processor(TriggerAttributes):
             self._windows.set_limit(self._triggers.next_due_us)
 
     def _begin_oldest(self, now_us: int) -> None:
-        """Another window has become the oldest, or none is open; `now_us`: no event so far is
-        younger."""
+        """Note that another window has become the oldest, or that no window is open any more.
+
+        now_us : no event so far is later than this time.
+        """
         windows = self._windows
         self._seen_us = now_us
         self._late_before_us = NEVER_US if self._restarts.looks_at_all else windows.late_before_us
-        start_us = windows.oldest.start_us if len(windows) else None
-        self._triggers.begin_window(now_us if start_us is None else max(now_us, start_us), start_us)
+        if len(windows):
+            start_us = windows.oldest.start_us
+            self._triggers.begin_window(max(now_us, start_us), start_us)
+        else:
+            self._triggers.begin_window(now_us, None)
         self._begun_for = self._oldest_window()
 
     def fire(self) -> Decision:
-        """Classify the open window as it is now; before the first event, an empty volume. Changes
-        nothing."""
+        """Classify the open window as it is now; before the first event, an empty volume.
+
+        Changes nothing.
+        """
         self._running.begin()
         try:
             return self._classifier.decide(self._windows.oldest, "fire")
@@ -416,18 +466,20 @@ class Processor(TriggerAttributes):
     def finish(self) -> list[Decision]:
         """End the stream: classify the open windows that hold events, and close them.
 
-        Their `complete` is False and their trigger `end`. Events of these windows that follow are
-        late; where a window has a number of events, they begin another one.
+        The decisions have `complete` False and the trigger `end`. Events of these windows that
+        still come are late; where windows have a number of events, they begin another window.
         """
         return self._finish()
 
     def _finish(self) -> list[Decision]:
         decisions: list[Decision] = []
         newest_us = self._newest_us
-        if self._windows.is_full:  # its decision failed
+        # a window is still full if the classifier raised an error at its end
+        if self._windows.is_full:
             self._close_oldest(self._windows.oldest.newest_us, decisions)
         while len(self._windows):
-            if (oldest := self._windows.oldest).n_events:
+            oldest = self._windows.oldest
+            if oldest.n_events:
                 decisions.append(self._classifier.decide(oldest, "end"))
             self._seen_us = newest_us
             self._windows.close_oldest()
@@ -436,8 +488,10 @@ class Processor(TriggerAttributes):
 
     @one_at_a_time
     def volume(self) -> np.ndarray:
-        """The (oldest) open window's volume as it is now: float32, shape (C, H, W), read-only. Copy
-        it to keep it."""
+        """The (oldest) open window's volume as it is now: float32, shape (C, H, W), read-only.
+
+        Copy it to keep it.
+        """
         return self._windows.oldest.array
 
     @property
@@ -447,14 +501,19 @@ class Processor(TriggerAttributes):
 
     @property
     def counts(self) -> Counts:
-        """What became of the events. Where windows overlap, `received`, `dropped_late` and
-        `dropped_decided` count an event once, the others once per window that contains it."""
+        """What became of the events.
+
+        Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an event once.
+        The other counts have it once for each window that contains it.
+        """
         return self._windows.counts(self._decoder.n_dropped)
 
     @property
     def classifier(self) -> Classifier:
-        """The callable from a volume to logits, used from the next decision on; one that cannot fit
-        is an error."""
+        """The callable from a volume to logits.
+
+        Another one is used from the next decision on. One that cannot fit is refused.
+        """
         return self._classifier.classifier
 
     @classifier.setter
@@ -465,7 +524,7 @@ class Processor(TriggerAttributes):
 
     @property
     def classes(self) -> tuple[str, ...] | None:
-        """Class names; if none were given, known from the first decision on."""
+        """Class names; None before the first decision if none were given."""
         return self._classifier.classes
 
     @property
@@ -506,25 +565,25 @@ class Processor(TriggerAttributes):
 
     def _choose_ways(self) -> None:
         """Choose the ways of events that fit the settings."""
-        settings, overlap = self._triggers.settings, self._windows.overlap
-        direct = not overlap and self.late == "accept"
-        self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
+        settings = self._triggers.settings
+        overlap = self._windows.overlap
+        # the only volume, to which single events go without the decoder; None: they need it
+        is_direct = not overlap and self._accepts_late
+        self._direct_volume: TNTVolume | None = self._windows.oldest if is_direct else None
         self._by_event = settings.by_event
-        # else time passes for several windows at once
-        alone = settings.every_us is None or not overlap
-        self._in_stretches = alone and self._classifier.decides_in_stretches
+        # with both, time would have to pass for several windows at once
+        by_time_and_overlap = overlap and settings.every_us is not None
+        self._in_stretches = self._classifier.decides_in_stretches and not by_time_and_overlap
 
     @one_at_a_time
     def save_state(self) -> bytes:
-        """The stream as it is now, without classifier and regressor: much smaller than a pickle of
-        the Processor.
+        """The stream as it is now, without classifier and regressor.
 
-        `from_state` continues it, bit for bit, in any process of the same release. It is a pickle:
-        load none that you do not trust.
+        It is much smaller than a pickle of the Processor. `from_state` continues it, bit for bit,
+        in any process of the same release. It is a pickle, too: load none that you do not trust.
         """
-        return dump_state(
-            super().__getstate__(), _networks(self.classifier, self._windows.regressor)
-        )
+        networks = named_networks(self.classifier, self._windows.regressor)
+        return dump_state(super().__getstate__(), networks)
 
     @classmethod
     def from_state(
@@ -541,21 +600,21 @@ class Processor(TriggerAttributes):
 
         Raises
         ------
-        ValueError : the state is of another configuration or of other classes; or it is none.
+        ValueError : not the state of a stream, or that of another configuration or other classes.
         """
-        config, classifier, regressor, classes = networks_of(model, classifier, regressor, None)
-        values = load_state(state, _networks(classifier, regressor))
+        networks = networks_of(model, classifier, regressor, None)
+        values = load_state(state, named_networks(networks.classifier, networks.regressor))
         if not (isinstance(values, tuple) and len(values) == 2 and isinstance(values[1], dict)):
-            raise ValueError(
-                f"`state` must be what `save_state` returned, got a pickle of "
-                f"{type(values).__name__}"
-            )
+            rule = "must be what `save_state` returned"
+            raise ParameterValueError("state", rule, f"a pickle of {type(values).__name__}")
         processor = cls.__new__(cls)
         processor.__setstate__(values)
+
+        config = networks.config
         if processor.config != config:
-            raise ValueError(
-                f"`state` must be of the configuration {config}, got one of {processor.config}"
-            )
+            rule = f"must be of the configuration {config}"
+            raise ParameterValueError("state", rule, f"one of {processor.config}")
+        classes = networks.classes
         if classes is not None and processor.classes != tuple(classes):
             raise ValueError(
                 f"`state` must be of the classes {short(classes)}, got {short(processor.classes)}"
@@ -563,27 +622,16 @@ class Processor(TriggerAttributes):
         return processor
 
     def __copy__(self) -> Processor:
-        """A copy continues by itself; so does what `pickle` returns, in any process."""
+        """A Processor that continues the stream by itself; so does what `pickle` loads."""
         return copy.deepcopy(self)
 
     @one_at_a_time
     def __getstate__(self) -> Any:
-        return copy.deepcopy(super().__getstate__())  # while no other call runs
+        # a copy, made while no other call runs
+        return copy.deepcopy(super().__getstate__())
 
     def __setstate__(self, state: tuple[None, dict[str, Any]]) -> None:
         for name, value in state[1].items():
             setattr(self, name, value)
-        self._prepare()  # perhaps in a process that has compiled nothing yet
-
-
-def _networks(classifier: Classifier, regressor: Regressor | None) -> dict[str, Any]:
-    """What a saved state has by name."""
-    return {
-        "classifier": classifier,
-        "reader": getattr(classifier, "reader", None),
-        "regressor": regressor,
-    }
-
-
-def _refuse(t: int, x: int, y: int, p: int) -> int:
-    return REFUSED
+        # this process has perhaps compiled nothing yet
+        self._prepare()

@@ -1,5 +1,7 @@
-"""The state of a stream without the networks that decide about it: small, and continued with the
-model given again."""
+"""The state of a stream without the networks that decide about it.
+
+It is small, and is continued with the model, which is given again.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,17 @@ from typing import Any
 from async_tnt.base.checks import one_line
 
 
+def named_networks(classifier: Any, regressor: Any) -> dict[str, Any]:
+    """Name -> the parts of a stream that its saved state has by name only; None: there is none."""
+    return {
+        "classifier": classifier,
+        "reader": getattr(classifier, "reader", None),
+        "regressor": regressor,
+    }
+
+
 def dump_state(values: Any, networks: dict[str, Any]) -> bytes:
-    """Pickle values, and of each of these networks (name -> object, None: there is none) the name
-    alone."""
+    """A pickle of values, in which each of the `named_networks` is only its name."""
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, pickle.HIGHEST_PROTOCOL)
     pickler.names = {id(network): name for name, network in networks.items() if network is not None}
@@ -21,7 +31,7 @@ def dump_state(values: Any, networks: dict[str, Any]) -> bytes:
 
 
 def load_state(state: bytes, networks: dict[str, Any]) -> Any:
-    """The values that `dump_state` has pickled, with these networks.
+    """The values that `dump_state` has pickled, with these `named_networks`.
 
     Raises
     ------

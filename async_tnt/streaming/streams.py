@@ -1,5 +1,5 @@
-"""stream and astream: a source of events in, decisions out; `volumes`: the windows' volumes
-alone."""
+"""Whole sources of events: `stream` and `astream` yield decisions, `volumes` the windows'
+volumes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
-from async_tnt.base.checks import short
+from async_tnt.base.checks import ParameterTypeError, short
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.decision import Decision
 from async_tnt.streaming.processor import Processor
-from async_tnt.streaming.restarts import OnRestart
+from async_tnt.streaming.restarts import OnRestart, part_of
 from async_tnt.streaming.window_classifier import Classifier
 from async_tnt.streaming.windows import TimeUnitCheck
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.events import LARGER_CAMERA, EventDecoder, Late
-from async_tnt.volume.state import Regressor
+from async_tnt.volume.regressor import Regressor
 
-PIECE = 256  # events
+PIECE = 256
+"""Events that `volumes` pushes at once. They close few windows: all volumes of a long packet might
+not fit into the memory."""
 
 
 class Settings(TypedDict, total=False):
@@ -50,20 +52,20 @@ def stream(
 
     Parameters
     ----------
-    source : an iterable of packets, or of single events, in any form that `async_tnt.volume.event_forms`
-        lists.
+    source : an iterable of packets, or of single events, in any form that
+        `async_tnt.volume.event_forms` lists.
     model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` if its
         landmark needs one), or a Processor, which continues its stream.
-    finish : when the source ends, decide about the windows still open and close them: events of
-        these windows that come later are late. False: leave them open for the next source that goes
-        to the same Processor.
+    finish : decide about the windows that are still open when the source ends, and close them.
+        Events of these windows that come later are late. False: leave them open for the next source
+        that goes to the same Processor.
     settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`,
         `late`, `on_restart`, ...
 
     Yields
     ------
-    Decision : for each window that closes and each trigger; when the source ends, for the windows
-        still open.
+    Decision : one for each window that closes and for each trigger; when the source ends, one for
+        each window that is still open.
 
     Examples
     --------
@@ -72,19 +74,18 @@ def stream(
     ['3', '3', '3']
     """
     _check_source(source)
-    # here: errors come before the first event
-    return _stream(source, as_processor(model, **settings), finish)
+    # not in the generator: errors come before the first event
+    processor = as_processor(model, **settings)
+    return _stream(source, processor, finish)
 
 
 def _check_source(source: Any) -> None:
     if isinstance(source, (str, Path)):
-        raise TypeError(
-            f"`source` must yield events, got the path {source}; open_recording(path) reads a file"
-        )
+        got = f"the path {source}; open_recording(path) reads a file"
+        raise ParameterTypeError("source", "must yield events", got)
     if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
-        raise TypeError(
-            f"`source` must be an iterable of packets or of events, got {type(source).__name__}"
-        )
+        rule = "must be an iterable of packets or of events"
+        raise ParameterTypeError("source", rule, type(source).__name__)
 
 
 def _stream(source: Iterable[Any], processor: Processor, finish: bool) -> Iterator[Decision]:
@@ -112,12 +113,11 @@ def astream(
     TypeError : `source` is not asynchronous.
     """
     if not hasattr(source, "__aiter__"):
-        raise TypeError(
-            f"`source` must be asynchronous, got {type(source).__name__}; `stream` takes iterables "
-            "that are not"
-        )
-    # here: errors come before the first event
-    return _astream(source, as_processor(model, **settings), finish)
+        got = f"{type(source).__name__}; `stream` takes iterables that are not"
+        raise ParameterTypeError("source", "must be asynchronous", got)
+    # not in the generator: errors come before the first event
+    processor = as_processor(model, **settings)
+    return _astream(source, processor, finish)
 
 
 async def _astream(
@@ -127,17 +127,20 @@ async def _astream(
     async for events in source:
         for decision in time_unit.watch(processor.push(events)):
             yield decision
-    for decision in processor.finish() if finish else ():
-        yield decision
+    if finish:
+        for decision in processor.finish():
+            yield decision
 
 
 class WindowVolume(NamedTuple):
-    """What `volumes` yields: a window's volume, float32, shape (C, H, W), its start, and the number
-    of its events."""
+    """The volume of one window, as `volumes` yields it."""
 
     volume: np.ndarray
+    """Float32, shape (C, H, W)."""
     start_us: int
+    """Start of the window, in microseconds."""
     events: int
+    """Events in the window so far."""
 
 
 def volumes(
@@ -147,10 +150,10 @@ def volumes(
 
     Parameters
     ----------
-    source : as of `stream`.
+    source : see `stream`.
     config : how events become volumes.
-    settings : of `stream`, but for `classifier` and `confidence`. A trigger such as `every_us`
-        yields the window's volume so far at each of its moments, too.
+    settings : those of `stream` without `classifier`, `classes` and `confidence`. A trigger such as
+        `every_us` yields the window's volume so far at each of its moments, too.
 
     Examples
     --------
@@ -162,9 +165,8 @@ def volumes(
     (5, 34, 34) 213075 1344
     """
     if not isinstance(config, TNTConfig):
-        raise TypeError(
-            f"`config` must be a TNTConfig, got {short(config)}; a model has one as `config`"
-        )
+        got = f"{short(config)}; a model has one as `config`"
+        raise ParameterTypeError("config", "must be a TNTConfig", got)
     if settings.keys() & {"classifier", "classes", "confidence"}:
         raise TypeError(
             "`classifier`, `classes` and `confidence` are for decisions; volumes have none"
@@ -174,33 +176,33 @@ def volumes(
     decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
     waiting: list[np.ndarray] = []
 
-    def pieces() -> Iterator[tuple[np.ndarray, ...]]:
-        """Few events at once, which close few windows: all volumes of a long packet might not fit
-        into the memory."""
-        for packet in source:
-            if (
-                late == "accept"
-                and type(packet) is tuple
-                and len(packet) == 4
-                and type(packet[0]) is int
-            ):
-                yield packet  # quick for Python integers
-                continue
-            columns = decoder.decode(packet)
-            for first in range(0, columns.n, PIECE):
-                yield tuple(column[first : min(first + PIECE, columns.n)] for column in columns[:4])
-
     def keep(volume: np.ndarray) -> list[float]:
+        """Keep the volume; a classifier that has nothing to decide."""
         waiting.append(volume.copy())
         return [0.0]
 
     settings["classifier"] = keep
-    # here: errors are raised before the first event
-    decisions = stream(pieces(), config, **settings)
+    # not in the generator: errors come before the first event
+    decisions = stream(_pieces(source, decoder), config, **settings)
     return (
         WindowVolume(waiting.pop(0), decision.window_start_us, decision.events)
         for decision in decisions
     )
+
+
+def _pieces(source: Iterable[Any], decoder: EventDecoder) -> Iterator[tuple[Any, ...]]:
+    """The events of a source, at most PIECE of them at once."""
+    accepts_late = decoder.late == "accept"
+    for packet in source:
+        # a single event of Python integers goes the quick way
+        is_four = type(packet) is tuple and len(packet) == 4
+        if is_four and accepts_late and type(packet[0]) is int:
+            yield packet
+            continue
+        columns = decoder.decode(packet)
+        for first in range(0, columns.n, PIECE):
+            piece = part_of(columns, first, min(first + PIECE, columns.n))
+            yield piece[:4]
 
 
 def as_processor(

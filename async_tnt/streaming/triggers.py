@@ -1,5 +1,5 @@
-"""When a processor decides, apart from the end of each window: settings, checked, and as the
-kernels read them."""
+"""When a processor decides, apart from the end of each window: settings, and their state in
+kernels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import positive_int, real_number, short
+from async_tnt.base.checks import ParameterValueError, positive_int, real_number, short
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.volume.config import TNTConfig
@@ -18,12 +18,13 @@ from async_tnt.volume.config import TNTConfig
 
 @dataclass(frozen=True)
 class TriggerSettings:
-    """When a processor decides apart from the end of each window, see `Processor`; None switches a
-    trigger off.
+    """The settings of `Processor` that make it decide before the end of a window.
+
+    None switches a trigger off.
 
     Raises
     ------
-    ValueError, TypeError : an invalid value; the message names its rule.
+    ParameterValueError, ParameterTypeError : an invalid value.
     """
 
     every_us: int | None = None
@@ -34,6 +35,7 @@ class TriggerSettings:
         for name, check in _CHECKS.items():
             value = getattr(self, name)
             if value is not None:
+                # frozen: a plain assignment is refused
                 object.__setattr__(self, name, check(name, value))
 
     @property
@@ -48,27 +50,26 @@ class TriggerSettings:
 
 
 def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: int = 3) -> None:
-    """Warn of triggers that no window is long enough for.
+    """Warn of a trigger that no window is long enough for.
 
-    As often as a window's duration, or its number of events, is no mistake: windows themselves are
-    decided so often.
+    An `every_us` that equals the window's duration is no mistake, as windows are decided at their
+    ends; nor is an `every_events` that equals the number of its events.
     """
-    never = []
-    if config.window_events is None:
-        if settings.every_us is not None and settings.every_us > config.window_us:
-            never.append(
-                f"`every_us` = {settings.every_us} is longer than a window, {config.window_us} us"
-            )
-    elif settings.every_events is not None and settings.every_events > config.window_events:
-        never.append(
-            f"`every_events` = {settings.every_events} is more than a window has, "
-            f"{config.window_events}"
-        )
-    for which in never:
-        warnings.warn(
-            f"{which}: it never makes a decision due, windows are decided at their ends",
-            stacklevel=stacklevel,
-        )
+    window_us = config.window_us
+    window_events = config.window_events
+    every_us = settings.every_us
+    every_events = settings.every_events
+
+    if window_events is None and every_us is not None and every_us > window_us:
+        what = f"`every_us` = {every_us} is longer than a window, {window_us} us"
+    elif window_events is not None and every_events is not None and every_events > window_events:
+        what = f"`every_events` = {every_events} is more than a window has, {window_events}"
+    else:
+        return
+    warnings.warn(
+        f"{what}: it never makes a decision due, windows are decided at their ends",
+        stacklevel=stacklevel,
+    )
 
 
 class Triggers:
@@ -77,8 +78,13 @@ class Triggers:
     Attributes
     ----------
     settings : TriggerSettings.
-    state : float64, the settings and what changes as kernels read them, see `kernels.trigger`.
+    state : float64, the settings and what changes, as kernels read them: see
+        `kernels.decisions.trigger`.
     """
+
+    KERNELS = (T.schedule,)
+    EVENT_KERNELS = (T.until_due, T.why_due)
+    """Called where a single event may make a decision due."""
 
     def __init__(self, settings: TriggerSettings) -> None:
         self.state = np.zeros(T.SIZE)
@@ -99,15 +105,14 @@ class Triggers:
         self._ints[T.EVERY_US] = settings.every_us or 0
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
-        """The window that starts at `start_us` has become the oldest one; None: no window is
-        open."""
+        """Note that the window which starts at `start_us` is the oldest now; None: none is open."""
         self.n_at_decision = 0
         self._ints[T.DUE_US] = NEVER_US
         if start_us is not None:
             self.schedule(now_us, start_us)
 
     def schedule(self, now_us: int, start_us: int) -> None:
-        """See `kernels.trigger.schedule`."""
+        """Set the next moment of `every_us` after `now_us` in the window from `start_us` on."""
         T.schedule(self.state, now_us, start_us)
 
     @property
@@ -128,6 +133,7 @@ class Triggers:
 class TriggerAttributes:
     """The three triggers as attributes of a `Processor`, which may change between calls."""
 
+    # `Processor` has slots, too
     __slots__ = ()
     _triggers: Triggers
     config: TNTConfig
@@ -137,17 +143,19 @@ class TriggerAttributes:
         raise NotImplementedError
 
     def _change(self, **changes: Any) -> None:
-        """Use the settings with some of them changed; called by a setter, which is called by the
-        user."""
+        """Use the settings with some of them changed."""
         before = self._triggers.settings
         self._set_triggers(replace(before, **changes))
         if self._triggers.settings != before:
+            # the line of the user: above this method and the setter that called it
             warn_if_never_due(self._triggers.settings, self.config, stacklevel=4)
 
     @property
     def every_us(self) -> int | None:
-        """Decide also whenever this many microseconds have passed; None: never. May change between
-        calls."""
+        """Decide also whenever so many microseconds have passed; None: never.
+
+        May change between calls.
+        """
         return self._triggers.settings.every_us
 
     @every_us.setter
@@ -156,8 +164,10 @@ class TriggerAttributes:
 
     @property
     def every_events(self) -> int | None:
-        """Decide also after every this many events of the window; None: never. May change between
-        calls."""
+        """Decide also whenever so many more events of the window have arrived; None: never.
+
+        May change between calls.
+        """
         return self._triggers.settings.every_events
 
     @every_events.setter
@@ -166,8 +176,10 @@ class TriggerAttributes:
 
     @property
     def confidence(self) -> float | None:
-        """Close a window at a decision whose class has this probability; None: never. May change
-        between calls."""
+        """Close a window at a decision whose class has this probability; None: never.
+
+        May change between calls.
+        """
         return self._triggers.settings.confidence
 
     @confidence.setter
@@ -178,8 +190,9 @@ class TriggerAttributes:
 def _level(name: str, value: Any) -> float:
     number = real_number(name, value)
     if not 0 < number <= 1:
-        raise ValueError(f"`{name}` must be a probability in (0, 1], got {short(value)}")
+        raise ParameterValueError(name, "must be a probability in (0, 1]", short(value))
     return number
 
 
 _CHECKS = {"every_us": positive_int, "every_events": positive_int, "confidence": _level}
+"""Name of a trigger -> check(name, value), which returns the value as it is kept."""

@@ -1,8 +1,8 @@
 """Which windows of a stream are open, each with its own volume; and whether its times are likely in
 microseconds.
 
-Windows of a duration lie end to end, or overlap with `hop_us`. One of `window_events` begins with
-the first event after the window before it.
+Windows of a duration lie end to end, or overlap with `hop_us`. A window of `window_events` begins
+with the first event after the window before it.
 """
 
 from __future__ import annotations
@@ -13,17 +13,21 @@ from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
-from async_tnt.base.checks import checked_time, positive_int, short
+from async_tnt.base.checks import ParameterValueError, checked_time, positive_int, short
 from async_tnt.streaming.decision import Decision
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import Columns
-from async_tnt.volume.state import MAX_EVENTS, Regressor
+from async_tnt.volume.regressor import Regressor
+from async_tnt.volume.state import MAX_EVENTS
 from async_tnt.volume.volume import TNTVolume
 
 MAX_OPEN_WINDOWS = 256
-# the windows by which a stream is judged, and the events that are too few for one
-N_JUDGED, FEW_EVENTS = 32, 2
+"""Most windows that may be open at once."""
+N_JUDGED = 32
+"""Windows at the beginning of a stream by which the unit of its times is judged."""
+FEW_EVENTS = 2
+"""Events that are too few for a window."""
 
 
 class _Sharing(NamedTuple):
@@ -32,9 +36,9 @@ class _Sharing(NamedTuple):
     columns: Columns
     first: int
     counts: tuple[int, int, int]
-    """The counts of the scheduler before: received, late, dropped_decided."""
+    """Counts of the scheduler before: received, late, dropped_decided."""
     of_oldest: tuple[int, int]
-    """The counts of the oldest window before: late, dropped_decided."""
+    """Counts of the oldest window before: late, dropped_decided."""
     received: list[int]
     """Events that each window had received before."""
 
@@ -53,8 +57,8 @@ class WindowScheduler:
     Parameters
     ----------
     config, regressor : see `TNTVolume`.
-    hop_us : distance between the starts of windows; at most window_us, its default. Not with
-        `window_events`.
+    hop_us : distance between the starts of windows, at most window_us, which is the default. Not
+        with `window_events`.
     start_us : start of the first window; None: at the first event. Not with `window_events`.
     """
 
@@ -65,40 +69,30 @@ class WindowScheduler:
         start_us: int | None,
         regressor: Regressor | None,
     ) -> None:
-        self._window_us = window_us = config.window_us
+        self._window_us = config.window_us
         self._window_events = config.window_events
         if config.window_events is not None:
             for name, value in (("hop_us", hop_us), ("start_us", start_us)):
                 if value is not None:
-                    raise ValueError(
-                        f"`{name}` must not be given with window_events={config.window_events}, "
-                        f"got {short(value)}"
-                    )
-        self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
-        if self.hop_us > window_us:
-            raise ValueError(
-                f"`hop_us` must be at most window_us = {window_us}, got {short(hop_us)}"
-            )
-        n_volumes = math.ceil(window_us / self.hop_us)
-        if n_volumes > MAX_OPEN_WINDOWS:
-            smallest = f"window_us / {MAX_OPEN_WINDOWS} = {math.ceil(window_us / MAX_OPEN_WINDOWS)}"
-            got = f"{self.hop_us}: {n_volumes} windows would be open at once"
-            raise ValueError(f"`hop_us` must be at least {smallest}, got {got}")
+                    rule = f"must not be given with window_events={config.window_events}"
+                    raise ParameterValueError(name, rule, short(value))
+        self.hop_us = _checked_hop(hop_us, config.window_us)
         self.start_us = None if start_us is None else checked_time("start_us", start_us)
         self.regressor = regressor
+        n_volumes = math.ceil(config.window_us / self.hop_us)
         self.volumes = [TNTVolume(config, regressor=regressor) for _ in range(n_volumes)]
         self.reset()
 
     def reset(self) -> None:
-        """No window open, all counts zero."""
+        """Close all windows, and set all counts to zero."""
         for volume in self.volumes:
             volume.reset()
         self._open: deque[TNTVolume] = deque()
         self._free = list(self.volumes)
-        # of the next window to be opened; None: at the first event
+        # start of the next window to be opened; None: at the first event
         self._next_start_us: int | None = self.start_us
-        # The start of the windows closed early that lead up to the oldest open one, or to the next
-        # where none is.
+        # Windows were closed early from this time on, without a gap, up to the oldest open window
+        # or to the next one if none is open. None: the window before was not closed early.
         self._decided_from_us: int | None = None
         self._n_received = 0
         self._n_late = 0
@@ -116,13 +110,15 @@ class WindowScheduler:
 
     @property
     def oldest(self) -> TNTVolume:
-        """The oldest open window; an empty one where none is open."""
+        """The oldest open window; an empty one if no window is open."""
         return self._open[0] if self._open else self.volumes[0]
 
     @property
     def late_before_us(self) -> int:
-        """Events before this time are late: the start of the oldest open window, or else of the
-        next one; -1 if that begins with any event."""
+        """The time before which events are late: the start of the oldest open window.
+
+        If no window is open, the start of the next one; -1 if that begins with any event.
+        """
         if self._open:
             return self.oldest.start_us
         return -1 if self._next_start_us is None else self._next_start_us
@@ -135,11 +131,9 @@ class WindowScheduler:
     @property
     def room(self) -> int:
         """How many more events the oldest window takes."""
-        return (
-            MAX_EVENTS
-            if self._window_events is None
-            else self._window_events - self.oldest.n_events
-        )
+        if self._window_events is None:
+            return MAX_EVENTS
+        return self._window_events - self.oldest.n_events
 
     @property
     def is_full(self) -> bool:
@@ -147,8 +141,9 @@ class WindowScheduler:
         return self._window_events is not None and self.oldest.n_events >= self._window_events
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
-        """Add events to all open windows, up to the limit; returns the first one not added."""
-        if not self.overlap:  # the counts below are not needed
+        """Add events to all open windows, up to the limit; returns the first event not added."""
+        # the usual case, without the counts that sharing needs
+        if not self.overlap:
             return self._open[0].absorb(columns, first, last)
         self.begin_sharing(columns, first)
         absorbed = self._open[0].absorb(columns, first, last)
@@ -156,20 +151,23 @@ class WindowScheduler:
         return absorbed
 
     def begin_sharing(self, columns: Columns, first: int) -> None:
-        """Where windows overlap, note what the oldest one had before it gets the events from
-        `first` on."""
+        """Note the counts before the oldest window absorbs the events from `first` on.
+
+        Nothing is to be done where windows do not overlap.
+        """
         if self.overlap:
             oldest = self._open[0]
-            counts = self._n_received, self._n_late, self._n_dropped_decided
+            counts = (self._n_received, self._n_late, self._n_dropped_decided)
+            of_oldest = (oldest.n_late, oldest.n_dropped_decided)
             received = [volume.n_received for volume in self._open]
-            self._sharing = _Sharing(
-                columns, first, counts, (oldest.n_late, oldest.n_dropped_decided), received
-            )
+            self._sharing = _Sharing(columns, first, counts, of_oldest, received)
 
     def share(self) -> None:
-        """Add the events that the oldest window has absorbed since `begin_sharing` to the others
-        that overlap it, and count them once. May be called again after an exception: nothing is
-        done twice."""
+        """Add the events that the oldest window has absorbed since `begin_sharing` to the others.
+
+        The scheduler counts them once. This may be called again after an exception: nothing is done
+        twice.
+        """
         sharing = self._sharing
         if sharing is None:
             return
@@ -178,25 +176,27 @@ class WindowScheduler:
         for volume, before in zip(self._open, sharing.received, strict=True):
             if volume.n_received == before:
                 volume.absorb(sharing.columns, sharing.first, sharing.first + n)
-        n_received, n_late, n_dropped_decided = sharing.counts
+        n_received, n_late, n_decided = sharing.counts
+        n_late_of_oldest, n_decided_of_oldest = sharing.of_oldest
         self._n_received = n_received + n
-        self._n_late = n_late + oldest.n_late - sharing.of_oldest[0]
-        self._n_dropped_decided = (
-            n_dropped_decided + oldest.n_dropped_decided - sharing.of_oldest[1]
-        )
+        self._n_late = n_late + oldest.n_late - n_late_of_oldest
+        self._n_dropped_decided = n_decided + oldest.n_dropped_decided - n_decided_of_oldest
         self._sharing = None
 
     def recover(self) -> None:
-        """Finish what an exception, such as Ctrl-C, has interrupted, or take it back; otherwise
-        nothing changes."""
+        """Finish what an exception, such as Ctrl-C, has interrupted, or take it back.
+
+        If nothing was interrupted, nothing changes.
+        """
+        # events that not all windows have got, and a window that is only half closed
         self.share()
         if self._closing is not None and self._closing.volume not in self._open:
             self._finish_closing()
         self._closing = None
-        self._open = deque(
-            volume for volume in self._open if volume.is_open and not self._is_anchored(volume)
-        )
-        if not self._open and self._next_start_us is not None and self._is_anchored(None):
+
+        # windows that were being opened
+        self._open = deque(volume for volume in self._open if self._stays_open(volume))
+        if not self._open and self._empty_begins_with_event():
             self._next_start_us = None
         self._free = [volume for volume in self.volumes if volume not in self._open]
         for volume in self._free:
@@ -205,29 +205,40 @@ class WindowScheduler:
         if self._open:
             self._next_start_us = self._open[-1].start_us + self.hop_us
 
-    def _is_anchored(self, volume: TNTVolume | None) -> bool:
-        """Whether an empty window, or the next one (None), begins where it does because of an event
-        that was not absorbed: each of `window_events` begins with one, and otherwise the first of a
-        stream without `start_us`."""
-        if volume is not None and volume.n_events:
+    def _stays_open(self, volume: TNTVolume) -> bool:
+        """Whether a window was opened whole, and not for an event that was never absorbed."""
+        if not volume.is_open:
             return False
+        return volume.n_events > 0 or not self._empty_begins_with_event()
+
+    def _empty_begins_with_event(self) -> bool:
+        """Whether a window without events would begin where its first event is.
+
+        So does each window of `window_events`, and the first one of a stream without `start_us`.
+        """
         if self._window_events is not None:
             return True
         return self.start_us is None and not any(one.n_received for one in self.volumes)
 
     def open_due(self, t_us: int) -> bool:
-        """Open the windows that hold `t_us`, or else the next one, so that at least one is open;
-        empty ones before them are skipped. Returns whether the oldest window has changed."""
+        """Open the windows that hold `t_us`, or else the next one: at least one is open then.
+
+        Empty windows before them are skipped. Returns whether the oldest window has changed.
+        """
         was_empty = not self._open
         if self._next_start_us is None:
             self._next_start_us = t_us
         start_us = self._next_start_us
-        if start_us + self._window_us <= t_us:  # then none is open
-            hops = (t_us - self._window_us - start_us) // self.hop_us + 1
-            start_us += hops * self.hop_us
+
+        # if the next window has ended already, none is open
+        if start_us + self._window_us <= t_us:
+            n_skipped = (t_us - self._window_us - start_us) // self.hop_us + 1
+            start_us += n_skipped * self.hop_us
             self._decided_from_us = None
+
         while start_us <= t_us or not self._open:
-            self._free[-1].open(start_us)  # first: an impossible time changes nothing
+            # before anything else: an impossible time changes nothing
+            self._free[-1].open(start_us)
             self._open.append(self._free.pop())
             start_us += self.hop_us
         self._next_start_us = start_us
@@ -243,20 +254,21 @@ class WindowScheduler:
                 volume.set_limit(limit_us)
 
     def close_oldest(self, early: bool = False) -> None:
-        """Close the oldest window; its volume is empty and free for the next one to be opened.
+        """Close the oldest window; its volume is empty then, and free for another window.
 
-        early : before its end. Events that still arrive for it are counted as `dropped_decided`;
-            where windows have a number of events, none do: the next window begins with the next
-            event.
+        early : close it before its end. Events that still arrive for the window are counted as
+            `dropped_decided`. A window of `window_events` gets no such events: the next one begins
+            with the next event.
         """
         volume = self._open[0]
         decided_from_us = None
         if early and self._window_events is None:
-            decided_from_us = (
-                volume.start_us if self._decided_from_us is None else self._decided_from_us
-            )
+            decided_from_us = self._decided_from_us
+            if decided_from_us is None:
+                decided_from_us = volume.start_us
         self._closing = _Closing(volume, decided_from_us)
-        self._open.popleft()  # from here on, an exception does not keep it open: see `recover`
+        # from here on `recover` does not keep the window open after an exception
+        self._open.popleft()
         self._finish_closing()
 
     def _finish_closing(self) -> None:
@@ -273,25 +285,51 @@ class WindowScheduler:
         self._closing = None
 
     def _inform_oldest(self) -> None:
-        """Tell the oldest volume, which counts late events, from when on the windows before it were
-        closed early."""
+        """Tell the oldest volume from when on the windows before it were closed early.
+
+        It counts the late events.
+        """
         if self._decided_from_us is not None:
             self.oldest.set_decided_from(self._decided_from_us)
 
     def counts(self, n_dropped: int) -> Counts:
-        """See `Processor.counts`. `n_dropped` : late events that the decoder has dropped."""
+        """What became of the events, see `Processor.counts`.
+
+        n_dropped : late events that the decoder has dropped.
+        """
         total = sum((volume.counts for volume in self.volumes), Counts())
         if self.overlap:
-            decided = self._n_dropped_decided
             total = replace(
-                total, received=self._n_received, dropped_late=self._n_late, dropped_decided=decided
+                total,
+                received=self._n_received,
+                dropped_late=self._n_late,
+                dropped_decided=self._n_dropped_decided,
             )
         return total + Counts(received=n_dropped, dropped_late=n_dropped)
 
 
+def _checked_hop(hop_us: int | None, window_us: int) -> int:
+    """The distance between the starts of windows, in microseconds; by default their duration."""
+    if hop_us is None:
+        return window_us
+    hop_us = positive_int("hop_us", hop_us)
+    if hop_us > window_us:
+        rule = f"must be at most window_us = {window_us}"
+        raise ParameterValueError("hop_us", rule, short(hop_us))
+    n_open = math.ceil(window_us / hop_us)
+    if n_open > MAX_OPEN_WINDOWS:
+        smallest = math.ceil(window_us / MAX_OPEN_WINDOWS)
+        rule = f"must be at least window_us / {MAX_OPEN_WINDOWS} = {smallest}"
+        got = f"{hop_us}: {n_open} windows would be open at once"
+        raise ParameterValueError("hop_us", rule, got)
+    return hop_us
+
+
 class TimeUnitCheck:
-    """Warns once if most of a stream's first windows hold next to nothing: its times may be in
-    another unit."""
+    """A warning, given once, if most of a stream's first windows hold next to nothing.
+
+    The times of such a stream may be in another unit than microseconds.
+    """
 
     def __init__(self, config: TNTConfig) -> None:
         self._window_us = config.window_us
@@ -299,22 +337,25 @@ class TimeUnitCheck:
         self._n_small = 0
 
     def watch(self, decisions: list[Decision]) -> list[Decision]:
-        """Returns these next decisions of the stream, and looks at the windows that they closed at
-        their ends."""
-        for decision in decisions if self._left > 0 else ():
-            if decision.trigger == "window":
-                self.add(decision.events)
+        """Look at the windows that these next decisions of the stream closed at their ends.
+
+        Returns the same decisions.
+        """
+        if self._left > 0:
+            for decision in decisions:
+                if decision.trigger == "window":
+                    self.add(decision.events)
         return decisions
 
     def add(self, n_events: int) -> None:
-        """The next window holds so many events."""
+        """Note that the next window holds `n_events`; warn when enough windows are known."""
         self._left -= 1
-        self._n_small += n_events <= FEW_EVENTS
+        if n_events <= FEW_EVENTS:
+            self._n_small += 1
         if self._left == 0 and 2 * self._n_small > N_JUDGED:
             warnings.warn(
                 f"{self._n_small} of the first {N_JUDGED} windows hold {FEW_EVENTS} events or "
-                "fewer: times are read as "
-                f"microseconds, divide nanoseconds by 1000; or windows of {self._window_us} us are "
-                "too short",
+                "fewer: times are read as microseconds, divide nanoseconds by 1000; or windows of "
+                f"{self._window_us} us are too short",
                 stacklevel=4,
             )

@@ -1,2 +1,1 @@
-"""The incremental volume: its configuration, packets of events decoded and checked, the cells of a
-window."""
+"""The incremental volume: its configuration, the decoding of events, and the cells of a window."""

@@ -2,35 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from async_tnt.base.checks import is_whole, real_number, short, whole_number
+from async_tnt.base.checks import (
+    ParameterTypeError,
+    ParameterValueError,
+    is_whole,
+    real_number,
+    short,
+    whole_number,
+)
 
 Landmark = Literal["center", "running", "line", "window", "regressor"]
 Polarity = Literal["signed", "unsigned", "split"]
 Transform = Literal["tnt", "none"]
 Representation = Literal["volume", "count", "count_time", "mean_time", "time_surface"]
-LANDMARKS, POLARITIES, TRANSFORMS, REPRESENTATIONS = map(
-    get_args, (Landmark, Polarity, Transform, Representation)
-)
-# channels of one polarity
-IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1}
-TIME_IMAGES = ("count_time", "mean_time", "time_surface")
+
+LANDMARKS = get_args(Landmark)
+POLARITIES = get_args(Polarity)
+TRANSFORMS = get_args(Transform)
+REPRESENTATIONS = get_args(Representation)
+
+IMAGE_BINS: dict[str, int] = {
+    "count": 1,
+    "count_time": 2,
+    "mean_time": 1,
+    "time_surface": 1,
+}
+"""Channels of one polarity that an image has."""
+TIME_IMAGES: tuple[str, ...] = ("count_time", "mean_time", "time_surface")
+"""Images that hold times of events."""
+
 BINS = 9
+"""Time bins of a volume, by default."""
+MAX_BINS = 1024
+"""Most time bins of a volume."""
 MAX_SIDE = 1 << 15
+"""Most pixels on a side of a sensor or a grid."""
 WINDOW_US = 105_000
-MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
+"""Length of a window in microseconds, by default: one saccade of N-MNIST."""
+MAX_WINDOW_US = 3600 * 1_000_000
+"""Longest window in microseconds, an hour: an int64 then holds the sum of a billion times."""
 MAX_WINDOW_EVENTS = 1 << 30
+"""Most events of a window of `window_events`."""
+MIN_T_MAX = 1e-6
+"""Smallest TNT time at the end of a window."""
+MAX_T_MAX = 1e6
+"""Largest TNT time at the end of a window."""
 MAX_CELLS = 1 << 28
-"""Of a volume, float64: 2 GB. 1280 x 720 pixels with 256 bins have 2**27.8. A program may set
-`async_tnt.volume.config.MAX_CELLS = 1 << 30`, before it makes or loads a configuration."""
+"""Most cells of a volume, each a float64: 2 GB. A volume of 1280 x 720 pixels with 256 bins has
+2**27.8. A program may set `async_tnt.volume.config.MAX_CELLS = 1 << 30`, before it makes or loads a
+configuration."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class TNTConfig:
     """How events become a volume. Checks itself when built; sizes are (width, height).
 
@@ -38,30 +67,31 @@ class TNTConfig:
     ----------
     sensor : the camera's pixels.
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
-    bins : B, time bins of the volume, by default 9; of an image, its channels of one polarity.
+    bins : B, time bins of the volume, by default 9; for an image, its channels of one polarity.
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
-    window_events : windows of so many events instead. Such a window begins with an event, and times
-        are scaled by its newest one, as in the thesis, which is known only when the volume is read:
-        the events are stored, and replayed then. `window_us` is the longest that it may last, by
-        default an hour.
-    t_max : TNT time, by which positions are divided, at the end of a window. An object shrinks by
-        this factor until then; a smaller value loses fewer events over the border early in the
+    window_events : number of events in a window; by default windows have a duration instead. Such a
+        window begins with an event, and times are scaled by its newest event, as in the thesis.
+        That one is known only when the volume is read: the events are stored, and replayed then.
+        `window_us` is the longest that such a window may last, by default an hour.
+    t_max : TNT time at the end of a window. Positions are divided by TNT time, so an object shrinks
+        by this factor until then. A smaller value loses fewer events over the border early in the
         window.
-    landmark : the point that events are normalized about: `center` of the grid, `running` centroid
-        of the window's events so far, `line`: the intercept of their running regression line,
-        `window`: the centroid of all the window's events when it is read (they are stored, and
-        replayed then), `regressor`: a network's estimate from the raw event volume when it is read
-        (replayed, too).
-    polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF
-        bins); by default `signed` for a volume and `split` for an image.
+    landmark : the point that events are normalized about. `center` of the grid; `running` centroid
+        of the window's events so far; `line`: the intercept of their running regression line;
+        `window`: the centroid of all the window's events when the volume is read; `regressor`: a
+        network's estimate from the raw event volume when the volume is read. For the last two the
+        events are stored, and replayed then.
+    polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add) or `split` (ON bins, then
+        OFF bins); by default `signed` for a volume and `split` for an image.
     transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and
         `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel),
-        `count_time` (the same, and the time of the newest, as a fraction of the window),
+        `count_time` (events per pixel, and the time of the newest one as a fraction of the window),
         `mean_time` (the mean time), or `time_surface` (exp(-age / tau) of the newest event at the
-        window's end, tau half a window). With `split` polarity the channels of ON come first, then
-        those of OFF. Images of times (all but `count`) take no transform, and no `signed` polarity.
+        window's end, where tau is half a window). With `split` polarity the channels of ON come
+        first, then the channels of OFF. Images of times (all but `count`) take no transform, and no
+        `signed` polarity.
 
     Raises
     ------
@@ -71,54 +101,103 @@ class TNTConfig:
     --------
     >>> TNTConfig(bins=9).shape
     (9, 34, 34)
-    >>> TNTConfig(grid=(34, 1))
+    >>> TNTConfig(grid=(34, 1))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    ValueError: `grid` must have sides of 2 to 32768 pixels, got (34, 1)
+    async_tnt.base.checks.ParameterValueError: `grid` must have sides of 2 to ..., got (34, 1)
     """
 
-    sensor: tuple[int, int] = (34, 34)
-    grid: tuple[int, int] = (34, 34)
-    bins: int = None  # type: ignore[assignment]  # set below, as are the other three: never None from then on
-    window_us: int = None  # type: ignore[assignment]
-    t_max: float = 8.0
-    landmark: Landmark = "running"
-    polarity: Polarity = None  # type: ignore[assignment]
-    transform: Transform = None  # type: ignore[assignment]
-    remove_flow: bool = False
-    window_events: int | None = None
-    representation: Representation = "volume"
+    sensor: tuple[int, int]
+    grid: tuple[int, int]
+    bins: int
+    window_us: int
+    t_max: float
+    landmark: Landmark
+    polarity: Polarity
+    transform: Transform
+    remove_flow: bool
+    window_events: int | None
+    representation: Representation
 
-    def __post_init__(self) -> None:
-        self._set(
-            "representation", _FIELDS["representation"]("representation", self.representation)
-        )
-        is_image = self.representation != "volume"
-        for name, default in (
-            ("bins", IMAGE_BINS.get(self.representation, BINS)),
-            ("polarity", "split" if is_image else "signed"),
-            ("transform", "none" if is_image else "tnt"),
-            ("window_us", WINDOW_US if self.window_events is None else MAX_WINDOW_US),
-        ):
-            if getattr(self, name) is None:
-                self._set(name, default)
-        for name, check in _FIELDS.items():
-            self._set(name, check(name, getattr(self, name)))
-        for holds, rule, names in _RELATIONS:
-            if not holds(self):
-                raise ValueError(
-                    f"{rule}, got {', '.join(f'{name}={getattr(self, name)!r}' for name in names)}"
-                )
-        cells = (self.channels + second_bin(self)) * (self.grid[0] + 1) * (self.grid[1] + 1)
-        if cells > MAX_CELLS:
+    def __init__(
+        self,
+        sensor: tuple[int, int] = (34, 34),
+        grid: tuple[int, int] = (34, 34),
+        bins: int | None = None,
+        window_us: int | None = None,
+        t_max: float = 8.0,
+        landmark: Landmark = "running",
+        polarity: Polarity | None = None,
+        transform: Transform | None = None,
+        remove_flow: bool = False,
+        window_events: int | None = None,
+        representation: Representation = "volume",
+    ) -> None:
+        # written here, not by `dataclass`: four fields are never None, but their arguments may be
+        _one_of("representation", representation, REPRESENTATIONS)
+        is_image = representation != "volume"
+        if bins is None:
+            bins = IMAGE_BINS.get(representation, BINS)
+        if polarity is None:
+            polarity = "split" if is_image else "signed"
+        if transform is None:
+            transform = "none" if is_image else "tnt"
+        if window_us is None:
+            window_us = WINDOW_US if window_events is None else MAX_WINDOW_US
+        if window_events is not None:
+            window_events = whole_number("window_events", window_events, 1, MAX_WINDOW_EVENTS + 1)
+
+        checked = {
+            "sensor": _size("sensor", sensor),
+            "grid": _size("grid", grid),
+            "bins": whole_number("bins", bins, 1, MAX_BINS + 1),
+            "window_us": whole_number("window_us", window_us, 1, MAX_WINDOW_US + 1),
+            "t_max": _t_max("t_max", t_max),
+            "landmark": _one_of("landmark", landmark, LANDMARKS),
+            "polarity": _one_of("polarity", polarity, POLARITIES),
+            "transform": _one_of("transform", transform, TRANSFORMS),
+            "remove_flow": _flag("remove_flow", remove_flow),
+            "window_events": window_events,
+            "representation": representation,
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)  # frozen: plain assignments are refused
+        self._check_flow()
+        self._check_image()
+        self._check_cells()
+
+    def _check_flow(self) -> None:
+        """A flow can be removed only if the landmark finds one."""
+        if not self.remove_flow:
+            return
+        if self.landmark != "line" or self.transform != "tnt":
+            rule = 'needs landmark="line" and transform="tnt"'
+            got = f"landmark={self.landmark!r}, transform={self.transform!r}"
+            raise ParameterValueError("remove_flow", rule, got)
+
+    def _check_image(self) -> None:
+        """An image has its own number of channels; one of times can be neither moved nor signed."""
+        if self.bins != IMAGE_BINS.get(self.representation, self.bins):
+            allowed = ", ".join(f"{n} ({name})" for name, n in IMAGE_BINS.items())
+            got = f"representation={self.representation!r}, bins={self.bins!r}"
+            raise ParameterValueError("bins", f"of an image must be {allowed}", got)
+        if self.representation not in TIME_IMAGES:
+            return
+        if self.transform != "none" or self.polarity == "signed":
             raise ValueError(
-                f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a "
-                "program may raise "
-                "async_tnt.volume.config.MAX_CELLS)"
+                'an image of times needs transform="none" and polarity "split" or "unsigned", got '
+                f"representation={self.representation!r}, transform={self.transform!r}, "
+                f"polarity={self.polarity!r}"
             )
 
-    def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
+    def _check_cells(self) -> None:
+        """The buffer of a volume must fit into the memory that a program allows."""
+        planes = self.channels + second_bin(self)
+        cells = planes * (self.grid[0] + 1) * (self.grid[1] + 1)
+        if cells > MAX_CELLS:
+            hint = "a program may raise async_tnt.volume.config.MAX_CELLS"
+            rule = f"and {{bins}} must give at most {MAX_CELLS:_} cells"
+            raise ParameterValueError("grid", rule, f"{cells:_} ({hint})")
 
     @property
     def channels(self) -> int:
@@ -142,148 +221,121 @@ class TNTConfig:
 
     @property
     def needs_replay(self) -> bool:
-        """Whether the landmark or the window's duration is known only when the volume is read, so
-        that events are stored until then."""
+        """Whether events are stored until the volume is read.
+
+        So it is if the landmark or the window's duration is known only then.
+        """
         return self.defers_landmark or self.window_events is not None
 
     def to_grid(self, x: float, y: float) -> tuple[float, float]:
-        """Sensor pixels (`x`, `y`) to grid pixels, corner to corner; also displacements and
-        flows."""
+        """Sensor pixels (`x`, `y`) as grid pixels, corner to corner.
+
+        Displacements and flows are converted in the same way.
+        """
         gain_x, gain_y = self._gains
         return x * gain_x, y * gain_y
 
     def to_sensor(self, x: float, y: float) -> tuple[float, float]:
-        """Grid pixels (`x`, `y`) to sensor pixels, the inverse of `to_grid`."""
+        """Grid pixels (`x`, `y`) as sensor pixels: the inverse of `to_grid`."""
         gain_x, gain_y = self._gains
         return x / gain_x, y / gain_y
 
     @property
     def _gains(self) -> tuple[float, float]:
         """Grid pixels per sensor pixel: exactly 1 if both have the same size."""
-        (sensor_w, sensor_h), (width, height) = self.sensor, self.grid
+        sensor_w, sensor_h = self.sensor
+        width, height = self.grid
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        values = asdict(self)
+        for name in ("sensor", "grid"):
+            values[name] = list(values[name])
+        return values
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
-        """The inverse of `to_dict`: a configuration of the `values` of its fields; an unknown name
-        is a ValueError."""
+        """A configuration of the `values` of its fields: the inverse of `to_dict`.
+
+        Raises
+        ------
+        ValueError, TypeError : an unknown name, or an invalid value. The values are usually those
+            of a file, so that no error is a ParameterError.
+        """
         if not isinstance(values, Mapping):
             raise TypeError(
                 f"a configuration must be a mapping of names to values, got {short(values)}"
             )
         known = {field.name for field in fields(cls)}
-        if unknown := sorted(str(name) for name in set(values) - known):
+        unknown = sorted(str(name) for name in set(values) - known)
+        if unknown:
             raise ValueError(
                 f"unknown configuration {', '.join(unknown)}; known: {', '.join(sorted(known))}"
             )
-        arguments: dict[str, Any] = {
-            name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
-        }
-        return cls(**arguments)
+        arguments: dict[str, Any] = {}
+        for name, value in values.items():
+            arguments[name] = tuple(value) if isinstance(value, list) else value
+        try:
+            return cls(**arguments)
+        except ParameterValueError as error:
+            raise ValueError(str(error)) from None
+        except ParameterTypeError as error:
+            raise TypeError(str(error)) from None
 
     def replace(self, **changes: Any) -> TNTConfig:
-        """A copy with other values in the fields that `changes` names. With another representation,
-        or with windows of another kind, the values whose defaults depend on that are its
-        defaults."""
-        if changes.get("representation", self.representation) != self.representation:
-            changes = dict.fromkeys(("bins", "polarity", "transform")) | changes
-        if (changes.get("window_events", self.window_events) is None) != (
-            self.window_events is None
-        ):
+        """A copy with other values in the fields that `changes` names.
+
+        The defaults of some fields depend on the representation, and that of `window_us` on the
+        kind of the windows. Where `changes` sets another representation or kind, these fields get
+        their defaults, unless `changes` names them.
+        """
+        representation = changes.get("representation", self.representation)
+        if representation != self.representation:
+            changes = {"bins": None, "polarity": None, "transform": None} | changes
+        window_events = changes.get("window_events", self.window_events)
+        if (window_events is None) != (self.window_events is None):
             changes = {"window_us": None} | changes
         return replace(self, **changes)
 
 
 def second_bin(config: TNTConfig) -> int:
-    """Planes of cells from an event's first bin to its second, see `kernels.state`; so many lie
-    behind those that are read."""
+    """How many planes of cells lie between an event's first bin and its second.
+
+    As many planes lie behind those that are read, see `kernels.volume.state`.
+    """
     return config.channels if config.bins == 1 else 1
 
 
-# -- the constraints: of each field, and between fields --------------------------------------------
+# -- checks of single fields -----------------------------------------------------------------------
 
 
-def _one_of(allowed: Sequence[str]) -> Callable[[str, Any], str]:
-    def check(name: str, value: Any) -> str:
-        if not isinstance(value, str) or value not in allowed:
-            raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {short(value)}")
-        return value
-
-    return check
-
-
-def _whole(low: int, high: int) -> Callable[[str, Any], int]:
-    return lambda name, value: whole_number(name, value, low, high + 1)
+def _one_of(name: str, value: Any, allowed: tuple[str, ...]) -> str:
+    if not isinstance(value, str) or value not in allowed:
+        raise ParameterValueError(name, f"must be one of {', '.join(allowed)}", short(value))
+    return value
 
 
 def _size(name: str, value: Any) -> tuple[int, int]:
-    if not (
-        isinstance(value, (tuple, list))
-        and len(value) == 2
-        and all(is_whole(side) for side in value)
-    ):
-        raise TypeError(f"`{name}` must be two whole numbers (width, height), got {short(value)}")
+    is_pair = isinstance(value, (tuple, list)) and len(value) == 2
+    if not is_pair or not all(is_whole(side) for side in value):
+        rule = "must be two whole numbers (width, height)"
+        raise ParameterTypeError(name, rule, short(value))
     size = int(value[0]), int(value[1])
     if not all(2 <= side <= MAX_SIDE for side in size):
-        raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {short(size)}")
+        rule = f"must have sides of 2 to {MAX_SIDE} pixels"
+        raise ParameterValueError(name, rule, short(size))
     return size
-
-
-def _window_events(name: str, value: Any) -> int | None:
-    return None if value is None else whole_number(name, value, 1, MAX_WINDOW_EVENTS + 1)
 
 
 def _t_max(name: str, value: Any) -> float:
     number = real_number(name, value)
-    if not 1e-6 <= number <= 1e6:
-        raise ValueError(f"`{name}` must be in [1e-6, 1e6], got {number}")
+    if not MIN_T_MAX <= number <= MAX_T_MAX:
+        raise ParameterValueError(name, "must be in [1e-6, 1e6]", number)
     return number
 
 
 def _flag(name: str, value: Any) -> bool:
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"`{name}` must be True or False, got {short(value)}")
+        raise ParameterTypeError(name, "must be True or False", short(value))
     return bool(value)
-
-
-_FIELDS: dict[str, Callable[[str, Any], object]] = {
-    "sensor": _size,
-    "grid": _size,
-    "bins": _whole(1, 1024),
-    "window_us": _whole(1, MAX_WINDOW_US),
-    "t_max": _t_max,
-    "landmark": _one_of(LANDMARKS),
-    "polarity": _one_of(POLARITIES),
-    "transform": _one_of(TRANSFORMS),
-    "remove_flow": _flag,
-    "window_events": _window_events,
-    "representation": _one_of(REPRESENTATIONS),
-}
-"""Name -> check(name, value), which returns the value as it is kept."""
-
-_RELATIONS: tuple[tuple[Callable[[TNTConfig], bool], str, tuple[str, ...]], ...] = (
-    (
-        lambda c: not c.remove_flow or (c.landmark == "line" and c.transform == "tnt"),
-        '`remove_flow` needs landmark="line" and transform="tnt"',
-        ("landmark", "transform"),
-    ),
-    (
-        lambda c: c.bins == IMAGE_BINS.get(c.representation, c.bins),
-        f"`bins` of an image must be "
-        f"{', '.join(f'{n} ({name})' for name, n in IMAGE_BINS.items())}",
-        ("representation", "bins"),
-    ),
-    (
-        lambda c: (
-            c.representation not in TIME_IMAGES
-            or (c.transform == "none" and c.polarity != "signed")
-        ),
-        'an image of times needs transform="none" and polarity "split" or "unsigned"',
-        ("representation", "transform", "polarity"),
-    ),
-)
-"""What must hold, the rule in words, and the fields that the message shows."""

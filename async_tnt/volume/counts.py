@@ -16,16 +16,19 @@ class Counts:
     received: int = 0
     """Events in total."""
     kept: int = 0
-    """Added to the volume."""
+    """Events added to the volume."""
     dropped_outside: int = 0
-    """The transform moved it off the grid."""
+    """Events that the transform moved off the grid."""
     dropped_tau_zero: int = 0
-    """At the very start of its window, where TNT time is zero."""
+    """Events at the very start of their window, where TNT time is zero."""
     dropped_late: int = 0
-    """Older than all open windows and not `dropped_decided`, or late under late="drop"."""
+    """Events older than all open windows, and late events under late="drop"; without
+    `dropped_decided`."""
     dropped_decided: int = 0
-    """Late for a window that `confidence` had closed early, as it had all later ones before the
-    oldest open one."""
+    """Late events of a window that `confidence` had closed early. All windows between that one and
+    the oldest open one were closed early, too."""
 
     def __add__(self, other: Counts) -> Counts:
-        return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))
+        """The sum, count by count."""
+        sums = {name: value + getattr(other, name) for name, value in vars(self).items()}
+        return Counts(**sums)

@@ -10,22 +10,22 @@
                             or with .numpy()
     None, or an empty list, tuple or array: no events
 
-Times are integer microseconds, or NumPy's datetime64 and timedelta64; polarity is bool, 0/1 or
--1/+1. A field under two names, two columns of one name, and masked arrays are rejected. Plain
-arrays do not say what their columns are, see `event_columns`.
+Times are integer microseconds, or NumPy's datetime64 and timedelta64. Polarity is bool, 0/1 or
+-1/+1. A field under two names, two columns of one name, and masked arrays are rejected. A plain
+array does not say what its columns are, see `event_columns`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import permutations
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import one_line, refuse_mask, short
+from async_tnt.base.checks import ParameterValueError, one_line, refuse_mask, short
 
 NAMES = {
     "t": ("t", "ts", "timestamp"),
@@ -33,8 +33,11 @@ NAMES = {
     "y": ("y",),
     "p": ("p", "on", "polarity", "pol"),
 }
+"""Names that each field of an event may have."""
 UNMASKED = "`.compressed()` of each column, or `.data` to use every event"
+"""What to pass instead of a masked array."""
 MAX_INT64 = (1 << 63) - 1
+"""Largest number of an int64."""
 UNITS_AS = MappingProxyType(
     {
         "as": 1,
@@ -53,12 +56,14 @@ UNITS_AS = MappingProxyType(
 """NumPy's units of time, in attoseconds."""
 CALENDAR_DAYS = MappingProxyType({"M": 31, "Y": 366})
 """Days that NumPy's months and years have at most."""
-MAX_DEPTH = 4  # `.numpy()` may return events in another form, but not endlessly
+MAX_DEPTH = 4
+"""How often `.numpy()` or `.polarity_events` may return events in yet another form."""
 FORMS = (
     "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a dict or table of "
-    "such columns, a tuple "
-    "of four columns (t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
+    "such columns, a tuple of four columns (t, x, y, p), or an object with .t .x .y .p, "
+    ".polarity_events or .numpy()"
 )
+"""The accepted forms, for messages."""
 
 Four = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -74,36 +79,46 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
         return None
     if isinstance(events, (np.ndarray, np.void)):
         return _columns_of_array(events)
-    if (names := _names_in(events)) is not None:
-        what = f"a {type(events).__name__} with columns {', '.join(map(str, names))}"
-        t, x, y, p = (_as_column(field, events[the_name(field, names, what)]) for field in NAMES)
-        return t, x, y, p
-    by_name = hasattr(events, "x") and hasattr(events, "y")
+    kind = type(events).__name__
+
+    names = _names_in(events)
+    if names is not None:
+        what = f"a {kind} with columns {', '.join(map(str, names))}"
+        return _columns_by_name(names, what, events.__getitem__)
+
+    has_names = hasattr(events, "x") and hasattr(events, "y")
     if isinstance(events, (tuple, list)):
         if len(events) == 0:
             return None
         _check_four(events)
-        if not by_name:  # a named tuple names its columns
-            t, x, y, p = (
-                _as_column(field, column) for field, column in zip(NAMES, events, strict=True)
-            )
-            return t, x, y, p
+        # a named tuple is an object with names, below
+        if not has_names:
+            t, x, y, p = events
+            return _as_column("t", t), _as_column("x", x), _as_column("y", y), _as_column("p", p)
+
     if depth < MAX_DEPTH and hasattr(events, "polarity_events"):
         return named_columns(events.polarity_events, depth + 1)
-    if by_name:
+    if has_names:
         have = [name for names in NAMES.values() for name in names if hasattr(events, name)]
-        what = f"a {type(events).__name__} with attributes {', '.join(have)}"
-        t, x, y, p = (
-            _as_column(field, getattr(events, the_name(field, have, what))) for field in NAMES
-        )
-        return t, x, y, p
+        what = f"a {kind} with attributes {', '.join(have)}"
+        return _columns_by_name(have, what, lambda name: getattr(events, name))
     if depth < MAX_DEPTH and callable(getattr(events, "numpy", None)):
         try:
             array = events.numpy()
         except RuntimeError as error:  # torch: a tensor that requires grad
-            raise TypeError(f"{type(events).__name__}.numpy() failed: {one_line(error)}") from error
+            raise TypeError(f"{kind}.numpy() failed: {one_line(error)}") from error
         return named_columns(array, depth + 1)
-    raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
+    raise TypeError(f"events must be {FORMS}; got {kind}")
+
+
+def _columns_by_name(names: Collection[str], what: str, get: Callable[[str], Any]) -> Four:
+    """The columns that `get` returns for the names of t, x, y and p among `names`."""
+    return (
+        _as_column("t", get(the_name("t", names, what))),
+        _as_column("x", get(the_name("x", names, what))),
+        _as_column("y", get(the_name("y", names, what))),
+        _as_column("p", get(the_name("p", names, what))),
+    )
 
 
 def event_columns(table: Any, order: str) -> Four:
@@ -111,14 +126,14 @@ def event_columns(table: Any, order: str) -> Four:
 
     Parameters
     ----------
-    table : array or tensor of shape (N, 4), of integers or of floats that are whole numbers.
+    table : array or tensor of shape (N, 4): integers, or floats that are whole numbers.
     order : what its columns are, such as "txyp" or "xytp".
 
     Raises
     ------
     ValueError : another shape or `order`; columns that look like another order, which the message
         names; floats of 2**24 (float32) or 2**53 (float64) and more, which may have been rounded.
-        All else is checked by a push.
+        A push checks everything else.
 
     Examples
     --------
@@ -129,108 +144,124 @@ def event_columns(table: Any, order: str) -> Four:
     array = np.asarray(table)
     check_order("order", order)
     if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iufb":
-        raise ValueError(
-            f"`table` must be numbers in shape (N, 4), got {array.dtype} in shape {array.shape}"
-        )
-    if (likely := likely_order(array, order)) != order:
+        got = f"{array.dtype} in shape {array.shape}"
+        raise ParameterValueError("table", "must be numbers in shape (N, 4)", got)
+    likely = likely_order(array, order)
+    if likely != order:
         raise ValueError(f"the columns are not {order!r}; they look like {likely!r}")
     columns = dict(zip(order, array.T, strict=True))
-    for field, column in columns.items():
-        if column.dtype.kind == "f":
-            # from here on floats may have been rounded
-            exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)
-            fits = (np.rint(column) == column) & (np.abs(column) < exact)
-            if not fits.all():  # not a number, too
-                i = int(np.argmin(fits))
-                raise ValueError(
-                    f"`{field}` must be whole numbers, as {column.dtype} below {exact}, got "
-                    f"{column[i]} in row {i}; "
-                    "times are microseconds"
-                )
-            columns[field] = column.astype(np.int64)
-    return columns["t"], columns["x"], columns["y"], columns["p"]
+    return (
+        _whole_numbers("t", columns["t"]),
+        _whole_numbers("x", columns["x"]),
+        _whole_numbers("y", columns["y"]),
+        _whole_numbers("p", columns["p"]),
+    )
+
+
+def _whole_numbers(field: str, column: np.ndarray) -> np.ndarray:
+    """A column of floats as int64; other columns unchanged."""
+    if column.dtype.kind != "f":
+        return column
+    # from this number on, floats may have been rounded
+    exact = 2 ** min(63, np.finfo(column.dtype).nmant + 1)
+    fits = (np.rint(column) == column) & (np.abs(column) < exact)
+    if not fits.all():  # nan fits neither
+        i = int(np.argmin(fits))
+        raise ValueError(
+            f"`{field}` must be whole numbers, as {column.dtype} below {exact}, got "
+            f"{column[i]} in row {i}; times are microseconds"
+        )
+    return column.astype(np.int64)
 
 
 def check_order(name: str, order: Any) -> None:
-    """A ValueError that names the parameter, if `order` does not have each of the letters t, x, y
-    and p once."""
+    """Raise a ParameterValueError unless `order` has each of the letters t, x, y and p once.
+
+    name : name of the parameter.
+    """
     if not isinstance(order, str) or sorted(order) != sorted("txyp"):
-        raise ValueError(
-            f"`{name}` must have the letters t, x, y and p, each once, got {short(order)}"
-        )
+        rule = "must have the letters t, x, y and p, each once"
+        raise ParameterValueError(name, rule, short(order))
 
 
 def likely_order(table: np.ndarray, order: str) -> str:
-    """The order of a table's columns: `order`, unless nothing speaks for it and all for another
-    one.
+    """The likely order of a table's columns.
+
+    It is `order`, unless no sign speaks for that and both signs speak for another one.
 
     Parameters
     ----------
     table : numbers in shape (N, 4).
     order : what its columns are thought to be, such as "txyp".
     """
-    if any(_signs(dict(zip(order, table.T, strict=True)))):
+    if any(_signs(table, order)):
         return order
-    for letters in permutations("txyp"):  # x and y cannot be told apart: x comes first
+    for letters in permutations("txyp"):
         other = "".join(letters)
-        if other.index("x") < other.index("y") and all(
-            _signs(dict(zip(other, table.T, strict=True)))
-        ):
+        # x and y cannot be told apart: x is taken to come first
+        x_is_first = other.index("x") < other.index("y")
+        if x_is_first and all(_signs(table, other)):
             return other
     return order
 
 
-def _signs(columns: Mapping[str, np.ndarray]) -> tuple[bool, bool]:
-    """Two signs that columns are what they are called: polarity has its values, and times increase;
-    or it has them, and times are the largest numbers."""
+def _signs(table: np.ndarray, order: str) -> tuple[bool, bool]:
+    """Two signs that the columns of a table have this order: times increase; times are the largest.
+
+    Both are False if the polarity has other values than -1, 0 and 1.
+    """
+    columns = dict(zip(order, table.T, strict=True))
     if not np.isin(columns["p"], (-1, 0, 1)).all():
         return False, False
     t = columns["t"]
-    largest = max((column.max(initial=0) for column in columns.values()), default=0)
-    return bool((t[1:] >= t[:-1]).all()), bool(t.max(initial=0) == largest)
+    increase = (t[1:] >= t[:-1]).all()
+    largest = max(column.max(initial=0) for column in columns.values())
+    return bool(increase), bool(t.max(initial=0) == largest)
 
 
 def _names_in(events: Any) -> Sequence[str] | None:
-    """The columns' names of a mapping or a table; None of anything else."""
+    """The names of the columns of a mapping or a table; None for anything else."""
     if isinstance(events, Mapping):
         return list(events)
     names = getattr(events, "column_names", None)  # pyarrow
     if names is None:
         names = getattr(events, "columns", None)  # pandas, polars
-    if names is None or not hasattr(events, "__getitem__"):
+    if names is None or not hasattr(names, "__iter__") or not hasattr(events, "__getitem__"):
         return None
-    return [name for name in names if isinstance(name, str)] if hasattr(names, "__iter__") else None
+    return [name for name in names if isinstance(name, str)]
 
 
 def _columns_of_array(events: np.ndarray | np.void) -> Four | None:
+    """The four columns of a structured array, or of one of its records; None for no events."""
     refuse_mask("events", events, UNMASKED)
     names = events.dtype.names
     if names is None:
         if isinstance(events, np.ndarray) and events.size == 0:
             return None
-        order = (
-            "; async_tnt.event_columns(array, order) says what its columns are"
-            if events.shape[1:] == (4,)
-            else ""
-        )
+        hint = ""
+        if events.shape[1:] == (4,):
+            hint = "; async_tnt.event_columns(array, order) says what its columns are"
         raise TypeError(
-            f"events must be {FORMS}; got a plain array of shape {np.shape(events)}{order}"
+            f"events must be {FORMS}; got a plain array of shape {np.shape(events)}{hint}"
         )
     what = f"a structured array with fields {', '.join(names)}"
-    t, x, y, p = (np.atleast_1d(events[the_name(field, names, what)]) for field in NAMES)
+    t = np.atleast_1d(events[the_name("t", names, what)])
+    x = np.atleast_1d(events[the_name("x", names, what)])
+    y = np.atleast_1d(events[the_name("y", names, what)])
+    p = np.atleast_1d(events[the_name("p", names, what)])
     return _microseconds(t), x, y, p
 
 
 def _check_four(events: tuple[Any, ...] | list[Any]) -> None:
     """Refuse a list of single events, and anything but four columns."""
-    is_event = isinstance(events[0], (dict, np.void)) or (
-        isinstance(events[0], tuple) and len(events) != 4
-    )
+    first = events[0]
+    is_event = isinstance(first, (dict, np.void))
+    if isinstance(first, tuple) and len(events) != 4:
+        is_event = True
     if isinstance(events, list) and is_event:
         raise TypeError(
-            f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: "
-            "pass it to "
-            "`stream`, event by event, or push four columns (t, x, y, p)"
+            f"a list of single events ({type(first).__name__} at event 0) is not a packet: "
+            "pass it to `stream`, event by event, or push four columns (t, x, y, p)"
         )
     if len(events) != 4:
         raise ValueError(
@@ -239,6 +270,7 @@ def _check_four(events: tuple[Any, ...] | list[Any]) -> None:
 
 
 def _as_column(field: str, values: Any) -> np.ndarray:
+    """The values of one field as an array; times with a unit as microseconds."""
     refuse_mask(field, values, UNMASKED)
     try:
         column = np.atleast_1d(np.asarray(values))
@@ -248,34 +280,39 @@ def _as_column(field: str, values: Any) -> np.ndarray:
         ) from error
     if column.size == 0:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
-    if (
-        column.dtype.kind == "f"
-        and isinstance(values, (list, tuple))
-        and all(type(v) is int for v in values)
-    ):
-        # some beyond int64: NumPy made floats of them, `_check_type` names them
+    # NumPy makes floats of Python integers if one is beyond int64. As objects they keep their
+    # values: the decoder names the one that does not fit.
+    may_be_integers = column.dtype.kind == "f" and isinstance(values, (list, tuple))
+    if may_be_integers and all(type(value) is int for value in values):
         return np.array(values, object)
     return _microseconds(column) if field == "t" else column
 
 
 def _microseconds(t: np.ndarray) -> np.ndarray:
-    """Dates and durations with a unit as whole microseconds, rounded down; others as they are.
+    """Dates and durations with a unit as whole microseconds, rounded down; others unchanged.
 
     NumPy's own conversion would wrap around silently where microseconds do not fit into int64.
     """
-    if t.dtype.kind not in "mM" or np.datetime_data(t.dtype)[0] == "generic":
+    if t.dtype.kind not in "mM":
+        return t
+    unit, multiple = np.datetime_data(t.dtype)
+    if unit == "generic":
         return t
     if np.isnat(t).any():
         raise ValueError(f"`t` must be a time, got NaT at event {int(np.argmax(np.isnat(t)))}")
-    unit, multiple = np.datetime_data(t.dtype)
     in_calendar = unit in CALENDAR_DAYS
     if in_calendar and t.dtype.kind == "m":
         raise ValueError(
             f"`t` must be durations of a fixed length, got {t.dtype}; convert them to microseconds"
         )
-    length = multiple * (CALENDAR_DAYS[unit] * UNITS_AS["D"] if in_calendar else UNITS_AS[unit])
-    factor = length // math.gcd(length, UNITS_AS["us"])
-    divisor = UNITS_AS["us"] // math.gcd(length, UNITS_AS["us"])
+
+    # microseconds = count * factor / divisor, for dates in months and years at most
+    unit_as = CALENDAR_DAYS[unit] * UNITS_AS["D"] if in_calendar else UNITS_AS[unit]
+    step_as = multiple * unit_as
+    common = math.gcd(step_as, UNITS_AS["us"])
+    factor = step_as // common
+    divisor = UNITS_AS["us"] // common
+
     count = t.astype(np.int64)
     beyond = np.abs(count) > min(MAX_INT64, MAX_INT64 * divisor // factor)
     if beyond.any():
@@ -284,13 +321,15 @@ def _microseconds(t: np.ndarray) -> np.ndarray:
         raise ValueError(
             f"`t` must be in [0, 2**62) microseconds, got {count[i]} {step} at event {i}"
         )
+
     if in_calendar:
         return t.astype("M8[us]").astype(np.int64)
     if factor == 1:
         return count // divisor
     if divisor == 1:
         return count * factor
-    exact = [value * factor // divisor for value in count.tolist()]  # such as of units of 1500 ns
+    # units such as 1500 ns: the product may not fit into int64, Python's integers have no end
+    exact = [value * factor // divisor for value in count.tolist()]
     return np.array(exact, np.int64)
 
 
@@ -299,16 +338,15 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
 
     Raises
     ------
-    ValueError : there is none, or there are several.
+    ValueError : no name or several names mean it. `what` describes the events for the message.
     """
     found = [name for name in have if name in NAMES[field]]
+    if not found:
+        raise ValueError(
+            f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}"
+        )
     if len(found) == 1:
         return found[0]
-    if found:
-        got = " and ".join(found) if len(set(found)) > 1 else f"{found[0]} {len(found)} times"
-        raise ValueError(
-            f"events need one field `{field}`, got {got} in {what}; leave out all but one"
-        )
-    raise ValueError(
-        f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}"
-    )
+    has_one_name = len(set(found)) == 1
+    got = f"{found[0]} {len(found)} times" if has_one_name else " and ".join(found)
+    raise ValueError(f"events need one field `{field}`, got {got} in {what}; leave out all but one")

@@ -1,8 +1,8 @@
 """Decoding: events in any accepted form become four checked, contiguous columns.
 
-Nothing is checked again after this. Numba compiles separately for read-only, strided and unaligned
-arrays and never checks bounds, so packets are brought into one form here, once, and rejected here
-if they are invalid.
+Numba compiles separately for read-only, strided and unaligned arrays, and compiled code does not
+check bounds. So every packet is brought into one form here, once, and refused here if it is
+invalid. Nothing is checked again after this.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numba import NumbaError
 
-from async_tnt.base.checks import short
+from async_tnt.base.checks import ParameterValueError, short
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.volume.records import (
     BAD,
@@ -28,12 +28,14 @@ from async_tnt.kernels.volume.records import (
 from async_tnt.volume.event_forms import NAMES, named_columns
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-"""How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0
-= OFF."""
+"""How this package writes events: t in microseconds; x, y in pixels from the top left; p is 1 for
+ON, 0 for OFF."""
 ANY_SENSOR = (1 << 16, 1 << 16)
-"""Every pixel that uint16 can hold."""
+"""A sensor with every pixel that uint16 can hold."""
 
 LARGER_CAMERA = "; `PixelFilter` cuts a part out of a larger camera's image"
+"""The end of a message about an event beyond the sensor."""
+
 Late = Literal["accept", "drop", "raise"]
 LATE_POLICIES = get_args(Late)
 
@@ -51,19 +53,26 @@ class Columns(NamedTuple):
     n: int
 
 
+_T = np.dtype(np.int64)
+_XY = np.dtype(np.uint16)
+_P = np.dtype(np.uint8)
+
+
 def empty_columns(n: int) -> Columns:
-    """Room for n events, none of them set."""
-    t, x, y, p = (np.empty(n, dtype) for dtype in _DTYPES)
-    return Columns(t, x, y, p, 0)
+    """Room for `n` events; none of them is valid yet."""
+    return Columns(np.empty(n, _T), np.empty(n, _XY), np.empty(n, _XY), np.empty(n, _P), 0)
 
 
-_T, _XY, _P = map(np.dtype, (np.int64, np.uint16, np.uint8))
-_DTYPES = (_T, _XY, _XY, _P)
+# a module's name is found faster than an attribute of NumPy
 _ARRAY = np.ndarray
 # no other subclass: compiled code would not see a mask
 _RECORDS = (np.ndarray, np.memmap, np.recarray)
 _NO_EVENTS = empty_columns(0)
-_new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
+# what Columns(...) does, without a call of Python code
+_new_tuple = tuple.__new__
+
+FIRST_CAPACITY = 1024
+"""Events that a decoder has room for, until it gets a larger packet."""
 
 
 class EventDecoder:
@@ -71,27 +80,34 @@ class EventDecoder:
 
     Parameters
     ----------
-    sensor : (width, height) in pixels, 2**15 at most.
+    sensor : (width, height) in pixels, at most 2**15 each.
     late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or
         `raise`.
-    advice : ends the message about an event beyond the sensor.
+    advice : the end of the message about an event beyond the sensor.
 
     Attributes
     ----------
     first_us : time of the first event of the packet that was decoded last; MAX_TIME_US if it had
         none.
-    newest_us, n_dropped : the newest time, and how many events were dropped, under another policy
-        than `accept`.
+    newest_us : the newest time so far, where `late` is not `accept`.
+    n_dropped : how many late events were dropped.
     """
+
+    KERNELS = (load_records, check_columns)
+    LATE_KERNELS = (find_late,)
+    """Called where `late` is not `accept`."""
 
     def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
         if late not in LATE_POLICIES:
-            raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {short(late)}")
+            rule = f"must be one of {', '.join(LATE_POLICIES)}"
+            raise ParameterValueError("late", rule, short(late))
         _compile()
         self.sensor = sensor
-        self.late, self._advice = late, advice
+        self.late: Late = late
+        self._advice = advice
         self.reset()
-        self._scratch = empty_columns(1024)
+        self._scratch = empty_columns(FIRST_CAPACITY)
+        # the type of the last records, its names, and its layout as `load_records` reads it
         self._dtype: np.dtype | None = None
         self._names: tuple[str, ...] | None = None
         self._layout: np.ndarray | None = None
@@ -111,8 +127,8 @@ class EventDecoder:
 
         Parameters
         ----------
-        events : in any accepted form.
-        apply_policy : treat late events as `late` says; else leave that to `apply_policy`.
+        events : a packet in any accepted form.
+        apply_policy : treat late events as `late` says; False: leave that to `apply_policy`.
 
         Returns
         -------
@@ -121,7 +137,7 @@ class EventDecoder:
         Raises
         ------
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and
-            event. Then none of its events are used.
+            event. None of its events are used then.
         """
         columns = None
         if type(events) is tuple:
@@ -131,7 +147,9 @@ class EventDecoder:
         if columns is None:
             columns = _decode_any(events, self.sensor, self._advice)
             self.first_us = int(columns.t[0]) if columns.n else MAX_TIME_US
-        return self.apply_policy(columns) if apply_policy and self.late != "accept" else columns
+        if apply_policy and self.late != "accept":
+            return self.apply_policy(columns)
+        return columns
 
     def decode_one(self, t: int, x: int, y: int, p: int, apply_policy: bool = True) -> Columns:
         """`decode` for one event; quick for Python integers."""
@@ -150,7 +168,10 @@ class EventDecoder:
         if not valid or (apply_policy and self.late != "accept"):
             return self.decode(([t], [x], [y], [p]), apply_policy)
         column_t, column_x, column_y, column_p, _ = self._scratch
-        column_t[0], column_x[0], column_y[0], column_p[0] = t, x, y, p > 0
+        column_t[0] = t
+        column_x[0] = x
+        column_y[0] = y
+        column_p[0] = p > 0
         self.first_us = t
         return _new_tuple(Columns, (column_t, column_x, column_y, column_p, 1))
 
@@ -159,16 +180,17 @@ class EventDecoder:
         dtype = events.dtype
         # fields can be renamed in place
         if dtype is not self._dtype or dtype.names is not self._names:
-            self._dtype, self._names = dtype, dtype.names
+            self._dtype = dtype
+            self._names = dtype.names
             self._layout = _record_layout(dtype)
         if self._layout is None or events.ndim == 0:
             return None
         n = len(events)
-        if n == 0 and events.ndim == 1:
+        if n == 0:
+            if events.ndim != 1:
+                return None
             self.first_us = MAX_TIME_US
             return _NO_EVENTS
-        if n == 0:
-            return None
         if n > len(self._scratch.t):
             self._scratch = empty_columns(2 * n)
         t, x, y, p, _ = self._scratch
@@ -190,8 +212,8 @@ class EventDecoder:
         t, x, y, p = events
         if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
-        # all four: Numba's dispatch should refuse the other byte order, but once took an empty
-        # column of it
+        # All four are compared here: Numba's dispatch should refuse the other byte order, but once
+        # it took an empty column of it.
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
             return None
         width, height = self.sensor
@@ -205,8 +227,12 @@ class EventDecoder:
         return _new_tuple(Columns, (t, x, y, p, len(t)))
 
     def apply_policy(self, columns: Columns) -> Columns:
-        """Checked columns without late events, which are counted; with `raise`, a ValueError at the
-        first one."""
+        """Checked columns without their late events, which are counted.
+
+        Raises
+        ------
+        ValueError : an event is late, and `late` is "raise".
+        """
         if not columns.n or self.late == "accept":
             return columns
         t = columns.t[: columns.n]
@@ -224,8 +250,11 @@ class EventDecoder:
         self.n_dropped += n_late
         if not n_late:
             return columns
-        t, x, y, p = (column[: columns.n][~late] for column in columns[:4])
-        return Columns(t, x, y, p, t.size)
+        kept = ~late
+        n = columns.n
+        return Columns(
+            t[kept], columns.x[:n][kept], columns.y[:n][kept], columns.p[:n][kept], n - n_late
+        )
 
 
 def _compile() -> None:
@@ -235,16 +264,29 @@ def _compile() -> None:
 
 
 def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
+    """Any accepted form of events as checked columns."""
     columns = named_columns(events)
-    return _NO_EVENTS if columns is None else checked_columns(*columns, sensor, advice)
+    if columns is None:
+        return _NO_EVENTS
+    return checked_columns(*columns, sensor, advice)
 
 
 def checked_columns(
     t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = ""
 ) -> Columns:
-    """Four columns of any integer type as `Columns`, or an error that names the first invalid
-    event."""
-    columns = dict(zip(NAMES, map(np.asarray, (t, x, y, p)), strict=True))
+    """Four columns of any integer type as `Columns`.
+
+    Parameters
+    ----------
+    t, x, y, p : columns, as arrays or what NumPy makes arrays of.
+    sensor : (width, height) in pixels.
+    advice : the end of the message about an event beyond the sensor.
+
+    Raises
+    ------
+    ValueError, TypeError : a column is invalid; the message names the first invalid event.
+    """
+    columns = {"t": np.asarray(t), "x": np.asarray(x), "y": np.asarray(y), "p": np.asarray(p)}
     for field, column in columns.items():
         if column.ndim != 1:
             raise ValueError(f"`{field}` must have one dimension, got shape {column.shape}")
@@ -254,23 +296,25 @@ def checked_columns(
         raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}")
     if sizes[0] == 0:
         return _NO_EVENTS
+
+    width, height = sensor
     _check_range("t", columns["t"], MAX_TIME_US, "2**62) microseconds")
-    for field, side in zip("xy", sensor, strict=True):
-        _check_range(field, columns[field], side, f"{side})", advice)
-    polarity = columns["p"]
-    off = polarity == 0
-    allowed = off | (polarity == 1)
-    if polarity.dtype.kind == "i" and not off.any():
-        allowed |= polarity == -1
-    if not allowed.all():
-        i = int(np.argmin(allowed))
-        mixed = " beside 0 in the same packet" if polarity[i] == -1 else ""
-        raise ValueError(f"`p` must be 0 or 1, or -1 or +1, got {polarity[i]}{mixed} at event {i}")
-    columns["p"] = polarity == 1
-    # C-contiguous, aligned and writeable (what is not is copied): one compiled version
-    typed = zip(columns.values(), _DTYPES, strict=True)
-    t, x, y, p = (np.require(column, dtype, ["C", "A", "W"]) for column, dtype in typed)
-    return Columns(t, x, y, p, t.size)
+    _check_range("x", columns["x"], width, f"{width})", advice)
+    _check_range("y", columns["y"], height, f"{height})", advice)
+    _check_polarity(columns["p"])
+
+    return Columns(
+        _compiled_form(columns["t"], _T),
+        _compiled_form(columns["x"], _XY),
+        _compiled_form(columns["y"], _XY),
+        _compiled_form(columns["p"] == 1, _P),
+        sizes[0],
+    )
+
+
+def _compiled_form(column: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """A column in the one form that kernels are compiled for; copied if it has another one."""
+    return np.require(column, dtype, ["C_CONTIGUOUS", "ALIGNED", "WRITEABLE"])
 
 
 def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
@@ -282,8 +326,10 @@ def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
 def structured(
     columns: Sequence[np.ndarray], n: int | None = None, dtype: np.dtype = EVENT_DTYPE
 ) -> np.ndarray:
-    """The first `n` events of columns t, x, y, p, by default all, as a new structured array;
-    nothing is checked."""
+    """A new structured array of the columns t, x, y, p. Nothing is checked.
+
+    n : how many events, from the first one on; by default all.
+    """
     events = np.empty(len(columns[0]) if n is None else n, dtype)
     for name, column in zip("txyp", columns, strict=True):
         events[name] = column[:n]
@@ -291,9 +337,12 @@ def structured(
 
 
 def _check_type(field: str, column: np.ndarray) -> None:
+    """Refuse a column that does not hold whole numbers."""
     kind = column.dtype.kind
     if kind in ("iub" if field == "p" else "iu"):
         return
+
+    # a value that is at fault is named before the type of the column
     if kind == "f" and not np.isfinite(column).all():
         i = int(np.argmin(np.isfinite(column)))
         raise ValueError(f"`{field}` must be a whole number, got {column[i]} at event {i}")
@@ -301,10 +350,13 @@ def _check_type(field: str, column: np.ndarray) -> None:
         for i, value in enumerate(column):
             if type(value) is int and not -(1 << 63) <= value < 1 << 63:
                 raise ValueError(f"`{field}` must fit in int64, got {short(value)} at event {i}")
+
     got = str(column.dtype)
     if column.size:
         value = column[0]
-        got += f" ({str(value)[:40] if isinstance(value, (str, np.generic)) else type(value).__name__} at event 0)"
+        is_printed = isinstance(value, (str, np.generic))
+        shown = str(value)[:40] if is_printed else type(value).__name__
+        got += f" ({shown} at event 0)"
     if field == "t" and kind in "fmM":
         raise TypeError(
             f"`t` must be integer microseconds, got {got}; its unit is unknown: "
@@ -313,21 +365,45 @@ def _check_type(field: str, column: np.ndarray) -> None:
     raise TypeError(f"`{field}` must be whole numbers, got {got}")
 
 
-def _check_range(field: str, column: np.ndarray, end: int, rule: str, advice: str = "") -> None:
+def _check_range(
+    field: str, column: np.ndarray, end: int, written_end: str, advice: str = ""
+) -> None:
+    """Refuse numbers outside of [0, end).
+
+    written_end : the end of the interval and its unit, for the message.
+    advice : the end of the message about a number at or above `end`.
+    """
     bad = column >= end
     if column.dtype.kind == "i":
         bad |= column < 0
-    if bad.any():
-        i = int(np.argmax(bad))
-        advice = advice if column[i] >= end else ""
-        raise ValueError(f"`{field}` must be in [0, {rule}, got {column[i]} at event {i}{advice}")
+    if not bad.any():
+        return
+    i = int(np.argmax(bad))
+    hint = advice if column[i] >= end else ""
+    raise ValueError(f"`{field}` must be in [0, {written_end}, got {column[i]} at event {i}{hint}")
+
+
+def _check_polarity(polarity: np.ndarray) -> None:
+    """Refuse other values than 0 and 1, or -1 and +1, in one packet."""
+    is_off = polarity == 0
+    allowed = is_off | (polarity == 1)
+    if polarity.dtype.kind == "i" and not is_off.any():
+        allowed |= polarity == -1
+    if allowed.all():
+        return
+    i = int(np.argmin(allowed))
+    mixed = " beside 0 in the same packet" if polarity[i] == -1 else ""
+    raise ValueError(f"`p` must be 0 or 1, or -1 or +1, got {polarity[i]}{mixed} at event {i}")
 
 
 def _record_layout(dtype: np.dtype) -> np.ndarray | None:
-    """Offsets and kinds for `load_records`; None for records it cannot read."""
+    """Offsets and kinds of t, x, y and p, and the size of a record, for `load_records`.
+
+    None for records that it cannot read.
+    """
     if dtype.names is None or dtype.fields is None:
         return None
-    layout = []
+    layout: list[int] = []
     for field, names in NAMES.items():
         found = [name for name in names if name in dtype.names]
         if len(found) != 1:

@@ -1,11 +1,10 @@
-"""A camera's sensor, (width, height) in pixels: checked, compared with the one that is expected,
-and in messages."""
+"""The size of a camera's sensor, (width, height) in pixels: checks, and text for messages."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from async_tnt.base.checks import is_whole, short
+from async_tnt.base.checks import ParameterValueError, is_whole, short
 from async_tnt.volume.config import MAX_SIDE
 
 Sensor = tuple[int, int]
@@ -17,20 +16,24 @@ def format_size(size: Sensor) -> str:
 
 
 def checked_sensor(sensor: Any) -> Sensor:
-    """(width, height) as two Python integers.
+    """The parameter `sensor`, (width, height), as two Python integers.
 
     Raises
     ------
-    ValueError : not two whole numbers in [1, 2**15].
+    ParameterValueError : not two whole numbers in [1, 2**15].
     """
+    not_a_pair = ParameterValueError(
+        "sensor", "must be (width, height) in whole pixels", short(sensor)
+    )
     try:
         width, height = sensor
     except (TypeError, ValueError):
-        width = height = None
+        raise not_a_pair from None
     if not (is_whole(width) and is_whole(height)):
-        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {short(sensor)}")
+        raise not_a_pair
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ValueError(f"`sensor` must have sides in [1, {MAX_SIDE}] pixels, got {short(sensor)}")
+        rule = f"must have sides in [1, {MAX_SIDE}] pixels"
+        raise ParameterValueError("sensor", rule, short(sensor))
     return int(width), int(height)
 
 
@@ -45,12 +48,19 @@ def check_sensor(
 
     Parameters
     ----------
-    name : of the source, for messages.
-    found, wanted : (width, height); None: it states none, and any is wanted.
-    origin : where `wanted` comes from, and `advice`: what to do about another one, for messages.
+    name : name of the source, for the message.
+    found : (width, height) of the source; None: it states no sensor.
+    wanted : (width, height) that it should have; None: any.
+    origin : where `wanted` comes from, for the message.
+    advice : what to do about another sensor, for the message.
+
+    Raises
+    ------
+    ValueError : both are known, and differ.
     """
-    if found is not None and wanted is not None and tuple(found) != wanted:
-        raise ValueError(
-            f"{name}: a sensor of {format_size(found)} pixels, but {origin} "
-            f"{format_size(wanted)}{advice}"
-        )
+    if found is None or wanted is None or tuple(found) == wanted:
+        return
+    raise ValueError(
+        f"{name}: a sensor of {format_size(found)} pixels, but {origin} "
+        f"{format_size(wanted)}{advice}"
+    )

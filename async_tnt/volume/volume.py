@@ -14,34 +14,41 @@ from async_tnt.kernels.volume.readout import cells_to_float32, empty_volume
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
 from async_tnt.volume.events import LARGER_CAMERA, Columns, EventDecoder, Late
-from async_tnt.volume.state import Regressor, ReplayBuffer, check_regressor, new_state, next_epoch
+from async_tnt.volume.regressor import Regressor, check_regressor
+from async_tnt.volume.replay import ReplayBuffer
+from async_tnt.volume.state import new_state, next_epoch
 
-UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or after it
+UNOPENED = -1
+"""LIMIT_US while no window is open: every time is at or after it."""
+COUNTED = (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED)
+"""Slots of the buffer that count events since the volume was made."""
 
 
 class TNTVolume:
     """The event volume of one open window, up to date after every event.
 
     Windows lie end to end, from the start given to `open` or else from the first event. An event at
-    or after the window's end closes it; the volume then holds the window of that event. (To see
-    every closed window, use `Processor`.) A window of `window_events` is closed by the event after
-    its last, with which the next one begins.
+    or after the window's end closes the window; the volume then holds the window of that event. (To
+    see every closed window, use `Processor`.) A window of `window_events` is closed by the event
+    after its last one, and the next window begins with that event.
 
     Parameters
     ----------
     config : TNTConfig.
     late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen.
         Events before the open window are always dropped and counted.
-    regressor : for landmark `regressor` only: any callable from the window's raw volume (without
-        the transform: float32, shape (C, H, W), read-only, valid during the call) to a finite
-        landmark (x, y) in grid pixels. A model's own is `CompiledRegressor(model)`. It is called
-        when `array`, `landmark` or `counts` is read after new events, and when a window closes. Its
-        errors pass through, and leave the window as it was.
+    regressor : for landmark `regressor` only: a callable from the window's raw volume to a finite
+        landmark (x, y) in grid pixels. A raw volume is made without the transform: float32, shape
+        (C, H, W), read-only, valid during the call. A model's own regressor is
+        `CompiledRegressor(model)`. It is called when `array`, `landmark` or `counts` is read after
+        new events, and when a window closes. Its errors pass through, and leave the window as it
+        was.
 
     Raises
     ------
     ValueError, TypeError : an invalid setting; a regressor for another landmark than `regressor`,
-        or none for it. When the volume is read: the regressor's answer is not a finite (x, y).
+        or no regressor for that landmark. When the volume is read: the regressor's answer is not a
+        finite (x, y).
 
     Examples
     --------
@@ -52,6 +59,10 @@ class TNTVolume:
     >>> float(volume.array[1, 17, 16]), volume.landmark
     (1.0, (16.5, 16.5))
     """
+
+    KERNELS = (empty_volume, absorb, absorb_one)
+    ARRAY_KERNELS = (cells_to_float32,)
+    """Called when `array` is read."""
 
     def __init__(
         self, config: TNTConfig, *, late: Late = "accept", regressor: Regressor | None = None
@@ -65,7 +76,7 @@ class TNTVolume:
         self._view = _read_only(self._array)
         self._running = Running("TNTVolume")
         self._replay = ReplayBuffer(config, regressor) if config.needs_replay else None
-        # one event may go straight to the kernel
+        # whether a single event may go straight to the kernel
         self._is_plain = late == "accept" and self._replay is None
         self.reset()
 
@@ -76,11 +87,11 @@ class TNTVolume:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        # views of the copied buffer, not copies of the views
+        # views of the copied memory, not copies of the views
         self._ints = self._buffer.view(np.int64)
-        # from now on it differs from the volume that it was copied from
-        self._ints[S.EPOCH] = next_epoch()
         self._view = _read_only(self._array)
+        # from now on this volume differs from the one that it was copied from
+        self._ints[S.EPOCH] = next_epoch()
 
     def __copy__(self) -> TNTVolume:
         return copy.deepcopy(self)
@@ -92,28 +103,26 @@ class TNTVolume:
 
     @one_at_a_time
     def open(self, start_us: int) -> None:
-        """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to
-        end.
+        """Open the empty window `[start_us, start_us + window_us)`; later windows follow it.
 
-        `start_us` is in microseconds.
+        start_us : the window's start, in microseconds.
         """
         start_us = checked_time("start_us", start_us)
         self._empty(start_us, start_us + self.config.window_us)
 
     @one_at_a_time
     def close(self) -> None:
-        """Close the open window: the volume is empty until an event, or `open`, opens the next
-        one."""
+        """Close the open window. The volume is empty until an event, or `open`, opens the next."""
         self._empty(0, UNOPENED)
 
     def set_limit(self, limit_us: int) -> None:
-        """Make `absorb` stop before events at or after `limit_us`, or at the window's end if that
-        comes first."""
+        """Make `absorb` stop before events at or after `limit_us`; it always stops at the window's
+        end."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
     def set_decided_from(self, start_us: int) -> None:
-        """Count late events at or after `start_us` as `dropped_decided`, for as long as the open
-        window is open."""
+        """Count late events at or after `start_us` as `dropped_decided` while this window is
+        open."""
         self._ints[S.DECIDED_FROM_US] = start_us
 
     def _empty(self, start_us: int, limit_us: int) -> None:
@@ -124,11 +133,13 @@ class TNTVolume:
     def update(self, events: Any) -> int:
         """Add a packet of `events`, in any form that `async_tnt.volume.event_forms` lists.
 
-        Returns how many windows the packet closed, not counting those without events.
+        Returns
+        -------
+        int : how many windows with events the packet closed.
 
         Raises
         ------
-        ValueError, TypeError : the packet is invalid. None of it is added then.
+        ValueError, TypeError : the packet is invalid. None of its events is added then.
         """
         self._running.begin()
         try:
@@ -148,7 +159,8 @@ class TNTVolume:
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
         -1/+1."""
-        try:  # as `absorb_one`, whose call would cost another 40 ns
+        # the lines of `absorb_one`, a call of which would cost another 40 ns
+        try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain
             if (
                 is_plain
@@ -165,14 +177,14 @@ class TNTVolume:
             self._running.now = False
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update_one` for callers that manage windows themselves; `t`, `x`, `y`, `p` are four
-        Python integers.
+        """`update_one` for callers that manage windows themselves.
 
         Returns
         -------
-        ABSORBED; LATE if it is before the window, and only counted; AT_LIMIT if it is valid but at
-        or past the limit; REFUSED if the decoder has to look at it: it is invalid, or not four
-        Python integers, or this volume drops late events or stores events for a replay.
+        int : ABSORBED, the event was added. LATE, it is before the window and was only counted.
+            AT_LIMIT, it is valid but at or past the limit. REFUSED, the decoder has to look at it:
+            it is invalid or not four Python integers, or this volume drops late events or stores
+            events for a replay.
         """
         try:
             # Numba would compile for a bool, a float or a NumPy scalar
@@ -184,8 +196,10 @@ class TNTVolume:
         return REFUSED
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
-        """Add the events from `first` to before `last` of checked `columns`, up to the limit;
-        returns the first one not added."""
+        """Add the events `first <= i < last` of checked `columns`, up to the limit.
+
+        Returns the first event not added.
+        """
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
         absorbed: int = absorb(
@@ -194,21 +208,25 @@ class TNTVolume:
         return absorbed
 
     def _open_next(self, t_us: int) -> int:
-        """Open the window that holds `t_us`, at or after the open window's end; returns how many
-        that closes."""
-        closed = int(self.n_events > 0)
-        if self._ints[S.LIMIT_US] != UNOPENED and self.config.window_events is None:
-            t_us -= (t_us - self.start_us) % self.config.window_us
-        self._empty(t_us, t_us + self.config.window_us)
-        return closed
+        """Open the window that holds `t_us`, a time at or after the open window's end.
+
+        Returns how many windows with events that closes: 0 or 1.
+        """
+        n_closed = int(self.n_events > 0)
+        start_us = t_us
+        if self.is_open and self.config.window_events is None:
+            start_us -= (t_us - self.start_us) % self.config.window_us
+        self._empty(start_us, start_us + self.config.window_us)
+        return n_closed
 
     @one_at_a_time
     def reset(self) -> None:
-        """Back to the state after construction: no window open, all counts zero."""
-        if self._replay is not None:  # first: it is refused while another thread reads the volume
+        """Return to the state after construction: no window open, all counts zero."""
+        # first: this is refused while another thread reads the volume
+        if self._replay is not None:
             self._replay.reset()
         self._decoder.reset()
-        for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED):
+        for slot in COUNTED:
             self._ints[slot] = 0
         self._empty(0, UNOPENED)
 
@@ -218,8 +236,8 @@ class TNTVolume:
     def array(self) -> np.ndarray:
         """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
 
-        A read-only view of the same memory each time, brought up to date by each access to this
-        property; a new window may empty it. Copy it to keep it.
+        Each access returns a read-only view of the same memory, and brings it up to date. A new
+        window may empty it: copy it to keep it.
         """
         self._running.begin()
         try:
@@ -231,47 +249,59 @@ class TNTVolume:
             self._running.now = False
 
     def state(self) -> np.ndarray:
-        """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; do
-        not write to it."""
+        """The open window's numbers, up to date, as `kernels.volume.state` lays them out.
+
+        Not to be written to.
+        """
         if self._replay is not None:
             self._replay.run(self._buffer, self._array)
         return self._buffer
 
     @property
     def buffer(self) -> np.ndarray:
-        """The array of `state()`, without a replay of stored events: for compiled code that adds
-        events to it."""
+        """The array of `state()` without a replay of stored events.
+
+        For compiled code that adds events to it.
+        """
         return self._buffer
 
     @property
     def landmark(self) -> tuple[float, float]:
-        """The landmark (x, y) in grid pixels after the newest event; the grid's centre before the
-        first one, and without the transform."""
-        n = int(self._ints[S.N])
-        center = (self.config.grid[0] - 1) / 2, (self.config.grid[1] - 1) / 2
-        if n == 0 or self.config.landmark == "center" or self.config.transform == "none":
-            return center
-        if self._replay is not None and self.config.defers_landmark:
+        """The landmark (x, y) in grid pixels after the newest event.
+
+        It is the grid's centre before the first event, and without the transform.
+        """
+        config = self.config
+        n = self.n_events
+        if n == 0 or config.landmark == "center" or config.transform == "none":
+            width, height = config.grid
+            return (width - 1) / 2, (height - 1) / 2
+        if self._replay is not None and config.defers_landmark:
             return self._replay.landmark(self._buffer)
+
         x = int(self._ints[S.SUM_X]) / n
         y = int(self._ints[S.SUM_Y]) / n
-        if self.config.landmark == "line":
-            slope_x, slope_y = self._slopes()  # first: a replay may set the sums
+        if config.landmark == "line":
+            # before the next line: a replay may set the sums
+            slope_x, slope_y = self._slopes()
             mean_f = int(self._ints[S.SUM_T]) / n / float(self._buffer[S.WINDOW_US])
             x -= slope_x * mean_f
             y -= slope_y * mean_f
-        return self.config.to_grid(x, y)
+        return config.to_grid(x, y)
 
     @property
     def flow(self) -> tuple[float, float]:
-        """Landmark `line` only: the fitted flow (x, y) in grid pixels per window (of
-        `window_events`: so far)."""
+        """The fitted flow (x, y) in grid pixels per window, of landmark `line` only.
+
+        A window of `window_events` lasts until its newest event.
+        """
         if self.config.landmark != "line" or self.config.transform != "tnt":
             got = f"landmark={self.config.landmark!r}, transform={self.config.transform!r}"
             raise ValueError(f'`flow` needs landmark="line" and transform="tnt", got {got}')
         return self.config.to_grid(*self._slopes())
 
     def _slopes(self) -> tuple[float, float]:
+        """The slopes of the running line against the fraction of the window, in sensor pixels."""
         buffer = self.state()
         c_ff = float(buffer[S.C_FF]) + 1.0
         return float(buffer[S.C_XF]) / c_ff, float(buffer[S.C_YF]) / c_ff
@@ -279,9 +309,14 @@ class TNTVolume:
     @property
     def counts(self) -> Counts:
         """What became of the events, see `Counts`."""
-        ints, by_decoder = self.state().view(np.int64), self._decoder.n_dropped
-        received, kept, tau_zero = (int(ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.TAU_ZERO))
-        late, decided = self.n_late, self.n_dropped_decided
+        ints = self.state().view(np.int64)
+        received = int(ints[S.RECEIVED])
+        kept = int(ints[S.KEPT])
+        tau_zero = int(ints[S.TAU_ZERO])
+        late = int(ints[S.LATE])
+        decided = int(ints[S.DECIDED])
+        # late events that the decoder has dropped never came to the kernels
+        by_decoder = self._decoder.n_dropped
         return Counts(
             received=received + by_decoder,
             kept=kept,
@@ -298,7 +333,7 @@ class TNTVolume:
 
     @property
     def n_received(self) -> int:
-        """Events that came, late ones too."""
+        """Events that came to the kernels, late ones too."""
         return int(self._ints[S.RECEIVED])
 
     @property
@@ -313,7 +348,7 @@ class TNTVolume:
 
     @property
     def n_dropped_decided(self) -> int:
-        """Events dropped because their window had been closed early."""
+        """Events dropped because their windows had been closed early."""
         return int(self._ints[S.DECIDED])
 
     @property

@@ -26,13 +26,14 @@ def number_of_events(volume):
 
 @cache
 def compiled_number_of_events() -> CompiledClassifier:
-    """The same, compiled: the network's two poolings take a mean, 16 times it is the sum over a
-    quarter."""
-    weights = {
-        name: np.zeros_like(w)
-        for name, w in random_model(CONFIG, classes=2, widths=(1, 1, 1)).weights.items()
-    }
-    weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
+    """The same, compiled.
+
+    The network's two poolings take a mean of 16 places, so 16 times the mean is their sum.
+    """
+    model = random_model(CONFIG, classes=2, widths=(1, 1, 1))
+    weights = {name: np.zeros_like(weight) for name, weight in model.weights.items()}
+    weights["conv1.weight"][0, 0, 1, 1] = 1
+    weights["conv2.weight"][0, 0, 1, 1] = 1
     weights["fc1.weight"][:] = 16
     weights["fc2.weight"][0] = 1
     return CompiledClassifier(thesis_model(CONFIG, weights, ("many", "few")))
@@ -48,7 +49,8 @@ def at(*times):
     return list(times), [k % 8 for k in range(n)], [k % 5 for k in range(n)], [1] * n
 
 
-SURE, BY_3 = {"confidence": 0.95}, {"config": {"window_events": 3}}
+SURE = {"confidence": 0.95}
+BY_3 = {"config": {"window_events": 3}}
 # settings, times of events, all decisions, events counted as dropped_decided and dropped_late if
 # any
 BY_HAND = {
@@ -229,11 +231,9 @@ def test_a_stream_may_continue_after_finish(classifier):
     processor.push(at(0, 10))
     assert summary(processor.finish()) == [("end", 0, 10, 2)]
     assert processor.finish() == []
-    assert (
-        processor.fire().events == 0
-        and not processor.volume().any()
-        and processor.counts.received == 2
-    )
+    assert processor.fire().events == 0
+    assert not processor.volume().any()
+    assert processor.counts.received == 2
     assert processor.push_one(500, 3, 3, 1) == [] and processor.counts.dropped_late == 1
     assert processor.push_one(1500, 3, 3, 1) == []
     assert summary(processor.finish()) == [("end", 1000, 1500, 1)]

@@ -10,18 +10,21 @@ import dis
 import functools
 import itertools
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from deciding import CONFIG, key, total_and_size
 from made import random_events, random_model, random_regressor_model
 
+import async_tnt
 from async_tnt import Processor, TNTVolume
-from async_tnt.base.package import __file__ as package_file
 
-FOLDER = package_file.rpartition("package")[0]
+FOLDER = str(Path(async_tnt.__file__).parent)
 EVENTS = random_events(40, seed=4, duration_us=5_500)
-BEFORE, PACKET, AFTER = EVENTS[:14], EVENTS[14:24], EVENTS[24:]
+BEFORE = EVENTS[:14]
+PACKET = EVENTS[14:24]
+AFTER = EVENTS[24:]
 # a way back to earlier times, within the open windows and before them
 PACKET["t"][[3, 8]] -= [40, 900]
 

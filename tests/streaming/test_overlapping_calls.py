@@ -14,7 +14,10 @@ from waiting import PATIENCE_S, meanwhile
 from async_tnt import CompiledClassifier, CompiledRegressor, PixelFilter, Processor, TNTVolume
 from async_tnt.networks import OnnxClassifier, to_onnx
 
-REFUSED = r"^a {} was called while another call on it is running, in another thread or further up in this one; use one"
+REFUSED = (
+    r"^a {} was called while another call on it is running, in another thread or further up in "
+    r"this one; use one"
+)
 MODEL = random_model(CONFIG)
 EVENTS = random_events(40, seed=1, duration_us=2500)
 
@@ -23,7 +26,9 @@ class Held:
     """Events or a volume whose reading waits, so that a call stays in its middle until `go_on`."""
 
     def __init__(self, values):
-        self.begun, self.go_on, self.values = threading.Event(), threading.Event(), values
+        self.begun = threading.Event()
+        self.go_on = threading.Event()
+        self.values = values
         self.shape = np.shape(values)
 
     def numpy(self):  # of events
@@ -36,9 +41,12 @@ class Held:
 
 
 def assert_refused_during(function, values, others, name):
-    """While `function` reads these values, which it is given, the other calls are refused; its
-    answer."""
-    held, answer = Held(values), []
+    """Call `function` with values; while it reads them, the other calls must be refused.
+
+    Returns its answer.
+    """
+    held = Held(values)
+    answer = []
     with meanwhile(lambda: answer.append(function(held))):
         assert held.begun.wait(PATIENCE_S)
         try:
@@ -71,14 +79,11 @@ CALLS = [
 )
 def test_calls_during_a_push_are_refused_and_change_nothing(landmark, settings):
     config = CONFIG.replace(landmark=landmark)
-    processor, untroubled = (
-        Processor(config, classifier=total_and_size, **settings) for _ in range(2)
-    )
+    processor = Processor(config, classifier=total_and_size, **settings)
+    untroubled = Processor(config, classifier=total_and_size, **settings)
     others = [lambda call=call: call(processor) for call in CALLS]
-    decided, expected = (
-        assert_refused_during(processor.push, EVENTS, others, "Processor"),
-        untroubled.push(EVENTS),
-    )
+    decided = assert_refused_during(processor.push, EVENTS, others, "Processor")
+    expected = untroubled.push(EVENTS)
     assert [key(d) for d in decided] == [key(d) for d in expected] != []
     assert processor.counts == untroubled.counts
     assert [key(d) for d in processor.finish()] == [key(d) for d in untroubled.finish()]
@@ -126,7 +131,8 @@ def test_a_network_shared_by_two_threads_refuses_the_second_call(network):
 
 
 def test_a_volume_and_a_filter_refuse_events_while_they_read_others():
-    volume, chosen = TNTVolume(CONFIG), PixelFilter(CONFIG.sensor)
+    volume = TNTVolume(CONFIG)
+    chosen = PixelFilter(CONFIG.sensor)
     others = [
         lambda: volume.update(EVENTS),
         lambda: volume.update_one(5000, 1, 1, 1),

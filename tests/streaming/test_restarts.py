@@ -21,7 +21,8 @@ def recorded(digit):
     return open_recording(sample_recordings()[digit]).read()
 
 
-SEVEN, ONE = recorded(7), recorded(1)
+SEVEN = recorded(7)
+ONE = recorded(1)
 
 
 def packets_of(events, size):
@@ -87,12 +88,9 @@ def test_raise_raises_and_the_processor_goes_on(way):
             processor.push(events)
     processor.reset()
     expected = decided(stream([ONE], load_model("digits")))
-    assert (
-        decided(
-            [d for events in WAYS[way](ONE) for d in processor.push(events)] + processor.finish()
-        )
-        == expected
-    )
+    found = [d for events in WAYS[way](ONE) for d in processor.push(events)]
+    found += processor.finish()
+    assert decided(found) == expected
 
 
 def test_astream_and_push_warn_too():

@@ -23,19 +23,14 @@ def test_processors_and_their_copies_share_one_read_only_array():
     first = Processor(MODEL)
     second = Processor(MODEL, every_us=300)
     loaded = pickle.loads(pickle.dumps([first, second]))
-    assert (
-        weights_of(second)
-        is weights_of(first)
-        is weights_of(copy.deepcopy(first))
-        is weights_of(copy.copy(second))
-    )
+    for other in (second, copy.deepcopy(first), copy.copy(second)):
+        assert weights_of(other) is weights_of(first)
     assert weights_of(loaded[0]) is weights_of(loaded[1])
     for processor in (first, *loaded):
         assert not weights_of(processor).flags.writeable
     classifier = CompiledClassifier(MODEL)
-    assert (
-        copy.deepcopy(classifier).network.weights is classifier.network.weights is weights_of(first)
-    )
+    assert classifier.network.weights is weights_of(first)
+    assert copy.deepcopy(classifier).network.weights is weights_of(first)
 
 
 def test_models_do_not_share():

@@ -90,7 +90,10 @@ def test_settings_are_the_keywords_of_a_processor():
 
 
 SPARSE = random_events(100, duration_us=300_000_000)  # 0.3 s in nanoseconds
-UNIT = "32 of the first 32 windows hold 2 events or fewer: times are read as microseconds, divide nanoseconds by 1000"
+UNIT = (
+    "32 of the first 32 windows hold 2 events or fewer: "
+    "times are read as microseconds, divide nanoseconds by 1000"
+)
 
 
 @pytest.mark.parametrize("settings", [{}, {"every_us": 70}, {"every_events": 1}])
@@ -134,7 +137,8 @@ def test_volumes_are_those_that_a_decision_would_have_seen(settings):
 @pytest.mark.parametrize("form", ["packets", "tuples", "columns"])
 def test_volumes_do_with_late_events_what_a_stream_does(form):
     """`accept` adds them, `drop` leaves them out, `raise` refuses the packet."""
-    config, events = TNTConfig(window_us=1000, bins=3), EVENTS.copy()
+    config = TNTConfig(window_us=1000, bins=3)
+    events = EVENTS.copy()
     events["t"][7::9] = np.maximum(0, events["t"][7::9] - 300)
     in_order = events[events["t"] >= np.maximum.accumulate(events["t"])]
     assert 300 < len(in_order) < len(events)
@@ -150,7 +154,8 @@ def test_volumes_do_with_late_events_what_a_stream_does(form):
             for one in volumes(source, config, **settings)
         ]
 
-    dropped, accepted = found(make(), late="drop"), found(make(), late="accept")
+    dropped = found(make(), late="drop")
+    accepted = found(make(), late="accept")
     assert dropped == found([in_order]) != accepted == found(make()) == found([events])
     with pytest.raises(ValueError, match=r"`t` must not run backwards \(late=\"raise\"\)"):
         found(make(), late="raise")

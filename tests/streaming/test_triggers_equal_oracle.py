@@ -113,7 +113,9 @@ def test_any_triggers_any_windows_any_packets_any_changes(
 
 def check(events, way, windows, triggers, steps) -> None:
     oracle, processor = pair(*way, **windows, **triggers)
-    expected, decisions, first = [], [], 0
+    expected = []
+    decisions = []
+    first = 0
     for size, changed in [*steps, (len(events), None)]:
         packet = events[first : first + max(size, 1)]
         first += len(packet)
@@ -174,7 +176,9 @@ def test_every_combination_of_triggers_on_a_stream_with_stragglers(way, hop_us):
         events = with_stragglers(seed)
         oracle, whole = pair(*way, hop_us=hop_us, **triggers)
         _, cut = pair(*way, hop_us=hop_us, **triggers)
-        expected, decisions, first = [], [], 0
+        expected = []
+        decisions = []
+        first = 0
         for size in itertools.cycle([7, 1, 250]):
             packet = events[first : first + size]
             expected += oracle.push_all(packet)

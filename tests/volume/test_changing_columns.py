@@ -23,7 +23,8 @@ stop = threading.Event()
 
 def change():
     valid = [column.copy() for column in columns]
-    beyond = [np.full(n, value, column.dtype) for value, column in zip((1 << 61, 65_535, 65_535, 255), columns)]
+    values = 1 << 61, 65_535, 65_535, 255
+    beyond = [np.full(n, value, column.dtype) for value, column in zip(values, columns)]
     while not stop.is_set():
         for values in (beyond, valid):
             for column, new in zip(columns, values):

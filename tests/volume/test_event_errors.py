@@ -17,7 +17,10 @@ from async_tnt.volume.events import EventDecoder, as_events
 
 SENSOR = (346, 260)
 CONFIG = TNTConfig(sensor=SENSOR, grid=(20, 16), bins=3)
-T, X, Y, P = [10, 11, 11, 12, 13], [0, 345, 1, 2, 3], [259, 0, 1, 2, 3], [1, 1, 1, 1, 1]
+T = [10, 11, 11, 12, 13]
+X = [0, 345, 1, 2, 3]
+Y = [259, 0, 1, 2, 3]
+P = [1, 1, 1, 1, 1]
 
 
 def packet(**changes):
@@ -233,10 +236,8 @@ ONE = [
 
 @pytest.mark.parametrize(("event", "error", "message"), ONE)
 def test_single_events(event, error, message):
-    volume, processor = (
-        TNTVolume(CONFIG),
-        Processor(CONFIG, classifier=lambda volume: volume.sum((1, 2))),
-    )
+    volume = TNTVolume(CONFIG)
+    processor = Processor(CONFIG, classifier=lambda volume: volume.sum((1, 2)))
     for take in (
         EventDecoder(SENSOR, advice=LARGER_CAMERA).decode_one,
         volume.update_one,

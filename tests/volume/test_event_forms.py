@@ -186,7 +186,10 @@ def test_times_with_a_unit(kind, unit):
     ]
     assert_decoded((t, [1] * 4, [2] * 4, [1] * 4), expected)
     events = np.zeros(4, [("t", t.dtype), ("x", "u2"), ("y", "u2"), ("p", "?")])
-    events["t"], events["x"], events["y"], events["p"] = t, 1, 2, True
+    events["t"] = t
+    events["x"] = 1
+    events["y"] = 2
+    events["p"] = True
     assert_decoded(events, expected)
 
 
@@ -297,7 +300,8 @@ def tables_of(names, columns):
 @pytest.mark.parametrize("twice", ["t", "x", "y", "p"])
 def test_a_column_named_twice_is_an_error(twice, tmp_path):
     """In every form and file that can have one; another column, which is not used, may be."""
-    names, columns = [*"txyp", twice], [[5, 6], [1, 1], [2, 2], [0, 1], [0, 1]]
+    names = [*"txyp", twice]
+    columns = [[5, 6], [1, 1], [2, 2], [0, 1], [0, 1]]
     rows = zip(*columns, strict=True)
     text = "\n".join([",".join(names), *(",".join(map(str, row)) for row in rows)])
     (tmp_path / "a.csv").write_text(text + "\n")

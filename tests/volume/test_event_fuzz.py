@@ -62,9 +62,11 @@ def rows_for(draw, types, sensor, min_size=0):
         end = {"t": 2**62, "x": sensor[0], "y": sensor[1], "p": 2}[field]
         low, high = (0, 1) if number == "?" else (-(2**65), 2**65)
         if number in INTEGERS:
-            low, high = int(np.iinfo(number).min), int(np.iinfo(number).max)
+            low = int(np.iinfo(number).min)
+            high = int(np.iinfo(number).max)
         elif number not in ("?", None):
-            low, high = 0, 1000
+            low = 0
+            high = 1000
         valid = (
             st.sampled_from([-1, 1])
             if field == "p" and low < 0
@@ -89,7 +91,8 @@ def layouts(draw):
     ]
     names = [draw(st.sampled_from(aliases)) for aliases in NAMES.values()]
     order = draw(st.permutations(range(4)))
-    offsets, end = {}, 0
+    offsets = {}
+    end = 0
     for k in order:  # fields anywhere in memory, whatever order their names are in
         offsets[k] = end + draw(st.sampled_from([0, 0, 1, 3]))
         end = offsets[k] + np.dtype(formats[k]).itemsize

@@ -37,7 +37,9 @@ def rows(columns):
 
 def test_by_hand():
     events = packet(T)
-    accept, drop, refuse = (EventDecoder(SENSOR, late) for late in ("accept", "drop", "raise"))
+    accept = EventDecoder(SENSOR, "accept")
+    drop = EventDecoder(SENSOR, "drop")
+    refuse = EventDecoder(SENSOR, "raise")
     assert rows(accept.decode(events)) == rows(accept.decode(events)) == packet(T).tolist()
     assert accept.n_dropped == 0
     for _ in range(2):
@@ -69,17 +71,20 @@ def test_by_hand():
 def test_any_stream_in_any_packets(times, cuts, late, form):
     """Against a loop over the events."""
     decoder = EventDecoder(SENSOR, late)
-    newest, n_dropped = -1, 0
+    newest = -1
+    n_dropped = 0
     for first, last in pairwise([0, *sorted(min(cut, len(times)) for cut in cuts), len(times)]):
         events = packet(times)[first:last]
-        expected, newest_then, n_late, first_late = [], newest, 0, ""
+        expected = []
+        newest_then = newest
+        n_late = 0
+        first_late = ""
         for i, row in enumerate(events.tolist()):
             if row[0] < newest_then and late != "accept":
                 n_late += 1
-                first_late = (
-                    first_late
-                    or f"got {row[0]} after {newest_then}{f' at event {i}' * (len(events) > 1)}; "
-                )
+                if n_late == 1:
+                    at = f" at event {i}" if len(events) > 1 else ""
+                    first_late = f"got {row[0]} after {newest_then}{at}; "
             else:
                 expected.append(row)
             newest_then = max(newest_then, row[0])
@@ -88,14 +93,16 @@ def test_any_stream_in_any_packets(times, cuts, late, form):
                 decoder.decode(form(events))
         else:
             assert rows(decoder.decode(form(events))) == expected
-            newest, n_dropped = newest_then, n_dropped + n_late
+            newest = newest_then
+            n_dropped += n_late
         if late != "accept":
             assert (decoder.newest_us, decoder.n_dropped) == (newest, n_dropped)
 
 
 def test_volume_and_processor_count_every_late_event_once():
     config = TNTConfig(sensor=SENSOR, window_us=100)
-    volume, control = TNTVolume(config, late="drop"), TNTVolume(config)
+    volume = TNTVolume(config, late="drop")
+    control = TNTVolume(config)
     processor = Processor(config, classifier=lambda volume: [0.0], late="drop")
     for update, update_one in (
         (volume.update, volume.update_one),

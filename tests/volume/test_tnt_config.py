@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from async_tnt import TNTConfig
+from async_tnt.base.checks import ParameterError
 from async_tnt.volume.config import LANDMARKS, POLARITIES
 
-CELLS = "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.volume.config.MAX_CELLS)"
+CELLS = (
+    "`grid` and `bins` must give at most 268_435_456 cells, got {:_} "
+    "(a program may raise async_tnt.volume.config.MAX_CELLS)"
+)
 WRONG = [
     *[
         ({"sensor": v}, TypeError, f"`sensor` must be two whole numbers (width, height), got {v!r}")
@@ -39,8 +43,7 @@ WRONG = [
         {"representation": "count_time", "bins": 9},
         ValueError,
         "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), "
-        "got "
-        "representation='count_time', bins=9",
+        "got representation='count_time', bins=9",
     ),
     *[
         (
@@ -101,25 +104,27 @@ def test_the_limits_themselves_are_allowed_and_a_program_may_raise_that_of_cells
 
 def test_defaults_that_depend_on_the_representation_and_the_windows():
     image = TNTConfig(representation="count_time")
-    assert (image.bins, image.polarity, image.transform, image.shape) == (
-        2,
-        "split",
-        "none",
-        (4, 34, 34),
-    )
-    assert TNTConfig(bins=5, polarity="unsigned").replace(representation="mean_time").shape == (
-        2,
-        34,
-        34,
-    )
+    assert (image.bins, image.polarity, image.transform) == (2, "split", "none")
+    assert image.shape == (4, 34, 34)
+    five_bins = TNTConfig(bins=5, polarity="unsigned")
+    assert five_bins.replace(representation="mean_time").shape == (2, 34, 34)
     assert image.replace(representation="volume") == TNTConfig()
     by_events = TNTConfig(window_us=20_000).replace(window_events=9)
-    assert (
-        by_events == TNTConfig(window_events=9)
-        and by_events.replace(window_events=None) == TNTConfig()
-    )
+    assert by_events == TNTConfig(window_events=9)
+    assert by_events.replace(window_events=None) == TNTConfig()
     fifty = by_events.replace(window_us=50).replace(window_events=7)
     assert fifty == TNTConfig().replace(window_events=7, window_us=50) and fifty.window_us == 50
+
+
+def test_an_error_names_its_parameter_unless_the_value_comes_from_a_file():
+    with pytest.raises(ParameterError) as caught:
+        TNTConfig(bins=0)
+    assert caught.value.name == "bins"
+    assert caught.value.text({"bins": "--bins"}) == "--bins must be in [1, 1024], got 0"
+    for values, error in (({"bins": 0}, ValueError), ({"bins": "9"}, TypeError)):
+        with pytest.raises(error) as caught:
+            TNTConfig.from_dict(values)
+        assert type(caught.value) is error
 
 
 @pytest.mark.parametrize("number", [np.int8, np.uint64, np.array])
@@ -132,9 +137,8 @@ def test_a_configuration_is_a_value_of_pythons_own_numbers(number):
     )
     same = TNTConfig(sensor=(50, 40), grid=(20, 30), bins=7, t_max=2.0)
     assert made == same == made.replace() != made.replace(bins=5) and hash(made) == hash(same)
-    assert {type(value) for value in (*made.sensor, *made.grid, made.bins)} == {int} and type(
-        made.t_max
-    ) is float
+    assert {type(value) for value in (*made.sensor, *made.grid, made.bins)} == {int}
+    assert type(made.t_max) is float
     with pytest.raises(FrozenInstanceError):
         made.bins = 5
     with pytest.raises(TypeError, match="nonsense"):

@@ -114,7 +114,8 @@ def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
     config = TNT.replace(sensor=(4, 4), grid=(4, 4), bins=2, window_us=3_600_000_000, t_max=1.0)
     for k, kept in ((1, 1), (2, 1), (3, 0), (4, 0), (25, 0), (1000, 0)):
         event = config.window_us - k, x, y, 1
-        one, many = volume_of(config, event), volume_of(config)
+        one = volume_of(config, event)
+        many = volume_of(config)
         many.update([np.array([value]) for value in event])
         assert one.counts == many.counts and one.counts.kept == kept, k
 
@@ -128,8 +129,9 @@ def test_rounding_leaves_no_trace_at_the_border_nor_on_the_next_cell():
 
 
 def test_line_landmark_is_the_ridge_line_at_the_windows_start():
-    # f = 1/8, 3/8: C_ff = 2 / 64. x = 10, 14: C_xf = 2 * (1/8) * 2 = 1/2, m_x = (1/2) / (1 + 1/32) = 16/33.
-    # y = 18, 12: C_yf = -3/4, m_y = -24/33.
+    # f = 1/8, 3/8:  C_ff = 2 / 64
+    # x = 10, 14:    C_xf = 2 * (1/8) * 2 = 1/2,  m_x = (1/2) / (1 + 1/32) = 16/33
+    # y = 18, 12:    C_yf = -3/4,                 m_y = -24/33
     volume = volume_of(TNT.replace(landmark="line"), (100, 10, 18, 1), (300, 14, 12, 1))
     assert volume.flow == pytest.approx((16 / 33, -24 / 33), abs=1e-12)
     assert volume.landmark == pytest.approx((12 - 16 / 33 / 4, 15 + 24 / 33 / 4), abs=1e-12)
@@ -210,7 +212,8 @@ def test_the_images_of_a_configuration_by_hand():
     ]
     # ages: 1, half and a quarter of the window
     on, off = image_of(events, representation="time_surface", **settings)
-    newest_on, newest_off = np.exp([-2.0, -1.0]), np.exp(-0.5)
+    newest_on = np.exp([-2.0, -1.0])
+    newest_off = np.exp(-0.5)
     np.testing.assert_allclose(on, [[0, 0, 0], [newest_on[0], 0, newest_on[1]]], rtol=1e-6)
     np.testing.assert_allclose(off, [[0, 0, newest_off], [0, 0, 0]], rtol=1e-6)
 

@@ -14,19 +14,26 @@ from async_tnt import CompiledRegressor, TNTConfig
 from async_tnt.checking.reference import reference_landmark, reference_volume
 from async_tnt.networks.models.torch_modules import landmark_function
 
+TRANSFORMS = [
+    {"landmark": "center"},
+    {"landmark": "center", "transform": "none"},
+    {"landmark": "running"},
+    {"landmark": "line"},
+    {"landmark": "line", "remove_flow": True},
+    {"landmark": "window"},
+]
 CONFIGS = [
-    TNTConfig(landmark=landmark, polarity=polarity, transform=transform, remove_flow=remove_flow)
-    for landmark in ("center", "running", "line", "window")
+    TNTConfig(polarity=polarity, **settings)
+    for settings in TRANSFORMS
     for polarity in ("signed", "unsigned", "split")
-    for transform, remove_flow in (("tnt", False), ("none", False), ("tnt", True))
-    if not remove_flow or landmark == "line"
-    if transform == "tnt" or landmark == "center"
-] + [
+]
+CONFIGS += [
     TNTConfig(representation=representation, polarity=polarity, transform="none")
     for representation in ("count", "count_time", "mean_time", "time_surface")
     for polarity in ("unsigned", "split")
 ]
-SHAPES = [  # sensor, grid, bins, window_us, t_max
+# sensor, grid, bins, window_us, t_max
+SHAPES = [
     ((34, 34), (34, 34), 9, 105_000, 8.0),
     ((34, 34), (34, 34), 9, 800, 2.0),
     ((5, 7), (5, 7), 2, 7, 1.0),
@@ -130,7 +137,8 @@ def test_opposite_events_cancel_without_a_trace():
     place."""
     n = 1000
     events = random_events(2 * n - 1, seed=2, duration_us=90_000)
-    events["x"], events["y"] = 20, 21
+    events["x"] = 20
+    events["y"] = 21
     events["t"][n:] = events["t"][: n - 1]
     events["p"] = np.arange(2 * n - 1) < n
     config = TNTConfig(landmark="center")

@@ -36,7 +36,8 @@ def test_window_is_half_open(landmark):
 )
 def test_a_window_without_events_is_not_closed_but_left(update, landmark):
     volume = opened(CONFIG.replace(landmark=landmark))
-    first, second = events_of([5_000], [3], [3], [1]), events_of([7_000], [3], [3], [1])
+    first = events_of([5_000], [3], [3], [1])
+    second = events_of([7_000], [3], [3], [1])
     assert update(volume, first) == 0 and volume.start_us == 5_000
     assert update(volume, second) == 1 and volume.start_us == 7_000
     volume.open(9_000)
@@ -68,7 +69,9 @@ def test_what_is_refused():
 
 
 def test_the_replay_buffer_grows_and_loses_nothing():
-    whole, cut = (opened(CONFIG.replace(landmark="window")) for _ in range(2))
+    config = CONFIG.replace(landmark="window")
+    whole = opened(config)
+    cut = opened(config)
     events = random_events(9_000, seed=10, duration_us=1000)
     whole.update(events)
     for part in np.array_split(events, 9):
@@ -79,11 +82,9 @@ def test_the_replay_buffer_grows_and_loses_nothing():
 
 
 def test_a_clock_that_stands_still_is_not_stored_without_end(monkeypatch):
-    monkeypatch.setattr("async_tnt.volume.state.MAX_STORED", 5_000)
-    volume, packet = (
-        opened(CONFIG.replace(landmark="window")),
-        random_events(3_000, seed=10, duration_us=1000),
-    )
+    monkeypatch.setattr("async_tnt.volume.replay.MAX_STORED", 5_000)
+    volume = opened(CONFIG.replace(landmark="window"))
+    packet = random_events(3_000, seed=10, duration_us=1000)
     volume.update(packet)
     before = volume.array.tobytes(), volume.counts
     with pytest.raises(
@@ -159,11 +160,14 @@ def test_without_a_landmark_the_window_stays_as_it_was(answer, error, message):
 
     fails = False
     events = random_events(60, seed=1, duration_us=2000)
-    volume, untroubled = (TNTVolume(OF_REGRESSOR, regressor=regressor) for _ in range(2))
-    volume.update(events[:20]), untroubled.update(events[:20])
+    volume = TNTVolume(OF_REGRESSOR, regressor=regressor)
+    untroubled = TNTVolume(OF_REGRESSOR, regressor=regressor)
+    for one in (volume, untroubled):
+        one.update(events[:20])
     view = volume.array
     before = view.copy()
-    volume.update(events[20:25]), untroubled.update(events[20:25])
+    for one in (volume, untroubled):
+        one.update(events[20:25])
     fails = True
     reads = (lambda: volume.array, lambda: volume.landmark, lambda: volume.counts)
     for call in (*reads, volume.close, lambda: volume.open(5000)):
@@ -173,10 +177,10 @@ def test_without_a_landmark_the_window_stays_as_it_was(answer, error, message):
     assert np.array_equal(view, before) and volume.n_events == 25
     fails = False
     assert volume.array.tobytes() == untroubled.array.tobytes()
-    volume.update(events[25:]), untroubled.update(events[25:])
-    assert (
-        volume.array.tobytes() == untroubled.array.tobytes() and volume.counts == untroubled.counts
-    )
+    for one in (volume, untroubled):
+        one.update(events[25:])
+    assert volume.array.tobytes() == untroubled.array.tobytes()
+    assert volume.counts == untroubled.counts
     fails = True
     volume.reset()  # works without a landmark
     assert volume.n_events == 0 and not volume.array.any()

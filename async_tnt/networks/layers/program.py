@@ -48,6 +48,8 @@ class Program:
     output_changes: list[int]
     lanes: int = LANES
 
+    KERNELS = (set_input, forward)
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         if self.lanes != LANES:

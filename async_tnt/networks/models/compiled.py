@@ -68,6 +68,14 @@ class CompiledClassifier:
     ...     assert (network.refresh(volume) == CompiledClassifier(model)(volume.array)).all()
     """
 
+    KERNELS = (classify_cells,)
+    ARRAY_KERNELS = Program.KERNELS
+    """Called for the volume of an array."""
+    MAP_KERNELS = (locate_cells,)
+    """Called by map models, in place of `KERNELS`."""
+    STRETCH_KERNELS = (absorb_and_decide,)
+    """Called by `decide_stretch`."""
+
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
@@ -200,6 +208,8 @@ class CompiledRegressor:
     ValueError : the model has no regressor; (when called) the volume's shape is not the model's.
     RuntimeError : (when called) another call is running.
     """
+
+    KERNELS = (*Program.KERNELS, centroid)
 
     def __init__(self, model: Model) -> None:
         config = model.config

@@ -116,6 +116,8 @@ class ObjectReader:
     found, probabilities : of the objects found last, see `kernels.objects`.
     """
 
+    KERNELS = (K.locate_on_map,)
+
     def __init__(
         self,
         shape: Shape,

@@ -1,0 +1,59 @@
+"""Which networks decide about a stream: those of its model, or others that are passed instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from async_tnt.base.checks import ParameterTypeError
+from async_tnt.networks.loading import load_model
+from async_tnt.networks.models.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.models.model import Model
+from async_tnt.streaming.window_classifier import Classifier
+from async_tnt.volume.config import TNTConfig
+from async_tnt.volume.regressor import Regressor
+
+
+@dataclass(frozen=True)
+class StreamNetworks:
+    """What a stream needs of its model. The parameters are those of `Processor`."""
+
+    config: TNTConfig
+    classifier: Classifier
+    regressor: Regressor | None
+    classes: Sequence[str] | None
+
+
+def networks_of(
+    model: Model | TNTConfig | str | Path,
+    classifier: Classifier | None,
+    regressor: Regressor | None,
+    classes: Sequence[str] | None,
+) -> StreamNetworks:
+    """The configuration and the networks of a stream: those passed, otherwise those of the model.
+
+    The parameters are those of `Processor`.
+
+    Raises
+    ------
+    ParameterTypeError : `model` is of another type, or a configuration without a classifier.
+    """
+    if isinstance(model, (str, Path)):
+        model = load_model(model)
+    if isinstance(model, TNTConfig):
+        if classifier is None:
+            rule = "is missing: a TNTConfig alone cannot decide; pass a Model or a callable"
+            raise ParameterTypeError("classifier", rule)
+        return StreamNetworks(model, classifier, regressor, classes)
+    if not isinstance(model, Model):
+        rule = "must be a Model, the name or path of one, or a TNTConfig"
+        raise ParameterTypeError("model", rule, type(model).__name__)
+
+    if classifier is None:
+        classifier = CompiledClassifier(model)
+    if regressor is None and model.config.needs_regressor:
+        regressor = CompiledRegressor(model)
+    if classes is None:
+        classes = model.classes
+    return StreamNetworks(model.config, classifier, regressor, classes)
