@@ -6,10 +6,15 @@ from hypothesis import strategies as st
 
 from async_tnt import Model, TNTConfig
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
-from async_tnt.networks.layers.operations import ELEMENTWISE
+from async_tnt.networks.layers.operations import OPERATIONS
 
 SIDES = st.sampled_from([(1, 1), (2, 2), (3, 3), (3, 3), (5, 5), (1, 3), (2, 5), (4, 1)])
-ACTIVATIONS = ("relu", "leaky_relu", "prelu", "clip", *ELEMENTWISE)
+FUNCTIONS = [
+    name
+    for name, operation in OPERATIONS.items()
+    if operation.flat_maps == "kept" and not operation.parameters and name != "flatten"
+]
+ACTIVATIONS = ("leaky_relu", "prelu", "clip", *FUNCTIONS)
 POOLS = ("max_pool", "average_pool", "sum_pool", "inside_average_pool")
 CONFIG = TNTConfig(
     sensor=(9, 8), grid=(9, 8), bins=2, window_us=1000, transform="none", landmark="center"
@@ -96,7 +101,7 @@ class _Builder:
     def activation(self, op: str, source: str, shape, flat: bool = False) -> str:
         if op == "log1p":  # of what is above -1
             return self.add(op, [self.add("clip", [source], low=-0.75, high=None)])
-        if op == "relu" or op in ELEMENTWISE:
+        if op in FUNCTIONS:
             return self.add(op, [source])
         if op == "clip":
             low = self.draw(st.sampled_from([None, 0.0, -0.5]))

@@ -15,7 +15,7 @@ import numpy as np
 from async_tnt.base.checks import plain_array, short
 from async_tnt.base.files import replacing, user_path
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
-from async_tnt.networks.layers.operations import Shape
+from async_tnt.networks.layers.layer import Shape
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
 from async_tnt.volume.config import TNTConfig

@@ -11,7 +11,7 @@ import numpy as np
 
 from async_tnt.kernels.decisions import objects as K
 from async_tnt.networks.layers.graph import VOLUME
-from async_tnt.networks.layers.operations import Layer, Shape
+from async_tnt.networks.layers.layer import Layer, Shape
 from async_tnt.volume.config import TNTConfig
 
 REACH = 4

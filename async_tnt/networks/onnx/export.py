@@ -17,7 +17,7 @@ import numpy as np
 from async_tnt.base.checks import needs_extra
 from async_tnt.base.package import __version__
 from async_tnt.networks.layers.graph import CLASSIFIER, VOLUME, layer_shapes, tensors_of
-from async_tnt.networks.layers.operations import Layer
+from async_tnt.networks.layers.layer import Layer
 from async_tnt.networks.layers.uneven_windows import adaptive_matrix
 from async_tnt.networks.models.model import FORMAT, Model
 from async_tnt.networks.models.model_file import parse_metadata, read_description
