@@ -233,7 +233,7 @@ def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(
     shapes = {"w": (1, 1, 1, 1), "shared": (4096, 4096, 1, 1)}
     arguments = chain(*layers), (4096, 1, 1) if shared else (1, 8, 8), shapes
     name = at.split()[0]
-    words = r"up to here .* [\d_]+ (numbers|multiplications), more than [\d_]+ \(a program may raise async_tnt.networks"
+    words = r"up to here .* [\d_]+ (numbers|multiplications), more than [\d_]+ \(a program may raise async_tnt.networks.layers"
     with pytest.raises(ValueError, match=rf"^layer '{at}' \({name}\): {words}.graph.{limit}\)$"):
         layer_shapes(*arguments)
     monkeypatch.setattr(graph, limit, 1 << 40)
