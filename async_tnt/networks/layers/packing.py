@@ -1,4 +1,4 @@
-"""The weights of steps in the order in which the kernels read them, see `kernels.network.program`."""
+"""The weights of steps as the kernels read them, see `kernels.network.program`."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _weights_of_places(step: Step) -> np.ndarray:
 
 
 def _rows(w: np.ndarray, step: Step) -> np.ndarray:
-    """(places, numbers): weights (places, taps, C) of a step that computes each channel by itself."""
+    """(places, numbers): weights (places, taps, C) of a step that computes channels one by one."""
     n_places, n_taps, channels = w.shape
     size = round_up(channels, LANES)
     packed = np.zeros((n_places, (n_taps + 2) * size + LANES), np.float32)

@@ -61,18 +61,14 @@ def _sums_of_windows(made: StepList, layer: Layer, inputs: list[Map], factor: fl
 
 
 def _inside_average_pool_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    (source,) = inputs
     output = made.output_of(layer)
     window = window_of(layer)
-    rows, columns = (
-        inside_shares(
-            output.sides[axis],
-            inputs[0].sides[axis],
-            window["kernel"][axis],
-            window["stride"][axis],
-            window["padding"][axis],
-        )
-        for axis in (0, 1)
-    )
+    kernel_y, kernel_x = window["kernel"]
+    stride_y, stride_x = window["stride"]
+    above, before = window["padding"]
+    rows = inside_shares(output.rows, source.rows, kernel_y, stride_y, above)
+    columns = inside_shares(output.columns, source.columns, kernel_x, stride_x, before)
     weights = place_weights(rows, columns, output.channels)
     zeros = np.zeros(output.channels)
     return made.add(SUM, inputs, output, weights, zeros, own_weights=True, **window)

@@ -1,8 +1,8 @@
 """Mean poolings whose windows hold different numbers of places, as windows of one size in which
 each place has weights of its own.
 
-Along one axis, tap i of place k is the input `k stride - before + i`. What a tap adds to the mean of
-its place is its share: 1 / n for the n inputs of the place's span that exist, 0 for other taps.
+Along one axis, tap i of place k is the input `k stride - before + i`. What a tap adds to the mean
+of its place is its share: 1 / n for the n inputs of the place's span that exist, 0 for other taps.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
 def shares_of(
     spans: Sequence[tuple[int, int]], n_inputs: int, stride: int, before: int, kernel: int
 ) -> np.ndarray:
-    """(places, taps): the share of each tap in the mean over a span, where it lies inside the input.
+    """(places, taps): the share of each tap in the mean over a span, of its part inside the input.
 
     Examples
     --------
