@@ -17,7 +17,7 @@ from safetensors.torch import save_file as save_tensors
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.models.model import FORMAT
-from async_tnt.networks.onnx.export import seal
+from async_tnt.networks.onnx.metadata import seal
 
 ONNX = to_onnx(small_model()).SerializeToString()
 READERS = (load_model, OnnxClassifier)

@@ -352,5 +352,6 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     code, _, err = program("run", tmp_path / "a.npy", "--model", other)
     assert (
         code == 2
-        and "give one, --config: a file of what `async-tnt info` prints of a model as JSON" in err
+        and "--config must be given, a file of what `async-tnt info` prints of a model as JSON"
+        in err
     )
