@@ -52,8 +52,9 @@ def choose_engine(
         if classifier.exported is None:
             raise ParameterValueError(
                 "config",
-                "must be given, a file of what `async-tnt info` prints of a model as JSON: an ONNX "
-                "network of another program does not say how events become its volume",
+                f"must be given for {name_or_path}, an ONNX network of another program, which does "
+                "not say how events become its volume: a file of what `async-tnt info` prints of a "
+                "model as JSON",
             )
         return Engine(classifier.exported.config, classifier.exported.classes, classifier)
     model = load_model(name_or_path)

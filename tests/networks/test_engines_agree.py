@@ -97,7 +97,7 @@ def assert_one_line(program, message, *words, command="run"):
 def test_files_that_do_not_belong_here_give_one_line(program, exported, tmp_path):
     m, foreign = exported, tmp_path / "foreign.onnx"
     foreign.write_bytes(network())
-    no_config = f"{foreign}: an ONNX network without a configuration of this package, "
+    no_config = f"--config must be given for {foreign}, an ONNX network of another program, "
     assert_one_line(program, no_config, "--model", foreign)
     assert_one_line(program, "no file no.onnx", "--model", "no.onnx")
     assert_one_line(

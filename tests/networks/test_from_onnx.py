@@ -350,8 +350,4 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
     code, _, err = program("run", "--config", config)
     assert code == 2 and "--config is for .onnx files of other programs; digits has its own" in err
     code, _, err = program("run", tmp_path / "a.npy", "--model", other)
-    assert (
-        code == 2
-        and "--config must be given, a file of what `async-tnt info` prints of a model as JSON"
-        in err
-    )
+    assert code == 2 and ": a file of what `async-tnt info` prints of a model as JSON" in err
