@@ -51,8 +51,10 @@ def write_onnx(path, nodes, constants=None, output="y", opset=13, shape=(1, 2, 6
     return path
 
 
-ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
-HALF, YES = np.float32(0.5), np.bool_(True)
+ONES = np.ones(2, np.float32)
+KERNEL = np.ones((1, 2, 3, 3), np.float32)
+HALF = np.float32(0.5)
+YES = np.bool_(True)
 REFUSED = [  # nodes, constants, message, opset
     (
         [node("Sin")],
@@ -172,7 +174,8 @@ def test_weights_in_a_file_beside_are_read_there(tmp_path, monkeypatch):
 
 
 def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
-    path, ours = write_onnx(tmp_path / "m.onnx", [node("Flatten")]), tmp_path / "ours.onnx"
+    path = write_onnx(tmp_path / "m.onnx", [node("Flatten")])
+    ours = tmp_path / "ours.onnx"
     ours.write_bytes(to_onnx(load_model("digits")).SerializeToString())
     (tmp_path / "no.onnx").write_bytes(b"nothing")
     for name, settings, error, message in (
@@ -294,7 +297,8 @@ def test_a_weight_named_as_the_export_names_a_constant_is_kept(tmp_path):
 def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_path, program):
     """Compiled if it can be (what torch exports can, and is compared as it is read), by onnxruntime
     if not."""
-    path, config = tmp_path / "net.onnx", tmp_path / "net.json"
+    path = tmp_path / "net.onnx"
+    config = tmp_path / "net.json"
     torch.onnx.export(branches().eval(), torch.tensor(VOLUMES[:1]), str(path), dynamo=False)
     config.write_text(json.dumps({"config": CONFIG.to_dict(), "classes": ["a", "b", "c", "d"]}))
     engine = choose_engine(path, config=config)
@@ -317,10 +321,8 @@ def test_a_network_of_another_program_runs_with_its_configuration_in_a_file(tmp_
         [node("Sin", "x", "s"), node("Flatten", "s", "l"), node("Softmax", "l")],
     )
     volume = np.ones(small.shape, np.float32)
-    logits, of_odds = (
-        engine.classifier(volume),
-        choose_engine(odds, config=config).classifier(volume),
-    )
+    logits = engine.classifier(volume)
+    of_odds = choose_engine(odds, config=config).classifier(volume)
     np.testing.assert_allclose(of_odds, logits - np.log(np.exp(logits).sum()), atol=1e-5)
     layers = [node("Sin", "x", "s"), node("GlobalAveragePool", "s", "g"), node("Flatten", "g")]
     open_sides = write_onnx(tmp_path / "open.onnx", layers, shape=("n", 2, "h", "w"))
