@@ -146,14 +146,13 @@ def test_a_call_with_an_array_changes_no_later_objects():
     without any event."""
     model = map_model()
     seeing = {**model.weights, "nothing.bias": np.float32([-1.0])}
-    for model in (model, replace(model, weights=seeing)):
-        network = CompiledClassifier(model)
-        called = Processor(model, classifier=network)
-        untouched = Processor(model)
-        rng = np.random.default_rng(0)
-        for k, array in enumerate(
-            (np.zeros(network.shape), rng.normal(size=network.shape), np.ones(network.shape))
-        ):
+    for tested in (model, replace(model, weights=seeing)):
+        network = CompiledClassifier(tested)
+        called = Processor(tested, classifier=network)
+        untouched = Processor(tested)
+        normal = np.random.default_rng(0).normal(size=network.shape)
+        arrays = [np.zeros(network.shape), normal, np.ones(network.shape)]
+        for k, array in enumerate(arrays):
             network(array.astype(np.float32))
             assert as_rows(called.fire().objects) == as_rows(untouched.fire().objects)
             events = random_events(200, seed=k, sensor=CONFIG.sensor, duration_us=1500)

@@ -14,6 +14,7 @@ from networks.random_networks import DRAWN
 
 from async_tnt import CompiledClassifier, Model, TNTConfig
 from async_tnt.networks import OnnxClassifier, to_onnx
+from async_tnt.networks.layers import operations
 from async_tnt.networks.layers.graph import layer_shapes
 from async_tnt.networks.layers.lowering import steps_of
 from async_tnt.networks.layers.operations import OPERATIONS, described
@@ -86,14 +87,15 @@ def test_an_operation_has_a_name_a_sentence_and_parameters_with_rules(op):
     operation = OPERATIONS[op]
     assert operation.name == op
     assert re.fullmatch(r"\S.*\.", operation.description)
-    assert described(operation).startswith(f"{op}:")
+    assert described(operation).startswith(f"{op}: ")
+    assert described(operation) in operations.__doc__
     assert all(check.words for check in operation.parameters.values())
 
 
 def test_every_table_has_every_operation():
-    assert list(torch_operations.FORMS) == list(OPERATIONS)
-    assert list(onnx_operations.FORMS) == list(OPERATIONS)
-    assert list(tnt_reference.layers.OPERATIONS) == list(OPERATIONS)
+    assert torch_operations.FORMS.keys() == OPERATIONS.keys()
+    assert onnx_operations.FORMS.keys() == OPERATIONS.keys()
+    assert tnt_reference.layers.OPERATIONS.keys() == OPERATIONS.keys()
     assert DRAWN | {LANDMARK_ONLY} == set(OPERATIONS)  # by the networks that are made at random
 
 

@@ -10,7 +10,8 @@ output. `weights` maps each role to the name of a tensor in the file; a role tha
 not need may be missing. Sides are [y, x], paddings [top, left, bottom, right].
 
 The operations, with their parameters and roles, are those of the table `OPERATIONS` in
-`networks/layers/operations.py`. Every parameter is written, so readers need no defaults. An
+`networks/layers/operations.py`; `python -m pydoc async_tnt.networks.layers.operations` lists them.
+Every parameter is written, so readers need no defaults. An
 operation that is not in the table may be written in the same format: a release that cannot run it
 refuses the file.
 """

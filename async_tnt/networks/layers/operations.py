@@ -2,7 +2,9 @@
 
 An operation stands in the table at the end of its module, with its shape and its steps before it.
 Its ways in and out stand in `networks/torch/operations.py` and `networks/onnx/operations.py`, and
-what it means in `tnt_reference.layers`.
+what it means in `tnt_reference.layers`. `python -m pydoc async_tnt.networks.layers.operations`
+lists them with their parameters, the roles of their weights (those in brackets may be missing), and
+what they compute:
 """
 
 from __future__ import annotations
@@ -20,15 +22,13 @@ OPERATIONS: dict[str, Operation] = {
 
 
 def described(operation: Operation) -> str:
-    """An operation in a line, as pages list it.
+    """An operation in two lines.
 
     Examples
     --------
-    >>> print(described(OPERATIONS["prelu"]))
-    prelu: weights slope. x, or slope x where x is negative, with slopes (1,) or (C,).
     >>> print(described(OPERATIONS["conv"]))
-    conv: kernel, stride, padding, dilation, groups; weights weight, [bias]. A convolution; weight \
-(F, C / groups, *kernel), bias (F,).
+    conv: kernel, stride, padding, dilation, groups; weights weight, [bias]
+        A convolution; weight (F, C / groups, *kernel), bias (F,).
     """
     parts = []
     if operation.parameters:
@@ -36,5 +36,9 @@ def described(operation: Operation) -> str:
     if operation.roles:
         roles = [role if needed else f"[{role}]" for role, needed in operation.roles.items()]
         parts.append(f"weights {', '.join(roles)}")
-    given = f" {'; '.join(parts)}." if parts else ""
-    return f"{operation.name}:{given} {operation.description}"
+    given = "; ".join(parts) or "no parameters"
+    return f"{operation.name}: {given}\n    {operation.description}"
+
+
+if __doc__ is not None:  # python -OO drops it
+    __doc__ += "\n" + "\n".join(described(operation) for operation in OPERATIONS.values())
