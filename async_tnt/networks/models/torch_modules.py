@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import needs_extra, positive_int
+from async_tnt.base.checks import ParameterTypeError, needs_extra, positive_int
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.objects import LOGITS, Places, logits_shape
@@ -93,7 +93,7 @@ class TorchClassifier:
         if isinstance(module, torch.export.ExportedProgram):
             module = module.module()
         if not callable(module):
-            raise TypeError(f"`module` must be callable, got {type(module).__name__}")
+            raise ParameterTypeError("module", "must be callable", type(module).__name__)
         if threads is not None:
             torch.set_num_threads(positive_int("threads", threads))
         self.module = module
