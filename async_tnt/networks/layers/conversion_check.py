@@ -1,5 +1,4 @@
-"""Whether the layers that were read from a network of another program compute what the network
-does."""
+"""The comparison of a network of another program with the layers that were read from it."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def adaptive_matrix(n: int, n_inputs: int) -> np.ndarray:
 def shares_of(
     spans: Sequence[tuple[int, int]], n_inputs: int, stride: int, before: int, kernel: int
 ) -> np.ndarray:
-    """(places, taps): the share of each tap in the mean over a span, of its part inside the input.
+    """(places, taps): the share of each tap in its place's mean, over the span inside the input.
 
     Examples
     --------

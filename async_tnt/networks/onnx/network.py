@@ -157,7 +157,7 @@ class OnnxClassifier:
 
     @property
     def logits_shape(self) -> tuple[int, ...]:
-        """(n_classes,), of a map (n_classes + 1, R, C)."""
+        """The shape of an answer: (n_classes,), or (n_classes + 1, R, C) for a map."""
         return self._answer.shape
 
     @one_at_a_time
@@ -328,5 +328,5 @@ def _listed(values: list[Any]) -> str:
 
 
 def _spelled(sides: Sequence[Any]) -> str:
-    """(1, 9, height, ?): a side is a number, a name or unknown."""
+    """A shape for messages, such as (1, 9, height, ?): a side is a number, a name or unknown."""
     return "(" + ", ".join("?" if side is None else str(side) for side in sides) + ")"
