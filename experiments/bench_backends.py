@@ -59,7 +59,7 @@ def _session(model: Model) -> Any:
     from async_tnt.networks.onnx.export import to_onnx
     from async_tnt.networks.onnx.network import open_session
 
-    return open_session(to_onnx(model).SerializeToString(), "the exported network", threads=1)[0]
+    return open_session(to_onnx(model).SerializeToString(), "the exported network", threads=1).session
 
 
 def _openvino(model: Model) -> Network:

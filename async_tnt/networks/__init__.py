@@ -1,14 +1,14 @@
 """Networks: model files, the compiled networks, and other engines in their place.
 
-    Model, load_model           a configuration, weights and class names, in one .safetensors file
-    CompiledClassifier          its classifier, compiled: computes only what has changed;
-                                `CompiledRegressor`
-    OnnxClassifier              any ONNX network, by onnxruntime: `Processor(config,
-                                classifier=...)`
-    TorchClassifier             any torch module, TorchScript or exported program
-    to_onnx                     a Model's classifier as an ONNX network
+    Model, load_model    a configuration, weights and class names, in one .safetensors file
+    CompiledClassifier   a Model's classifier, compiled; it computes only what has changed
+    CompiledRegressor    a Model's landmark network, compiled
+    OnnxClassifier       any ONNX network, run by onnxruntime
+    TorchClassifier      any torch module, TorchScript or exported program
+    to_onnx              a Model's classifier as an ONNX network
 
-onnx, onnxruntime (extra `onnx`) and torch are imported only when they are needed.
+A `Processor(config, classifier=...)` takes the two other classifiers. onnx, onnxruntime (extra
+`onnx`) and torch are imported only when they are needed.
 """
 
 from async_tnt.networks.loading import bundled_models, load_model

@@ -1,4 +1,4 @@
-"""What runs a model's networks: the compiled ones or, of an .onnx file, onnxruntime."""
+"""What runs a model's networks: the compiled ones or, for an .onnx file, onnxruntime."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import one_line, parse_json, short
+from async_tnt.base.checks import ParameterValueError, one_line, parse_json, short
 from async_tnt.base.files import read_regular, user_path
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.model import Model
@@ -27,15 +27,15 @@ class Engine:
 def choose_engine(
     name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None
 ) -> Engine:
-    """A model, and the engine that runs its networks: `compiled` (Numba), or `onnx` for an .onnx
+    """A model and the engine that runs its networks: the compiled one, or onnxruntime for an .onnx
     file.
 
     Parameters
     ----------
     name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
-    map_sensor : (width, height), what a map model is to be used for, see `Model.for_sensor`. Other
-        models have theirs.
-    config : for an .onnx file of another program: a JSON file with the fields of a `TNTConfig` as
+    map_sensor : (width, height), the sensor that a map model is to be used for, see
+        `Model.for_sensor`. Other models have a sensor of their own.
+    config : for an .onnx file of another program, a JSON file with the fields of a `TNTConfig` as
         `config`, and optionally `classes`, as `async-tnt info` prints them of a model.
 
     Raises
@@ -46,15 +46,15 @@ def choose_engine(
         for another model.
     """
     if config is not None:
-        return _of_other_program(user_path(name_or_path), config)
+        return _engine_of_other_program(user_path(name_or_path), config)
     if is_onnx(name_or_path):
         classifier = OnnxClassifier(name_or_path)
         if classifier.exported is None:
-            raise ValueError(
-                f"{name_or_path}: an ONNX network without a configuration of this package, which "
-                "defines how events "
-                "become its volume; give one, `config`: a file of what `async-tnt info` prints of "
-                "a model as JSON"
+            raise ParameterValueError(
+                "config",
+                f"must be given for {name_or_path}, an ONNX network of another program, which does "
+                "not say how events become its volume: a file of what `async-tnt info` prints of a "
+                "model as JSON",
             )
         return Engine(classifier.exported.config, classifier.exported.classes, classifier)
     model = load_model(name_or_path)
@@ -68,52 +68,75 @@ def is_onnx(name_or_path: str | Path) -> bool:
     return Path(name_or_path).suffix.lower() == ".onnx"
 
 
-def _of_other_program(path: Path, config: Path) -> Engine:
-    """The compiled form of another program's network, where it has one; else onnxruntime."""
+def _engine_of_other_program(path: Path, config: Path) -> Engine:
+    """The engine of another program's network: compiled where it can be, else onnxruntime."""
     if not is_onnx(path):
-        raise ValueError(f"`config` is for .onnx files of other programs; {path} has its own")
-    try:
-        given = parse_json(read_regular(config))
-        if not isinstance(given, dict) or "config" not in given:
-            raise ValueError(f"no 'config' in it, got {short(given)}")
-        volume = TNTConfig.from_dict(given["config"])
-        classes = given.get("classes")
-        if classes is not None and not (
-            isinstance(classes, list) and 0 < len(set(map(str, classes))) == len(classes)
-        ):
-            raise ValueError(f"`classes` must be different names, got {short(classes)}")
-    except (ValueError, TypeError) as error:
-        what = one_line(error)
-        raise ValueError(
-            f'{config}: expected a JSON object with "config", and maybe "classes": {what}'
-        ) from None
+        rule = f"is for .onnx files of other programs; {path} has its own"
+        raise ParameterValueError("config", rule)
+    volume, classes = _read_config(config)
     try:
         model = load_model(path, config=volume, classes=classes)
-    except TypeError as error:  # the file has its own
-        raise ValueError(one_line(error)) from None
+    except TypeError:
+        rule = f"is for networks of other programs; {path} has its own"
+        raise ParameterValueError("config", rule) from None
     except NotImplementedError:
-        network = OnnxClassifier(_of_logits(path), shape=volume.shape)
-        names = list(map(str, range(network.n_classes) if classes is None else classes))
-        if len(names) != network.n_classes:
-            raise ValueError(
-                f"{config}: {len(names)} classes, but {path} computes {network.n_classes}"
-            ) from None
-        return Engine(volume, names, network)
+        return _engine_of_onnxruntime(path, config, volume, classes)
     return Engine(model, model.classes)
 
 
-def _of_logits(path: Path) -> Any:
-    """The file or, if a softmax ends its network, the network with its logarithm, which are logits
-    of the same."""
+def _read_config(path: Path) -> tuple[TNTConfig, list[str] | None]:
+    """The configuration in a JSON file, and the class names if it has some.
+
+    Raises
+    ------
+    ValueError : names the file, and what is wrong in it.
+    """
+    try:
+        given = parse_json(read_regular(path))
+        if not isinstance(given, dict) or "config" not in given:
+            raise ValueError(f"no 'config' in it, got {short(given)}")
+        config = TNTConfig.from_dict(given["config"])
+        classes = given.get("classes")
+        if classes is not None and not _are_different_names(classes):
+            raise ValueError(f"`classes` must be different names, got {short(classes)}")
+    except (ValueError, TypeError) as error:
+        raise ValueError(
+            f'{path}: expected a JSON object with "config", and maybe "classes": {one_line(error)}'
+        ) from None
+    return config, classes
+
+
+def _are_different_names(classes: Any) -> bool:
+    """Whether it is a list of one name or more, each of them there once."""
+    if not isinstance(classes, list) or not classes:
+        return False
+    return len({str(name) for name in classes}) == len(classes)
+
+
+def _engine_of_onnxruntime(
+    path: Path, config: Path, volume: TNTConfig, classes: list[str] | None
+) -> Engine:
+    """The engine of a network that has no compiled form."""
+    network = OnnxClassifier(_network_of_logits(path), shape=volume.shape)
+    names = [str(k) for k in range(network.n_classes)]
+    if classes is not None:
+        names = [str(name) for name in classes]
+    if len(names) != network.n_classes:
+        raise ValueError(f"{config}: {len(names)} classes, but {path} computes {network.n_classes}")
+    return Engine(volume, names, network)
+
+
+def _network_of_logits(path: Path) -> Any:
+    """The file or, if a softmax ends its network, the network with the logarithm of the softmax.
+
+    That logarithm is logits whose softmax is the network's output.
+    """
     import onnx
 
     proto = onnx.load(path)
-    ends = [
-        node
-        for node in proto.graph.node
-        if list(node.output) == [output.name for output in proto.graph.output]
-    ]
-    if not ends or ends[0].op_type != "Softmax":
-        return path
-    ends[0].op_type = "LogSoftmax"
-    return proto
+    outputs = [output.name for output in proto.graph.output]
+    for node in proto.graph.node:
+        if list(node.output) == outputs and node.op_type == "Softmax":
+            node.op_type = "LogSoftmax"
+            return proto
+    return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,21 @@ from async_tnt.networks.models.model_file import (
 from async_tnt.networks.onnx.from_onnx import load_onnx
 from async_tnt.volume.config import TNTConfig
 
+SUFFIX = ".safetensors"
+"""The end of a model file's name."""
+
 
 def bundled_models() -> tuple[str, ...]:
-    """Names that `load_model` knows without a path."""
-    folder = resources.files("async_tnt") / "assets"
-    names = (file.name for file in folder.iterdir())
-    return tuple(
-        sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors"))
-    )
+    """The names that `load_model` knows without a path."""
+    names = []
+    for file in _bundled_folder().iterdir():
+        if file.name.endswith(SUFFIX):
+            names.append(file.name.removesuffix(SUFFIX))
+    return tuple(sorted(names))
+
+
+def _bundled_folder() -> Traversable:
+    return resources.files("async_tnt") / "assets"
 
 
 def load_model(
@@ -65,7 +73,7 @@ def load_model(
         run, or is not a model of this package.
     """
     if str(name_or_path) in bundled_models():
-        path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
+        path = Path(str(_bundled_folder() / f"{name_or_path}{SUFFIX}"))
     else:
         path = user_path(name_or_path)
         if not path.is_file():
@@ -78,6 +86,11 @@ def load_model(
         return load_onnx(path, config, classes)
     if config is not None or classes is not None:
         raise TypeError(f"`config` and `classes` are for .onnx networks; {path} has its own")
+    return _read_model(path)
+
+
+def _read_model(path: Path) -> Model:
+    """The model in a .safetensors file."""
     try:
         weights, metadata = read_tensors(path, FORMAT)
     except ValueError as error:
@@ -87,18 +100,22 @@ def load_model(
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
     try:
-        if metadata.get("sha256") not in (None, checksum_of(weights, metadata)):
-            raise ValueError("its checksum differs; copy or download it again")
-        own_config, own_classes, record = read_description(metadata, "network")
-        for name, values in weights.items():
-            if values.dtype != np.float32:
-                raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-        return Model(
-            own_config, weights, own_classes, record, network=parse_metadata(metadata, "network")
-        )
+        return _checked_model(weights, metadata)
     except NotImplementedError as error:
         raise ValueError(
             f"{path} holds a network that this release cannot run: {one_line(error)}"
         ) from None
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
+
+
+def _checked_model(weights: dict[str, np.ndarray], metadata: dict[str, str]) -> Model:
+    """The model of a file's tensors and metadata; an error if they are not what `save` wrote."""
+    if metadata.get("sha256") not in (None, checksum_of(weights, metadata)):
+        raise ValueError("its checksum differs; copy or download it again")
+    config, classes, record = read_description(metadata, "network")
+    for name, values in weights.items():
+        if values.dtype != np.float32:
+            raise ValueError(f"`{name}` must be float32, got {values.dtype}")
+    network = parse_metadata(metadata, "network")
+    return Model(config, weights, classes, record, network=network)

@@ -24,7 +24,7 @@ from torch import nn
 
 from async_tnt.base.checks import ParameterValueError, one_line
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, VOLUME
-from async_tnt.networks.layers.operations import Layer
+from async_tnt.networks.layers.layer import Layer
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.torch_modules import torch_classifier, torch_regressor
 from async_tnt.training.augment import Draws

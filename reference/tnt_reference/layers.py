@@ -2,17 +2,22 @@
 
 A layer is a mapping with `op`, `name`, `inputs` (names of earlier layers, or "volume") and the
 parameters of its op; `weights` maps roles to names of tensors. The last layer's value is the
-network's.
+network's. The ops are those of the table `OPERATIONS` at the end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
 
 import torch
 from torch import nn
 from torch.nn import functional as F
+
+Layer = Mapping[str, Any]
+
+Weights = Mapping[str, torch.Tensor]
+"""Role -> weights."""
 
 
 class LayerNetwork(nn.Module):
@@ -20,11 +25,7 @@ class LayerNetwork(nn.Module):
 
     Parameters
     ----------
-    layers : mappings with `op`, `name`, `inputs` (names of earlier layers, or "volume"), the
-        parameters of the op, and `weights`: role -> name of a tensor. Ops: conv, dense, batch_norm,
-        relu, leaky_relu, prelu, clip, log1p, sigmoid, tanh, silu, gelu, gelu_tanh, hardswish,
-        hardsigmoid, max_pool, average_pool, sum_pool, inside_average_pool, adaptive_average_pool,
-        global_average_pool, depth_to_space, add, concat, flatten, heatmap_centroid.
+    layers : see above.
     tensors : name -> weights, parameters of this module. Means and variances of batch_norm are not
         trained.
 
@@ -33,21 +34,20 @@ class LayerNetwork(nn.Module):
     ValueError : an op of another name.
     """
 
-    def __init__(self, layers: Sequence[Mapping[str, Any]], tensors: Mapping[str, Any]) -> None:
+    def __init__(self, layers: Sequence[Layer], tensors: Mapping[str, Any]) -> None:
         super().__init__()
         self.layers = list(layers)
         self.tensors: dict[str, nn.Parameter] = {}
         for layer in layers:
-            if layer["op"] not in _OPERATIONS:
+            if layer["op"] not in OPERATIONS:
                 raise ValueError(
-                    f"an op of layers must be one of {', '.join(_OPERATIONS)}, got {layer['op']!r}"
+                    f"an op of layers must be one of {', '.join(OPERATIONS)}, got {layer['op']!r}"
                 )
             for role, name in layer.get("weights", {}).items():
                 if name not in self.tensors:
-                    trained = role not in ("mean", "variance")
-                    self.tensors[name] = nn.Parameter(
-                        torch.as_tensor(tensors[name]).clone(), requires_grad=trained
-                    )
+                    values = torch.as_tensor(tensors[name]).clone()
+                    is_trained = role not in ("mean", "variance")
+                    self.tensors[name] = nn.Parameter(values, requires_grad=is_trained)
         self._parameters_of_layers = nn.ParameterList(self.tensors.values())
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
@@ -56,34 +56,32 @@ class LayerNetwork(nn.Module):
         for layer in self.layers:
             weights = {role: self.tensors[name] for role, name in layer.get("weights", {}).items()}
             inputs = [values[name] for name in layer["inputs"]]
-            values[layer["name"]] = _OPERATIONS[layer["op"]](layer, weights, *inputs)
+            values[layer["name"]] = OPERATIONS[layer["op"]](layer, weights, *inputs)
         return values[self.layers[-1]["name"]]
 
 
-def _padded(layer: Mapping[str, Any], x: torch.Tensor, value: float = 0.0) -> torch.Tensor:
-    top, left, bottom, right = layer["padding"]
-    return F.pad(x, (left, right, top, bottom), value=value) if any(layer["padding"]) else x
+# -- with weights ----------------------------------------------------------------------------------
 
 
-def _conv(
-    layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: torch.Tensor
-) -> torch.Tensor:
+def _conv(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     top, left, bottom, right = layer["padding"]
-    symmetric = (top, left) == (bottom, right)  # torch pads these by itself, without a copy
+    is_symmetric = (top, left) == (bottom, right)  # torch pads these by itself, without a copy
     return F.conv2d(
-        x if symmetric else _padded(layer, x),
+        x if is_symmetric else _padded(layer, x),
         weights["weight"],
         weights.get("bias"),
         stride=layer["stride"],
-        padding=(top, left) if symmetric else 0,
+        padding=(top, left) if is_symmetric else 0,
         dilation=layer["dilation"],
         groups=layer["groups"],
     )
 
 
-def _batch_norm(
-    layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: torch.Tensor
-) -> torch.Tensor:
+def _dense(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.linear(x, weights["weight"], weights.get("bias"))
+
+
+def _batch_norm(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     return F.batch_norm(
         x,
         weights["mean"],
@@ -94,65 +92,135 @@ def _batch_norm(
     )
 
 
-def _sum_pool(
-    layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: torch.Tensor
-) -> torch.Tensor:
+# -- activations -----------------------------------------------------------------------------------
+
+
+def _leaky_relu(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.leaky_relu(x, layer["slope"])
+
+
+def _prelu(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.prelu(x, weights["slope"])
+
+
+def _clip(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    low = -torch.inf if layer["low"] is None else layer["low"]
+    high = torch.inf if layer["high"] is None else layer["high"]
+    return x.clamp(low, high)
+
+
+def _gelu_tanh(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.gelu(x, approximate="tanh")
+
+
+def _function(of: Callable[[torch.Tensor], torch.Tensor]) -> Operation:
+    """An op of one input, without parameters."""
+
+    def operation(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+        return of(x)
+
+    return operation
+
+
+# -- pooling ---------------------------------------------------------------------------------------
+
+
+def _padded(layer: Layer, x: torch.Tensor, value: float = 0.0) -> torch.Tensor:
+    top, left, bottom, right = layer["padding"]
+    return F.pad(x, (left, right, top, bottom), value=value) if any(layer["padding"]) else x
+
+
+def _max_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.max_pool2d(_padded(layer, x, -torch.inf), layer["kernel"], layer["stride"])
+
+
+def _average_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.avg_pool2d(_padded(layer, x), layer["kernel"], layer["stride"])
+
+
+def _sum_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     return F.avg_pool2d(_padded(layer, x), layer["kernel"], layer["stride"], divisor_override=1)
 
 
-def _inside_average_pool(
-    layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: torch.Tensor
-) -> torch.Tensor:
+def _inside_average_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     """The sum over each window, by how many of its places lie inside."""
     return _sum_pool(layer, weights, x) / _sum_pool(layer, weights, torch.ones_like(x))
 
 
+def _adaptive_average_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.adaptive_avg_pool2d(x, tuple(layer["size"]))
+
+
+def _global_average_pool(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return x.mean(dim=(-2, -1), keepdim=True)
+
+
+# -- joining, the order of numbers -----------------------------------------------------------------
+
+
+def _depth_to_space(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.pixel_shuffle(x, layer["block"])
+
+
+def _add(layer: Layer, weights: Weights, *inputs: torch.Tensor) -> torch.Tensor:
+    return cast(torch.Tensor, sum(inputs))
+
+
+def _concat(layer: Layer, weights: Weights, *inputs: torch.Tensor) -> torch.Tensor:
+    return torch.cat(inputs, dim=1)
+
+
+def _flatten(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return x.flatten(1)
+
+
 def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
-    """l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x]): e is `exponent`, (N, 1, H, W) ->
-    (N, 2), float64 (x, y)."""
+    """The mean place of a heatmap exp(e): `exponent` e, (N, 1, H, W), to (N, 2), float64 (x, y).
+
+    l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])
+    """
     e = exponent[..., 0, :, :].double()  # (N, H, W)
     # A common factor does not change the centroid: make the largest cell 1, so that exp cannot
     # overflow.
     h = torch.exp(e - e.detach().amax(dim=(-2, -1), keepdim=True))  # (N, H, W)
-    y, x = (torch.arange(side, dtype=torch.float64, device=h.device) for side in h.shape[-2:])
-    total = h.sum(dim=(-2, -1))
-    return torch.stack(
-        [(h.sum(dim=-2) * x).sum(-1) / total, (h.sum(dim=-1) * y).sum(-1) / total], dim=-1
-    )
+    height, width = h.shape[-2:]
+    y = torch.arange(height, dtype=torch.float64, device=h.device)
+    x = torch.arange(width, dtype=torch.float64, device=h.device)
+    total = h.sum(dim=(-2, -1))  # (N,)
+    mean_x = (h.sum(dim=-2) * x).sum(-1) / total
+    mean_y = (h.sum(dim=-1) * y).sum(-1) / total
+    return torch.stack([mean_x, mean_y], dim=-1)
 
 
-_OPERATIONS: dict[str, Any] = {
+Operation = Callable[..., torch.Tensor]
+"""Layer, its weights, its inputs; returns its value."""
+
+OPERATIONS: dict[str, Operation] = {
     "conv": _conv,
-    "dense": lambda layer, w, x: F.linear(x, w["weight"], w.get("bias")),
+    "dense": _dense,
     "batch_norm": _batch_norm,
-    "relu": lambda layer, w, x: F.relu(x),
-    "leaky_relu": lambda layer, w, x: F.leaky_relu(x, layer["slope"]),
-    "prelu": lambda layer, w, x: F.prelu(x, w["slope"]),
-    "clip": lambda layer, w, x: x.clamp(
-        -torch.inf if layer["low"] is None else layer["low"],
-        torch.inf if layer["high"] is None else layer["high"],
-    ),
-    "log1p": lambda layer, w, x: torch.log1p(x),
-    "sigmoid": lambda layer, w, x: torch.sigmoid(x),
-    "tanh": lambda layer, w, x: torch.tanh(x),
-    "silu": lambda layer, w, x: F.silu(x),
-    "gelu": lambda layer, w, x: F.gelu(x),
-    "gelu_tanh": lambda layer, w, x: F.gelu(x, approximate="tanh"),
-    "hardswish": lambda layer, w, x: F.hardswish(x),
-    "hardsigmoid": lambda layer, w, x: F.hardsigmoid(x),
-    "max_pool": lambda layer, w, x: F.max_pool2d(
-        _padded(layer, x, -torch.inf), layer["kernel"], layer["stride"]
-    ),
-    "average_pool": lambda layer, w, x: F.avg_pool2d(
-        _padded(layer, x), layer["kernel"], layer["stride"]
-    ),
+    "relu": _function(F.relu),
+    "leaky_relu": _leaky_relu,
+    "prelu": _prelu,
+    "clip": _clip,
+    "log1p": _function(torch.log1p),
+    "sigmoid": _function(torch.sigmoid),
+    "tanh": _function(torch.tanh),
+    "silu": _function(F.silu),
+    "gelu": _function(F.gelu),
+    "gelu_tanh": _gelu_tanh,
+    "hardswish": _function(F.hardswish),
+    "hardsigmoid": _function(F.hardsigmoid),
+    "max_pool": _max_pool,
+    "average_pool": _average_pool,
     "sum_pool": _sum_pool,
     "inside_average_pool": _inside_average_pool,
-    "adaptive_average_pool": lambda layer, w, x: F.adaptive_avg_pool2d(x, tuple(layer["size"])),
-    "global_average_pool": lambda layer, w, x: x.mean(dim=(-2, -1), keepdim=True),
-    "depth_to_space": lambda layer, w, x: F.pixel_shuffle(x, layer["block"]),
-    "add": lambda layer, w, *inputs: sum(inputs),
-    "concat": lambda layer, w, *inputs: torch.cat(inputs, dim=1),
-    "flatten": lambda layer, w, x: x.flatten(1),
-    "heatmap_centroid": lambda layer, w, x: heatmap_centroid(x),
+    "adaptive_average_pool": _adaptive_average_pool,
+    "global_average_pool": _global_average_pool,
+    "depth_to_space": _depth_to_space,
+    "add": _add,
+    "concat": _concat,
+    "flatten": _flatten,
+    "heatmap_centroid": _function(heatmap_centroid),
 }
+"""Op -> what it computes."""

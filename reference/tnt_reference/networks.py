@@ -17,12 +17,16 @@ from .volume import check_bins, event_volume, tnt_volume
 from .window import Column, check_polarity, check_size, until_newest
 
 REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface")
+"""What a `Pipeline` can make of events: an event volume, one of a single bin, or an image of
+times."""
 
 
 class Classifier(nn.Module):
     """Event volume to logits: two convolutions and two fully connected layers.
 
-        conv1 3x3 same, ReLU, 2x2 average pool, conv2 3x3 same, ReLU, 2x2 average pool, fc1, ReLU,
+        conv1 3x3 same, ReLU, 2x2 average pool
+        conv2 3x3 same, ReLU, 2x2 average pool
+        fc1, ReLU
         fc2
 
     Parameters
@@ -30,8 +34,8 @@ class Classifier(nn.Module):
     channels : of the volume: B, or 2B for split polarity.
     grid : (width, height) of the volume, at least 4 x 4. Pooling drops an odd side's last row or
         column (34 -> 17 -> 8).
-    n_classes : logits.
-    widths : outputs of conv1, conv2 and fc1.
+    n_classes : how many logits.
+    widths : how many outputs conv1, conv2 and fc1 have.
 
     References
     ----------
@@ -48,14 +52,15 @@ class Classifier(nn.Module):
     ) -> None:
         super().__init__()
         width, height = grid_for_two_pools(grid)
-        self.channels, self.grid = channels, (width, height)
+        self.channels = channels
+        self.grid = (width, height)
         self.conv1 = nn.Conv2d(channels, widths[0], 3, padding="same")
         self.conv2 = nn.Conv2d(widths[0], widths[1], 3, padding="same")
         self.fc1 = nn.Linear(widths[1] * (height // 4) * (width // 4), widths[2])
         self.fc2 = nn.Linear(widths[2], n_classes)
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """Logits of a `volume`: (N, C, H, W) -> (N, n_classes), or (C, H, W) -> (n_classes,)."""
+        """The logits of a volume: (N, C, H, W) -> (N, n_classes), or (C, H, W) -> (n_classes,)."""
         check_volume_shape(volume, self.channels, self.grid)
         a = F.avg_pool2d(F.relu(self.conv1(volume)), 2)  # (..., 16, H//2, W//2)
         a = F.avg_pool2d(F.relu(self.conv2(a)), 2)  # (..., 32, H//4, W//4)
@@ -68,21 +73,21 @@ class LandmarkRegressor(nn.Module):
     """Raw event volume to landmark: the centroid of a heatmap that three 3x3 and one 1x1
     convolution draw.
 
-        h = exp(heatmap(ReLU(conv3(ReLU(conv2(ReLU(conv1(V))))))))        non-negative, (H, W)
-        l = sum_{y,x} h[y, x] (x, y) / sum_{y,x} h[y, x]                  in pixels of the whole image
+        h = exp(heatmap(ReLU(conv3(ReLU(conv2(ReLU(conv1(V))))))))   non-negative, (H, W)
+        l = sum_{y,x} h[y, x] (x, y) / sum_{y,x} h[y, x]             in pixels of the whole image
 
     The thesis does not say how its heatmap is kept non-negative, nor how the network starts; both
     are our choice. `exp` makes the centroid the expectation under a softmax over all pixels: it can
     be as sharp as training makes it. The 1x1 convolution starts at zero, so that h = 1 everywhere
-    and the first landmark is exactly the image centre, whatever the events. At the first step,
-    therefore, only the 1x1 convolution has a gradient; from the second on, all layers have one. It
-    carries no bias: a constant added to the exponent leaves the centroid as it is.
+    and the first landmark is exactly the image centre, whatever the events. Therefore only the 1x1
+    convolution has a gradient at the first step; from the second step on, all layers have one. The
+    1x1 convolution has no bias: a constant added to the exponent leaves the centroid as it is.
 
     Parameters
     ----------
     channels : of the volume: B, or 2B for split polarity.
     grid : (width, height) of the volume.
-    n_filters : outputs of each 3x3 convolution. Ours; the thesis gives none.
+    n_filters : how many outputs each 3x3 convolution has. It is our choice; the thesis gives none.
 
     References
     ----------
@@ -93,7 +98,8 @@ class LandmarkRegressor(nn.Module):
         self, channels: int = 9, grid: tuple[int, int] = (34, 34), n_filters: int = 20
     ) -> None:
         super().__init__()
-        self.channels, self.grid = channels, check_size("grid", grid)
+        self.channels = channels
+        self.grid = check_size("grid", grid)
         self.conv1 = nn.Conv2d(channels, n_filters, 3, padding="same")
         self.conv2 = nn.Conv2d(n_filters, n_filters, 3, padding="same")
         self.conv3 = nn.Conv2d(n_filters, n_filters, 3, padding="same")
@@ -101,8 +107,8 @@ class LandmarkRegressor(nn.Module):
         nn.init.zeros_(self.heatmap.weight)
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """Landmark of a raw `volume`: (N, C, H, W) -> (N, 2), or (C, H, W) -> (2,): float64 (x, y)
-        in grid pixels."""
+        """The landmark of a raw `volume`, float64 (x, y) in grid pixels: (N, C, H, W) -> (N, 2), or
+        (C, H, W) -> (2,)."""
         check_volume_shape(volume, self.channels, self.grid)
         a = F.relu(self.conv1(volume))  # (..., n_filters, H, W), as are the next two
         a = F.relu(self.conv2(a))
@@ -154,41 +160,26 @@ class Pipeline(nn.Module):
         regressor: nn.Module | None = None,
     ) -> None:
         super().__init__()
-        if representation not in REPRESENTATIONS:
-            raise ValueError(
-                f"`representation` must be one of {', '.join(REPRESENTATIONS)}, got "
-                f"{representation!r}"
-            )
-        if representation == "count" and bins != 1:
-            raise ValueError(f"`bins` must be 1 with representation 'count', got {bins}")
-        if representation not in ("volume", "count") and transform != "none":
-            raise ValueError(
-                f"`transform` must be 'none' with representation {representation!r}, got "
-                f"{transform!r}"
-            )
-        if transform not in ("tnt", "none"):
-            raise ValueError(f"`transform` must be 'tnt' or 'none', got {transform!r}")
-        if landmark not in (*LANDMARKS, "regressor"):
-            raise ValueError(
-                f"`landmark` must be one of {', '.join(LANDMARKS)}, regressor; got {landmark!r}"
-            )
-        if (landmark == "regressor") != (regressor is not None):
-            raise ValueError(
-                f"landmark 'regressor' and a `regressor` network go together: got landmark "
-                f"{landmark!r} and regressor {type(regressor).__name__}"
-            )
-        self.classifier, self.regressor = classifier, regressor
+        _check_representation(representation, bins, transform)
+        _check_landmark(landmark, regressor)
+        self.classifier = classifier
+        self.regressor = regressor
         self.sensor = check_size("sensor", sensor)
         self.grid = check_size("grid", grid if grid is not None else sensor)
-        self.window_us, self.bins, self.t_max = window_us, check_bins(bins), t_max
-        self.polarity, self.landmark = polarity, landmark
-        self.transform, self.remove_flow, self.representation = (
-            transform,
-            remove_flow,
-            representation,
-        )
+        self.window_us = window_us
+        self.bins = check_bins(bins)
+        self.t_max = t_max
+        self.polarity = polarity
+        self.landmark = landmark
+        self.transform = transform
+        self.remove_flow = remove_flow
+        self.representation = representation
         check_polarity(polarity)
-        # No events: every remaining setting is checked where it is used.
+        self._check_transform()
+        self._check_networks()
+
+    def _check_transform(self) -> None:
+        """Transform no events: every remaining setting is checked where it is used."""
         tnt_coordinates(
             [],
             [],
@@ -197,12 +188,15 @@ class Pipeline(nn.Module):
             window_us=self.duration_us([], 0),
             sensor=self.sensor,
             grid=self.grid,
-            t_max=t_max,
-            landmark=(0.0, 0.0) if landmark == "regressor" else landmark,
-            remove_flow=remove_flow,
+            t_max=self.t_max,
+            landmark=(0.0, 0.0) if self.landmark == "regressor" else self.landmark,
+            remove_flow=self.remove_flow,
         )
-        channels = 2 * bins if polarity == "split" else bins
-        for name, network in (("classifier", classifier), ("regressor", regressor)):
+
+    def _check_networks(self) -> None:
+        """Refuse a network that is built for other volumes."""
+        channels = 2 * self.bins if self.polarity == "split" else self.bins
+        for name, network in (("classifier", self.classifier), ("regressor", self.regressor)):
             expected = (getattr(network, "channels", channels), getattr(network, "grid", self.grid))
             if expected != (channels, self.grid):
                 raise ValueError(
@@ -257,15 +251,15 @@ class Pipeline(nn.Module):
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of the networks' weights."""
+        """The type of the networks' weights."""
         return next((w.dtype for w in self.parameters()), torch.get_default_dtype())
 
     def forward(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """Logits (n_classes,) of the window that starts at `start_us`."""
+        """The logits (n_classes,) of the window that starts at `start_us`."""
         return self.batch([(t, x, y, p, start_us)])[0]
 
     def batch(self, windows: Iterable[Sequence[Column]]) -> torch.Tensor:
-        """Logits (N, n_classes) of N `windows`, each `(t, x, y, p, start_us)`."""
+        """The logits (N, n_classes) of N `windows`, each `(t, x, y, p, start_us)`."""
         volumes = [self.volume(*window) for window in windows]  # N of (C, H, W)
         if not volumes:
             raise ValueError("`windows` must hold at least one (t, x, y, p, start_us), got none")
@@ -273,17 +267,45 @@ class Pipeline(nn.Module):
         return logits
 
 
+def _check_representation(representation: str, bins: int, transform: str) -> None:
+    if representation not in REPRESENTATIONS:
+        raise ValueError(
+            f"`representation` must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}"
+        )
+    if representation == "count" and bins != 1:
+        raise ValueError(f"`bins` must be 1 with representation 'count', got {bins}")
+    if representation not in ("volume", "count") and transform != "none":
+        raise ValueError(
+            f"`transform` must be 'none' with representation {representation!r}, got {transform!r}"
+        )
+    if transform not in ("tnt", "none"):
+        raise ValueError(f"`transform` must be 'tnt' or 'none', got {transform!r}")
+
+
+def _check_landmark(landmark: str, regressor: nn.Module | None) -> None:
+    if landmark not in (*LANDMARKS, "regressor"):
+        raise ValueError(
+            f"`landmark` must be one of {', '.join(LANDMARKS)}, regressor; got {landmark!r}"
+        )
+    if (landmark == "regressor") != (regressor is not None):
+        raise ValueError(
+            f"landmark 'regressor' and a `regressor` network go together: got landmark "
+            f"{landmark!r} and regressor {type(regressor).__name__}"
+        )
+
+
 def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
+    """The grid; a ValueError if its sides cannot be halved twice."""
     width, height = check_size("grid", grid)
     if min(width, height) < 4:
         raise ValueError(
-            f"`grid` must have sides of at least 4 pixels, to be halved twice, got "
-            f"{(width, height)}"
+            f"`grid` must have sides of at least 4 pixels, to be halved twice, got {width, height}"
         )
     return width, height
 
 
 def check_volume_shape(volume: torch.Tensor, channels: int, grid: tuple[int, int]) -> None:
+    """Refuse a volume of other channels or sides."""
     expected = (channels, grid[1], grid[0])
     if volume.ndim not in (3, 4) or tuple(volume.shape[-3:]) != expected:
         raise ValueError(

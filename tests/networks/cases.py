@@ -1,5 +1,5 @@
-"""The networks that the laws of this folder hold for, each with its configuration. Another one is
-one line more."""
+"""The networks that the laws of this folder hold for, each with its configuration. Another network
+is one line more."""
 
 from __future__ import annotations
 
@@ -33,13 +33,20 @@ class Network:
             "t_max": 2.0,
         }
         self.config = TNTConfig(**defaults | settings)
-        self.widths, self.classes = widths, classes
+        self.widths = widths
+        self.classes = classes
 
     def __str__(self) -> str:
-        grid, widths = ("x".join(map(str, numbers)) for numbers in (self.config.grid, self.widths))
-        landmark = "none" if self.config.transform == "none" else self.config.landmark
-        volume = landmark if self.config.representation == "volume" else self.config.representation
-        return f"{grid}-{self.config.bins}-{self.config.polarity}-{volume}-{widths}-{self.classes}"
+        config = self.config
+        grid = "x".join(map(str, config.grid))
+        widths = "x".join(map(str, self.widths))
+        if config.representation != "volume":
+            volume = config.representation
+        elif config.transform == "none":
+            volume = "none"
+        else:
+            volume = config.landmark
+        return f"{grid}-{config.bins}-{config.polarity}-{volume}-{widths}-{self.classes}"
 
     @cache  # noqa: B019 (the networks of the list below live as long as the tests)
     def model(self, seed: int = 0) -> Model:
@@ -49,10 +56,9 @@ class Network:
         )
         if self.widths > (1, 1, 1):
             return model
+        # positive weights: otherwise one ReLU may hide all changes
         alive = {name: np.abs(w) for name, w in model.weights.items() if not name.startswith("fc2")}
-        return thesis_model(
-            model.config, model.weights | alive, model.classes
-        )  # otherwise one ReLU may hide all changes
+        return thesis_model(model.config, model.weights | alive, model.classes)
 
     def classifier(self, seed: int = 0) -> CompiledClassifier:
         return CompiledClassifier(self.model(seed))
@@ -65,9 +71,8 @@ class Network:
 
     def volume(self, config: TNTConfig | None = None) -> TNTVolume:
         config = config or self.config
-        return TNTVolume(
-            config, regressor=CompiledRegressor(self.model()) if config.needs_regressor else None
-        )
+        regressor = CompiledRegressor(self.model()) if config.needs_regressor else None
+        return TNTVolume(config, regressor=regressor)
 
 
 class TrainedNetwork(Network):
@@ -84,7 +89,8 @@ class TrainedNetwork(Network):
 
     @cache  # noqa: B019
     def model(self, seed: int = 0) -> Model:
-        config, classes = self.config, [f"class {k}" for k in range(self.classes)]
+        config = self.config
+        classes = [f"class {k}" for k in range(self.classes)]
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             module = build_network(self.name, config.channels, config.grid, self.classes)
@@ -116,4 +122,5 @@ NETWORKS = [
     Network((9, 8), 1, (3, 5, 7), 3, representation="time_surface", sensor=(20, 14)),
 ]
 LARGE = Network((346, 260), 9, (16, 32, 64), 10)
-SMALL, DIGITS = NETWORKS[1], NETWORKS[7]
+SMALL = NETWORKS[1]
+DIGITS = NETWORKS[7]

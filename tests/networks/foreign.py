@@ -6,7 +6,8 @@ import pytest
 onnx = pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `onnx`)")
 
-node, TensorProto = onnx.helper.make_node, onnx.TensorProto
+node = onnx.helper.make_node
+TensorProto = onnx.TensorProto
 WEIGHTS = {
     "w": np.random.default_rng(0).normal(size=(60, 3)),
     "b": np.random.default_rng(1).normal(size=3),

@@ -14,14 +14,10 @@ CONFIG = TNTConfig(sensor=(20, 18), grid=(20, 18), bins=3)
 class Block(nn.Module):
     def __init__(self, channels):
         super().__init__()
-        self.conv1, self.norm1 = (
-            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
-            nn.BatchNorm2d(channels),
-        )
-        self.conv2, self.norm2 = (
-            nn.Conv2d(channels, channels, 3, padding=1),
-            nn.BatchNorm2d(channels, affine=False),
-        )
+        self.conv1 = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
+        self.norm1 = nn.BatchNorm2d(channels)
+        self.conv2 = nn.Conv2d(channels, channels, 3, padding=1)
+        self.norm2 = nn.BatchNorm2d(channels, affine=False)
 
     def forward(self, x):
         y = F.relu(self.norm1(self.conv1(x)))
@@ -37,11 +33,10 @@ class Branches(nn.Module):
         self.stem = nn.Sequential(
             nn.BatchNorm2d(3), nn.Conv2d(3, 6, 5, stride=2, padding=2), nn.ReLU6()
         )
-        self.block, self.pool = Block(6), nn.MaxPool2d(3, 2, 1)
-        self.mul, self.drop = (
-            nn.Conv2d(12, 12, (3, 2), groups=12, padding="same"),
-            nn.Dropout2d(0.5),
-        )
+        self.block = Block(6)
+        self.pool = nn.MaxPool2d(3, 2, 1)
+        self.mul = nn.Conv2d(12, 12, (3, 2), groups=12, padding="same")
+        self.drop = nn.Dropout2d(0.5)
         self.head = nn.Sequential(
             nn.Linear(12, 7), nn.BatchNorm1d(7), nn.LeakyReLU(), nn.Dropout(), nn.Linear(7, 4)
         )

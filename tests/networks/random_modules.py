@@ -60,7 +60,8 @@ class Step:
 class RandomModule(nn.Module):
     def __init__(self, steps: list[Step], parts: list[nn.Module]) -> None:
         super().__init__()
-        self.steps, self.parts = steps, nn.ModuleList(parts)
+        self.steps = steps
+        self.parts = nn.ModuleList(parts)
 
     def forward(self, x):
         values = [x]
@@ -173,7 +174,8 @@ class _Builder:
         groups = self.pick(1, 1, channels)
         filters = groups * self.pick(1, 2, 3)
         conv = self.pick(nn.Conv2d, nn.Conv2d, Conv2d if self.chance(0.1) else nn.Conv2d)
-        kernel, stride = self.pick(1, 2, 3, (3, 2)), self.pick(1, 1, 2)
+        kernel = self.pick(1, 2, 3, (3, 2))
+        stride = self.pick(1, 1, 2)
         padding = self.pick(0, 1, "same") if stride == 1 else self.pick(0, 1)
         ceil = self.pick(False, False, True)
         pool = {

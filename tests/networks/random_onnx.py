@@ -21,7 +21,8 @@ class _Builder:
         self.odd = seed % 3 == 0  # a third of the files
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[onnx.TensorProto] = []
-        self.value, self.shape = "x", SHAPE
+        self.value = "x"
+        self.shape = SHAPE
         self.functions: list[onnx.FunctionProto] = []
 
     def pick(self, *choices: Any) -> Any:
@@ -102,21 +103,21 @@ class _Builder:
             )
 
     def clip(self) -> None:
-        low, high = self.pick(None, -0.5, 0.0), self.pick(None, 1.0, 6.0)
+        low = self.pick(None, -0.5, 0.0)
+        high = self.pick(None, 1.0, 6.0)
         if self.opset < 11:
-            limits = {
-                name: value for name, value in (("min", low), ("max", high)) if value is not None
-            }
-            self.node("Clip", **limits)
+            limits = {"min": low, "max": high}
+            self.node("Clip", **{name: v for name, v in limits.items() if v is not None})
             return
-        shape = (1,) if self.chance(0.2) else (2,) if self.chance(0.1) else ()
-        self.node(
-            "Clip",
-            *(
-                "" if v is None else self.constant(np.full(shape, v, np.float32))
-                for v in (low, high)
-            ),
-        )
+        shape = ()
+        if self.chance(0.2):
+            shape = (1,)
+        elif self.chance(0.1):
+            shape = (2,)
+        inputs = []
+        for v in (low, high):
+            inputs.append("" if v is None else self.constant(np.full(shape, v, np.float32)))
+        self.node("Clip", *inputs)
 
     def dropout(self) -> None:
         if self.opset < 12:
@@ -126,7 +127,8 @@ class _Builder:
         self.node("Dropout", self.constant(np.float32(0.5)), *mode, n_outputs=self.pick(1, 2))
 
     def pool(self) -> None:
-        op, kernel = self.pick("MaxPool", "AveragePool"), self.pick((2, 2), (2, 3))
+        op = self.pick("MaxPool", "AveragePool")
+        kernel = self.pick((2, 2), (2, 3))
         attributes = self.window(kernel)
         if op == "AveragePool":
             attributes["count_include_pad"] = self.pick(0, 1)
@@ -137,12 +139,14 @@ class _Builder:
         self.node(op, kernel_shape=list(kernel), **attributes)
 
     def spread(self) -> None:
-        filters, crd = 4 * self.pick(1, 2), self.opset >= 11 and not self.chance(0.2)
+        filters = 4 * self.pick(1, 2)
+        crd = self.opset >= 11 and not self.chance(0.2)
         self.node("Conv", self.weights(filters, self.shape[0], 1, 1))
         self.node("DepthToSpace", blocksize=2, **({"mode": "CRD"} if crd else {}))
 
     def affine(self) -> None:
-        n, rest = self.shape[0], [1] * (len(self.shape) - 1)
+        n = self.shape[0]
+        rest = [1] * (len(self.shape) - 1)
         shape = self.pick((), (1,), (n, *rest), (1, n, *rest), (1,) * 4)
         if self.chance(0.3):
             shape = self.pick((self.shape[-1],), (1, 1, 1, n, *rest), (2, n, *rest))
@@ -168,7 +172,8 @@ class _Builder:
             self.node(op)
 
     def activation(self) -> None:
-        n, rest = self.shape[0], [1] * (len(self.shape) - 1)
+        n = self.shape[0]
+        rest = [1] * (len(self.shape) - 1)
         slopes = self.pick((n, *rest), (1,), (1, *rest))
         self.pick(
             lambda: self.node("Relu"),
@@ -194,7 +199,8 @@ class _Builder:
         choice = self.pick("pool", "mean", "flatten", "reshape")
         n = int(np.prod(self.shape))
         if choice == "mean":
-            axes, keep = self.pick([2, 3], [-2, -1], [3, 2]), self.pick(0, 1)
+            axes = self.pick([2, 3], [-2, -1], [3, 2])
+            keep = self.pick(0, 1)
             if self.opset < 18:
                 self.node("ReduceMean", axes=axes, keepdims=keep)
             else:
@@ -277,7 +283,9 @@ class _Of:
     def __init__(
         self, node: onnx.NodeProto, values: dict[str, np.ndarray], shapes: dict[str, list[int]]
     ) -> None:
-        self.op, self.domain, self.n_outputs = node.op_type, node.domain, len(node.output)
+        self.op = node.op_type
+        self.domain = node.domain
+        self.n_outputs = len(node.output)
         self.attributes = {one.name: helper.get_attribute_value(one) for one in node.attribute}
         self.constants = [values[name] for name in node.input if name in values]
         self.sources = [name for name in node.input if name and name not in values]
@@ -351,7 +359,8 @@ def known_gaps(proto: onnx.ModelProto) -> list[str]:
         shapes = _shapes(proto)
     except Exception:  # of the many that a wrong file may raise
         return ["no valid file"]
-    values, found = _values(proto), []
+    values = _values(proto)
+    found = []
     flattened: set[str] = set()  # maps of several places, without a dense layer since
     plus_one: set[str] = set()
     for node in proto.graph.node:

@@ -31,10 +31,8 @@ def assert_same(one, other):
     assert one.weights.keys() == other.weights.keys()
     for name, values in one.weights.items():
         assert values.dtype == other.weights[name].dtype == "float32"
-        assert (
-            values.shape == other.weights[name].shape
-            and values.tobytes() == other.weights[name].tobytes()
-        )
+        assert values.shape == other.weights[name].shape
+        assert values.tobytes() == other.weights[name].tobytes()
 
 
 def write_file(path, weights, of=SMALL, /, **changes):

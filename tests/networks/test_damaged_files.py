@@ -17,7 +17,7 @@ from safetensors.torch import save_file as save_tensors
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.models.model import FORMAT
-from async_tnt.networks.onnx.export import seal
+from async_tnt.networks.onnx.metadata import seal
 
 ONNX = to_onnx(small_model()).SerializeToString()
 READERS = (load_model, OnnxClassifier)
@@ -51,9 +51,8 @@ def refused(reader, path, content=None):
     if isinstance(opened, Model):
         assert type(opened.config) is TNTConfig and isinstance(opened.record, dict)
         logits = CompiledClassifier(opened)(np.zeros(opened.config.shape, np.float32))
-        assert len(logits) == len(opened.classes) and all(
-            type(name) is str for name in opened.classes
-        )
+        assert len(logits) == len(opened.classes)
+        assert all(type(name) is str for name in opened.classes)
     else:
         assert content == ONNX or opened.exported is None
         assert len(opened(np.zeros(opened.shape, np.float32))) == opened.n_classes
@@ -63,7 +62,8 @@ def refused(reader, path, content=None):
 @of_all
 def test_a_file_cut_short_or_changed_anywhere(reader, files, capfd):
     """Hardly any damage to an ONNX file makes it one of another program, none to a model."""
-    path, content = files[0], files[1][reader]
+    path = files[0]
+    content = files[1][reader]
     assert not refused(reader, path, content)
     places = range(0, len(content), STEP)
     damaged = [content[:at] for at in places]
@@ -94,7 +94,9 @@ broken_json = st.sampled_from(["[" * 100_000, '{"a":' * 100_000, "1" * 5000, "\0
 @settings(max_examples=100)
 @given(st.data())
 def test_anything_under_a_valid_checksum(files, data):
-    config, graph, metadata = SMALL.to_dict(), thesis_network(SMALL), {}
+    config = SMALL.to_dict()
+    graph = thesis_network(SMALL)
+    metadata = {}
     layers = graph["classifier"]
     place = data.draw(st.sampled_from(["config", "layer", "parameter", "network", "text"]))
     value = data.draw(json_values)

@@ -21,16 +21,12 @@ SAMPLES = [str(sample_recordings()[digit]) for digit in (3, 7)]
 
 @pytest.mark.parametrize("tested", NETWORKS, ids=str)
 def test_logits_are_the_same(tested):
-    model, volume = tested.model(), tested.volume()
-    compiled, *others = (
-        CompiledClassifier(model),
-        OnnxClassifier(to_onnx(model)),
-        TorchClassifier(torch_classifier(model)),
-    )
-    for packet in [
-        None,
-        *np.split(random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000), 3),
-    ]:
+    model = tested.model()
+    volume = tested.volume()
+    compiled = CompiledClassifier(model)
+    others = [OnnxClassifier(to_onnx(model)), TorchClassifier(torch_classifier(model))]
+    events = random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000)
+    for packet in [None, *np.split(events, 3)]:
         volume.update(packet)
         expected = compiled(volume.array)
         for engine in others:
@@ -60,7 +56,8 @@ def decisions(program, *words):
 
 
 def test_an_exported_network_decides_the_same(program, exported):
-    expected, found = decisions(program), decisions(program, "--model", exported)
+    expected = decisions(program)
+    found = decisions(program, "--model", exported)
     assert len(expected) > 20
     for ours, theirs in zip(found, expected, strict=True):
         assert ours == theirs | {"probabilities": pytest.approx(theirs["probabilities"], abs=1e-3)}
@@ -89,15 +86,15 @@ def test_other_engines_decide_the_same_with_a_landmark_network(engine):
 
 def assert_one_line(program, message, *words, command="run"):
     code, printed, error = program(command, SAMPLES[0], *words)
-    assert (code, printed, error.count("\n")) == (2, "", 1) and error.startswith(
-        f"async-tnt: {message}"
-    )
+    assert (code, printed, error.count("\n")) == (2, "", 1)
+    assert error.startswith(f"async-tnt: {message}")
 
 
 def test_files_that_do_not_belong_here_give_one_line(program, exported, tmp_path):
-    m, foreign = exported, tmp_path / "foreign.onnx"
+    m = exported
+    foreign = tmp_path / "foreign.onnx"
     foreign.write_bytes(network())
-    no_config = f"{foreign}: an ONNX network without a configuration of this package, "
+    no_config = f"--config must be given for {foreign}, an ONNX network of another program, "
     assert_one_line(program, no_config, "--model", foreign)
     assert_one_line(program, "no file no.onnx", "--model", "no.onnx")
     assert_one_line(

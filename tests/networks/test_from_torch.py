@@ -15,7 +15,10 @@ from torch.nn import functional as F
 
 from async_tnt import CompiledClassifier, Model, load_model
 
-WAY_OUT = "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
+WAY_OUT = (
+    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
+    "whole at every decision"
+)
 
 RARE = 1e6
 """Larger than what any of the volumes gives that a module and its layers are compared on."""
@@ -51,17 +54,14 @@ class Written(nn.Module):
     def __init__(self, body):
         super().__init__()
         torch.manual_seed(1)
-        self.body, self.conv, self.dense = (
-            body,
-            nn.Conv2d(3, 3, 3, padding=1),
-            nn.Linear(3 * 18 * 20, 4),
-        )
+        self.body = body
+        self.conv = nn.Conv2d(3, 3, 3, padding=1)
+        self.dense = nn.Linear(3 * 18 * 20, 4)
         self.head = nn.Conv2d(3, 4, 1)
-        self.flatten, self.identity = nn.Flatten(), nn.Identity()
-        self.limit, self.threshold = (
-            nn.Hardtanh(-RARE, RARE, inplace=True),
-            nn.Threshold(-RARE, 0.0, inplace=True),
-        )
+        self.flatten = nn.Flatten()
+        self.identity = nn.Identity()
+        self.limit = nn.Hardtanh(-RARE, RARE, inplace=True)
+        self.threshold = nn.Threshold(-RARE, 0.0, inplace=True)
         self.register_buffer("scales", torch.tensor([0.5, 2.0, 3.0])[:, None, None])
 
     def forward(self, x):
@@ -200,7 +200,7 @@ UNREAD = {  # named as they would be if their results were read
 
 @pytest.mark.parametrize("name", UNREAD)
 def test_an_unknown_change_in_place_is_refused_though_nobody_reads_its_result(name):
-    """Of most, no volume shows a difference."""
+    """For most of them, no volume shows a difference."""
 
     def body(m, x):
         h = m.conv(x)
@@ -255,7 +255,8 @@ def of_body(body):
 
 HIDDEN = [counts_its_calls]
 OTHER_NUMBERS = "the module cannot be read as layers: its layers compute other numbers (by "
-FORM, HOOKS = "has no compiled form", "has hooks, which a trace does not show: remove them"
+FORM = "has no compiled form"
+HOOKS = "has hooks, which a trace does not show: remove them"
 REFUSED = [  # what makes it, the beginning of the message
     (
         of_layer(nn.Mish(), nn.ReLU(), nn.CELU()),

@@ -2,7 +2,7 @@
 refused."""
 
 from importlib import import_module
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 
 import numpy as np
 import pytest
@@ -18,19 +18,14 @@ from async_tnt.kernels.decisions import classify
 def test_no_kernel_may_reorder_arithmetic():
     """However a stream is cut, its bits stay: sums keep their order, and 1 / 0 is inf as in the
     equations."""
-    modules = [
-        import_module(f"async_tnt.kernels.{module.name}")
-        for module in iter_modules(kernels.__path__)
-    ]
-    compiled = [
-        k for module in modules for k in vars(module).values() if isinstance(k, CPUDispatcher)
-    ]
+    compiled = []
+    for module in walk_packages(kernels.__path__, f"{kernels.__name__}."):
+        values = vars(import_module(module.name)).values()
+        compiled += [kernel for kernel in values if isinstance(kernel, CPUDispatcher)]
     assert len(compiled) > 60
     for kernel in compiled:
-        assert (
-            not kernel.targetoptions.get("fastmath")
-            and kernel.targetoptions["error_model"] == "numpy"
-        )
+        assert not kernel.targetoptions.get("fastmath")
+        assert kernel.targetoptions["error_model"] == "numpy"
     # other threads run while a packet is decided
     assert classify.absorb_and_decide.targetoptions["nogil"]
 
@@ -39,14 +34,14 @@ def test_no_kernel_may_reorder_arithmetic():
 def test_logits_are_those_of_the_twin_bit_for_bit(network):
     """After events, where many channels are empty, and for arrays in which none is, or each second
     one."""
-    model, classifier, volume = network.model(), network.classifier(), network.volume()
-    for packet in np.split(
-        random_events(90, seed=1, duration_us=6000, sensor=network.config.sensor), 3
-    ):
+    model = network.model()
+    classifier = network.classifier()
+    volume = network.volume()
+    events = random_events(90, seed=1, duration_us=6000, sensor=network.config.sensor)
+    for packet in np.split(events, 3):
         volume.update(packet)
-        assert (
-            classifier.refresh(volume).tobytes() == forward(model.weights, volume.array).tobytes()
-        )
+        expected = forward(model.weights, volume.array).tobytes()
+        assert classifier.refresh(volume).tobytes() == expected
     assert volume.array.any()
     if network in NETWORKS[:7]:
         array = np.random.default_rng(2).normal(size=network.config.shape).astype(np.float32)
@@ -78,7 +73,9 @@ def by_hand() -> Model:
 def test_one_small_network_event_by_event():
     """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16; the hidden unit has
     a bias of 1/2."""
-    classifier, volume, hidden = CompiledClassifier(by_hand()), TNTVolume(CONFIG), 0.5
+    classifier = CompiledClassifier(by_hand())
+    volume = TNTVolume(CONFIG)
+    hidden = 0.5
     volume.open(0)
     assert classifier.refresh(volume).tolist() == [2 * 0.5, 1 - 0.5]
     for x, y, p, sixteenths in [
@@ -146,14 +143,17 @@ def overflowing(**settings) -> list[Processor]:
 def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size):
     """Its later events are not: pushed again, the stream continues there. After the next event,
     which cancels it, the stream is as without both."""
-    loud, k = [4, 9, 700, 1303], np.arange(1500)
+    loud = [4, 9, 700, 1303]
+    k = np.arange(1500)
     events = events_of(100 + k, k % 3, (k + 1) % 3, [1] * 1500)  # quiet ones, at the upper left
     for at in loud:
         events["x"][at : at + 2], events["y"][at : at + 2] = LOUD
         events["p"][at : at + 2] = 1, 0
     found = []
     for processor in overflowing(**settings):
-        first, errors, decisions = 0, [], []
+        first = 0
+        errors = []
+        decisions = []
         while first < len(events):
             last = min(first + size, len(events))
             try:

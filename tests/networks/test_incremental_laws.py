@@ -39,7 +39,10 @@ DUPLICATES = {
 
 def logits_after_packets(network: Network, events: np.ndarray, sizes) -> list[bytes]:
     """The logits after each packet of these sizes, held against the whole network's."""
-    classifier, volume, seen, first = network.classifier(), network.volume(), [], 0
+    classifier = network.classifier()
+    volume = network.volume()
+    seen = []
+    first = 0
     for size in itertools.cycle(sizes):
         if first >= len(events):
             return seen
@@ -68,15 +71,19 @@ steps = st.one_of(
 @settings(max_examples=2 * settings.default.max_examples)
 @given(st.sampled_from(NETWORKS[:7]), st.lists(steps, min_size=4, max_size=40))
 def test_two_volumes_and_two_classifiers_in_any_order(network, script):
-    """The volumes are of one shape and two kinds. Each has a twin with the same events that only
-    the whole network reads, from its array. A copy takes the other volume's, or the other
-    classifier's, place."""
+    """The volumes are of one shape and two kinds.
+
+    Each has a twin with the same events, whose array only the whole network reads. A copy takes the
+    place of the other volume or of the other classifier.
+    """
     config = network.config
     other = config.replace(
         polarity="signed", bins=config.channels, landmark="center", remove_flow=False
     )
-    seeds, classifiers = [0, 1], [network.classifier(0), network.classifier(1)]
-    volumes, twins = ([network.volume(), network.volume(other)] for _ in range(2))
+    seeds = [0, 1]
+    classifiers = [network.classifier(0), network.classifier(1)]
+    volumes = [network.volume(), network.volume(other)]
+    twins = [network.volume(), network.volume(other)]
     now_us = [0, 0]
     for k, (step, v, number) in enumerate(script):
         both = volumes[v], twins[v]
@@ -96,9 +103,12 @@ def test_two_volumes_and_two_classifiers_in_any_order(network, script):
                 volume.update_one(now_us[v] + number, (k * 7) % width, (k * 5) % height, k % 2)
         elif step == "array":
             assert volumes[v].array.tobytes() == twins[v].array.tobytes()
-        elif step in ("open", "close", "reset"):
+        elif step == "open":
             for volume in both:
-                getattr(volume, step)(*[now_us[v]] * (step == "open"))
+                volume.open(now_us[v])
+        elif step in ("close", "reset"):
+            for volume in both:
+                getattr(volume, step)()
         elif step == "jump":
             now_us[v] += WINDOW_US
         elif step == "dense":  # the incremental classifier is called with an array in between
@@ -106,10 +116,12 @@ def test_two_volumes_and_two_classifiers_in_any_order(network, script):
             expected = network.dense(seeds[number])(array)
             assert classifiers[number](array).tobytes() == expected.tobytes()
         elif step == "duplicate":
-            volumes[1 - v], twins[1 - v] = DUPLICATES[number](volumes[v]), copy.deepcopy(twins[v])
+            volumes[1 - v] = DUPLICATES[number](volumes[v])
+            twins[1 - v] = copy.deepcopy(twins[v])
             now_us[1 - v] = now_us[v]
         else:
-            classifiers[1 - v], seeds[1 - v] = DUPLICATES[number](classifiers[v]), seeds[v]
+            classifiers[1 - v] = DUPLICATES[number](classifiers[v])
+            seeds[1 - v] = seeds[v]
     for v, number in np.ndindex(2, 2):
         logits = classifiers[number].refresh(volumes[v])
         assert logits.tobytes() == network.dense(seeds[number])(twins[v].array).tobytes()
@@ -120,11 +132,9 @@ def test_two_volumes_and_two_classifiers_in_any_order(network, script):
 @pytest.mark.parametrize("network", [DIGITS, LARGE], ids=str)
 def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, duplicate):
     """With as many other events in each, which only the volume itself tells apart."""
-    volume, classifier, (width, height) = (
-        network.volume(),
-        network.classifier(),
-        network.config.sensor,
-    )
+    volume = network.volume()
+    classifier = network.classifier()
+    width, height = network.config.sensor
     volume.update(random_events(40, seed=1, duration_us=300, sensor=network.config.sensor))
     classifier.refresh(volume)
     both = volume, DUPLICATES[duplicate](volume)
@@ -132,18 +142,20 @@ def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, dupl
         for n, one in enumerate(both):
             one.update_one(300 + k, width // 2 + k % 3, height // 2 + 2 * n, 1)
         for one in both:
-            is_right = classifier.refresh(one).tobytes() == network.dense()(one.array).tobytes()
-            assert is_right
+            expected = network.dense()(one.array).tobytes()
+            assert classifier.refresh(one).tobytes() == expected
     assert not np.array_equal(both[0].array, both[1].array)
 
 
 def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monkeypatch):
     """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first
     process."""
-    classifier, volume = SMALL.classifier(), SMALL.volume()
+    classifier = SMALL.classifier()
+    volume = SMALL.volume()
     volume.update(random_events(10, seed=1, duration_us=900, sensor=SMALL.config.sensor))
     classifier.refresh(volume)
-    parcel, number = pickle.dumps(classifier), int(classifier.network.program[P.EPOCH])
+    parcel = pickle.dumps(classifier)
+    number = int(classifier.network.program[P.EPOCH])
     assert number > 0
     # one for `reset`, one for `open`
     monkeypatch.setattr(volume_state, "_epochs", itertools.count(number - 1))
@@ -196,9 +208,11 @@ def test_a_volume_of_another_shape_is_refused():
     st.lists(st.sampled_from([1, 1, 2, 10, 100]), min_size=3, max_size=12),
 )
 def test_at_every_packet(model, seed, sizes):
-    dense, incremental = CompiledClassifier(model), CompiledClassifier(model)
+    dense = CompiledClassifier(model)
+    incremental = CompiledClassifier(model)
     reference = LayerNetwork(model.network["classifier"], model.weights).double().eval()
-    volume, first = TNTVolume(model.config), 0
+    volume = TNTVolume(model.config)
+    first = 0
     events = random_events(sum(sizes), seed=seed, duration_us=2500, sensor=CONFIG.sensor)
     for size in sizes:
         volume.update(events[first : first + size])
@@ -253,7 +267,6 @@ def test_processors_in_threads_decide_as_one_after_the_other(settings):
 
     expected = [work(seed) for seed in range(n_threads)]
     with ThreadPoolExecutor(n_threads) as threads:
-        assert (
-            list(threads.map(lambda seed: work(seed, together.wait), range(n_threads))) == expected
-        )
+        found = threads.map(lambda seed: work(seed, together.wait), range(n_threads))
+        assert list(found) == expected
     assert len({str(decisions) for decisions in expected}) == n_threads  # none has another one's

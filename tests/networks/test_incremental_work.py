@@ -15,10 +15,8 @@ RAW = NETWORKS[8]
 def test_one_event_in_the_thesis_network():
     """It changes 2 x 2 pixels, seen by 4 x 4 places of the first convolution; pooled, these are 2
     or 3 places a side; seen by 4 or 5 places of the second convolution; pooled, by 2 or 3 again."""
-    network, volume = (
-        RAW.classifier(),
-        RAW.volume(RAW.config.replace(transform="tnt", landmark="center")),
-    )
+    network = RAW.classifier()
+    volume = RAW.volume(RAW.config.replace(transform="tnt", landmark="center"))
     volume.open(0)
     network.refresh(volume)
     most = dict.fromkeys(step.layer for step, _ in work_of(network))
@@ -32,7 +30,8 @@ def test_one_event_in_the_thesis_network():
 
 @pytest.mark.parametrize("network", NETWORKS[:8], ids=str)
 def test_nothing_new_is_nothing_computed_and_an_array_everything(network):
-    classifier, volume = network.classifier(), network.volume()
+    classifier = network.classifier()
+    volume = network.volume()
     volume.update(random_events(50, seed=2, duration_us=3000, sensor=network.config.sensor))
     first = classifier.refresh(volume).tobytes()
     assert classifier.refresh(volume).tobytes() == first
@@ -44,7 +43,9 @@ def test_nothing_new_is_nothing_computed_and_an_array_everything(network):
 @pytest.mark.parametrize("network", NETWORKS[:8], ids=str)
 def test_a_new_window_computes_what_its_own_events_reach(network):
     """Whatever the windows before it have changed, and whatever else the network has computed."""
-    used, new, volume = network.classifier(), network.classifier(), network.volume()
+    used = network.classifier()
+    new = network.classifier()
+    volume = network.volume()
     for n in (200, 1, 50):
         volume.update(random_events(n, seed=n, duration_us=900, sensor=network.config.sensor))
         used.refresh(volume)
@@ -54,7 +55,8 @@ def test_a_new_window_computes_what_its_own_events_reach(network):
         assert used.refresh(volume).tobytes() == new.refresh(volume).tobytes()
         assert work_of(used) == work_of(new)
         used(volume.array)
-        new, volume = network.classifier(), network.volume()
+        new = network.classifier()
+        volume = network.volume()
 
 
 def test_a_change_that_no_filter_sees_ends_there():
@@ -63,7 +65,8 @@ def test_a_change_that_no_filter_sees_ends_there():
     model = replace(
         model, weights={**model.weights, "conv1.weight": 0 * model.weights["conv1.weight"]}
     )
-    network, volume = CompiledClassifier(model), RAW.volume()
+    network = CompiledClassifier(model)
+    volume = RAW.volume()
     volume.open(0)
     network.refresh(volume)
     volume.update_one(100, 5, 5, 1)

@@ -41,7 +41,8 @@ def map_model(config=CONFIG, n_classes=3, seed=0) -> Model:
             self.stem = nn.Sequential(
                 nn.Conv2d(config.channels, 8, 5, 2, 2), nn.ReLU(), nn.Conv2d(8, 8, 3, padding=1)
             )
-            self.classes, self.nothing = nn.Conv2d(8, n_classes, 1), nn.Conv2d(8, 1, 1)
+            self.classes = nn.Conv2d(8, n_classes, 1)
+            self.nothing = nn.Conv2d(8, 1, 1)
 
         def forward(self, volume):
             x = torch.relu(self.stem(volume))
@@ -99,7 +100,8 @@ def test_objects_of_any_map_are_those_of_the_reference(logits):
     processor = Processor(CONFIG, classifier=lambda volume: logits, classes=classes)
     decision = processor.fire()
     # places that nobody states divide the sensor evenly
-    dy, dx = 40 / logits.shape[1], 70 / logits.shape[2]
+    dy = 40 / logits.shape[1]
+    dx = 70 / logits.shape[2]
     expected = [
         (o.label, o.probability, dx * (o.column + 0.5) - 0.5, dy * (o.row + 0.5) - 0.5)
         for o in objects_on_map(torch.from_numpy(logits))
@@ -118,9 +120,11 @@ def test_objects_by_hand():
     logits = np.zeros((3, 3, 8), np.float32)
     logits[2] = 1.0  # nothing
     # 3 and 1 above nothing: 1/4 of a place to the right
-    logits[0, 1, 1], logits[0, 1, 2] = 4.0, 2.0
+    logits[0, 1, 1] = 4.0
+    logits[0, 1, 2] = 2.0
     # as likely as each other, side by side: one object, half a row below
-    logits[1, 0, 6] = logits[1, 1, 6] = 2.0
+    logits[1, 0, 6] = 2.0
+    logits[1, 1, 6] = 2.0
     config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
     decision = Processor(config, classifier=lambda volume: logits, classes=["a", "b"]).fire()
     a, b = decision.objects
@@ -138,18 +142,17 @@ def test_objects_by_hand():
 
 
 def test_a_call_with_an_array_changes_no_later_objects():
-    """Of an array before the first volume and between two: also where a window shows objects
+    """The array comes before the first volume, and between two. One of the models shows objects
     without any event."""
-    for model in (
-        map_model(),
-        replace(map_model(), weights=map_model().weights | {"nothing.bias": np.float32([-1.0])}),
-    ):
-        network = CompiledClassifier(model)
-        called, untouched = Processor(model, classifier=network), Processor(model)
-        rng = np.random.default_rng(0)
-        for k, array in enumerate(
-            (np.zeros(network.shape), rng.normal(size=network.shape), np.ones(network.shape))
-        ):
+    model = map_model()
+    seeing = {**model.weights, "nothing.bias": np.float32([-1.0])}
+    for tested in (model, replace(model, weights=seeing)):
+        network = CompiledClassifier(tested)
+        called = Processor(tested, classifier=network)
+        untouched = Processor(tested)
+        normal = np.random.default_rng(0).normal(size=network.shape)
+        arrays = [np.zeros(network.shape), normal, np.ones(network.shape)]
+        for k, array in enumerate(arrays):
             network(array.astype(np.float32))
             assert as_rows(called.fire().objects) == as_rows(untouched.fire().objects)
             events = random_events(200, seed=k, sensor=CONFIG.sensor, duration_us=1500)
@@ -199,11 +202,9 @@ def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
     decisions += processor.finish()
     assert len(decisions) == len(expected) > 50
     for ours, theirs in zip(decisions, expected, strict=True):
-        assert (
-            key(ours)[:5] == key(theirs)[:5]
-            and ours.label == theirs.label
-            and ours.objects == theirs.objects
-        )
+        assert key(ours)[:5] == key(theirs)[:5]
+        assert ours.label == theirs.label
+        assert ours.objects == theirs.objects
         assert ours.probabilities.tobytes() == theirs.probabilities.tobytes()
         assert_rows(as_rows(ours.objects), expected_rows(theirs.logits, model.places))
         n_found += len(ours.objects)
@@ -218,7 +219,8 @@ def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
 def test_scores_and_peaks_follow_the_map(seed, script):
     """After single events, packets, whole passes, copies and another volume."""
     model = map_model(seed=seed)
-    classifier, dense = CompiledClassifier(model), CompiledClassifier(model)
+    classifier = CompiledClassifier(model)
+    dense = CompiledClassifier(model)
     volumes = [TNTVolume(CONFIG), TNTVolume(CONFIG)]
     tracks = Processor(model)._classifier._tracks
     for k, step in enumerate(script):
@@ -244,9 +246,12 @@ def test_scores_and_peaks_follow_the_map(seed, script):
 
 
 def test_fire_and_copies_leave_the_stream_as_it_is():
-    model, events = map_model(), random_events(1500, seed=3, sensor=CONFIG.sensor, duration_us=9000)
-    plain, disturbed = Processor(model, every_us=500), Processor(model, every_us=500)
-    expected, found = plain.push(events) + plain.finish(), []
+    model = map_model()
+    events = random_events(1500, seed=3, sensor=CONFIG.sensor, duration_us=9000)
+    plain = Processor(model, every_us=500)
+    disturbed = Processor(model, every_us=500)
+    expected = plain.push(events) + plain.finish()
+    found = []
     for first in range(0, len(events), 100):
         found += disturbed.push(events[first : first + 100])
         disturbed.fire()
@@ -361,11 +366,15 @@ def test_a_still_object_keeps_its_number_in_noise(likelier):
 def test_numbers_are_those_of_the_reference(seed):
     """Few objects and many, more than may be remembered, at equal distances, and after pauses."""
     rng = np.random.default_rng(seed)
-    scene, config = Scene(), WIDE.replace(window_us=50_000)
+    scene = Scene()
+    config = WIDE.replace(window_us=50_000)
     processor = Processor(config, classifier=scene, classes=["a"], every_events=1)
     numbers = ObjectNumbers((4.0, 4.0), memory_us=config.window_us, most=256, room=512)
     still = rng.integers(0, 300, (2, 30))
-    t_us = n_most = n_known = n_kept = 0
+    t_us = 0
+    n_most = 0
+    n_known = 0
+    n_kept = 0
     for _ in range(120):
         t_us += int(rng.choice([1, 200, 3_000, 30_000, 200_000], p=[0.4, 0.3, 0.2, 0.07, 0.03]))
         n = int(rng.choice([0, 3, 40, 400]))
@@ -374,7 +383,8 @@ def test_numbers_are_those_of_the_reference(seed):
         scene.show(rows, columns, rng.uniform(0.5, 2.0, len(rows)))
         # of a window that closes, and of this event
         for decision in processor.push(([t_us], [5], [5], [1])):
-            objects, first = decision.objects, numbers.next_number
+            objects = decision.objects
+            first = numbers.next_number
             expected = numbers.follow(decision.time_us, [(found.x, found.y) for found in objects])
             assert [found.id for found in objects] == expected
         fired = processor.fire().objects
@@ -439,7 +449,8 @@ def test_a_file_a_torch_module_and_onnx_find_the_same(tmp_path):
         assert engine(volume.array).shape == model.logits_shape
         other = Processor(CONFIG, classifier=engine, classes=model.classes)
         other.push(events)
-        found, same = other.fire().objects, compiled.fire().objects
+        found = other.fire().objects
+        same = compiled.fire().objects
         assert len(found) == len(same) > 3
         for a, b in zip(sorted(as_rows(found)), sorted(as_rows(same)), strict=True):
             assert a == pytest.approx(b, abs=1e-3)

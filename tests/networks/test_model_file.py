@@ -39,10 +39,8 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
         # as what is made of them depends on their order
         assert list(loaded.weights) == sorted(model.weights)
         assert loaded.network == model.network
-        assert (
-            CompiledClassifier(loaded)(volume).tobytes()
-            == CompiledClassifier(model)(volume).tobytes()
-        )
+        expected = CompiledClassifier(model)(volume).tobytes()
+        assert CompiledClassifier(loaded)(volume).tobytes() == expected
 
 
 def test_a_model_keeps_its_weights_whatever_becomes_of_the_arrays_it_was_made_of():
@@ -82,11 +80,9 @@ def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
     weights["fc2.weight"] = np.repeat(weights["fc2.weight"], 2, axis=1)[:, ::2]
     weights["fc1.bias"].flags.writeable = False
     for name, values in thesis_model(SMALL, weights, CLASSES).weights.items():
-        assert (
-            values.dtype == np.float32
-            and values.flags.c_contiguous
-            and not np.may_share_memory(values, weights[name])
-        )
+        assert values.dtype == np.float32
+        assert values.flags.c_contiguous
+        assert not np.may_share_memory(values, weights[name])
         np.testing.assert_array_equal(values, weights[name])
 
 
@@ -98,10 +94,8 @@ def test_what_cannot_be_saved_leaves_nothing(tmp_path):
 
 def test_what_is_no_model_file_lists_the_bundled_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert (
-        list(bundled_models()) == sorted(set(bundled_models()))
-        and load_model("digits").classes[3] == "3"
-    )
+    assert list(bundled_models()) == sorted(set(bundled_models()))
+    assert load_model("digits").classes[3] == "3"
     os.mkfifo("fifo")
     Path("link").symlink_to("fifo")
     known = f"and no bundled model of that name (bundled: {', '.join(bundled_models())})"
@@ -130,14 +124,18 @@ def assert_refused(message, path, weights, config=WITH_REGRESSOR):
 # beyond float32
 @pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])
 def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
-    """One side more, one axis more, one axis less, empty: of the layer itself, or of the next one,
-    which reads it."""
-    shape, path = SHAPES[name], tmp_path / "m"
+    """One side more, one axis more, one axis less, empty: refused by the layer itself, or by the
+    next one, which reads it."""
+    shape = SHAPES[name]
+    path = tmp_path / "m"
     wrong = [(*shape[:k], shape[k] + 1, *shape[k + 1 :]) for k in range(len(shape))]
     for other in [*wrong, (*shape, 1), shape[:-1], (0, *shape[1:])]:
         message = r"layer '\w+' \((conv|dense)\): .*"
         if (name, other) == ("regressor.heatmap.weight", (2, 7, 1, 1)):
-            message = r"layer 'landmark' \(heatmap_centroid\): its input must be a heatmap \(1, H, W\), got \(2, 6, 5\)"
+            message = (
+                r"layer 'landmark' \(heatmap_centroid\): its input must be a heatmap \(1, H, W\), "
+                r"got \(2, 6, 5\)"
+            )
         assert_refused(message, path, changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
     values = np.zeros(shape)
     values.flat[-1] = value
@@ -148,7 +146,9 @@ def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
 
 def test_exactly_the_arrays_of_the_network(tmp_path):
     """Those of a landmark network where the landmark needs one, and only there."""
-    path, whole, plain = tmp_path / "m", changed(WITH_REGRESSOR), changed(SMALL)
+    path = tmp_path / "m"
+    whole = changed(WITH_REGRESSOR)
+    plain = changed(SMALL)
     one_less = r"layer 'fc2' \(dense\): no tensor is named 'fc2.bias'"
     assert_refused(one_less, path, changed(WITH_REGRESSOR, fc2__bias=None))
     assert_refused("no layer has the weights fc3.bias", path, whole | {"fc3.bias": np.zeros(1)})
@@ -159,9 +159,8 @@ def test_exactly_the_arrays_of_the_network(tmp_path):
         config = WITH_REGRESSOR.replace(**changes)
         names = ", ".join(sorted(name for name in SHAPES if name.startswith("regressor.")))
         assert_refused(f"no layer has the weights {names}", path, whole, config)
-    assert (
-        small_model(config=WITH_REGRESSOR.replace(transform="none")).weights.keys() == plain.keys()
-    )
+    without_transform = small_model(config=WITH_REGRESSOR.replace(transform="none"))
+    assert without_transform.weights.keys() == plain.keys()
 
 
 @pytest.mark.parametrize(

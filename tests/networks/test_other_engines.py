@@ -29,12 +29,15 @@ def _one_thread():
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_any_form_of_a_network_takes_any_float_volume_and_its_answers_share_no_memory(tmp_path):
-    content, path, proto = network(), tmp_path / "net.onnx", onnx.ModelProto()
+    content = network()
+    path = tmp_path / "net.onnx"
+    proto = onnx.ModelProto()
     path.write_bytes(content)
     proto.ParseFromString(content)
     of_any_batch = network(inputs=[("x:0", ("batch", 2, 6, 5))], outputs=[("y", ("batch", 3))])
     example = torch.zeros(1, 2, 6, 5)
-    program, scripted = torch.export.export(MODULE, (example,)), torch.jit.trace(MODULE, example)
+    program = torch.export.export(MODULE, (example,))
+    scripted = torch.jit.trace(MODULE, example)
     modules = (
         MODULE,
         scripted,
@@ -195,7 +198,8 @@ def test_a_bare_module_as_a_classifier_says_how_it_is_passed():
 
 def test_a_module_runs_in_eval_and_inference_mode_on_a_volume_of_its_own():
     """It may work in place, and keep its input."""
-    seen, kept = [], []
+    seen = []
+    kept = []
 
     class Greedy(torch.nn.Module):
         def forward(self, volume):

@@ -22,7 +22,7 @@ from async_tnt.evaluation.records import check_record, evaluate_recording
 from async_tnt.evaluation.results import collect
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.engines import choose_engine
-from async_tnt.networks.onnx.export import seal
+from async_tnt.networks.onnx.metadata import seal
 from async_tnt.sources.files.labelled_recordings import find_recordings
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixels.pixel_masks import load_mask, save_mask

@@ -1,5 +1,4 @@
-"""Whether the layers that were read from a network of another program compute what the network
-does."""
+"""The comparison of a network of another program with the layers that were read from it."""
 
 from __future__ import annotations
 
@@ -10,12 +9,14 @@ import numpy as np
 from async_tnt.base.checks import one_line
 
 TOLERANCE = 1e-4
+"""The largest difference that is accepted, as a share of the largest number."""
+
 Function = Callable[[np.ndarray], np.ndarray]
 """Volume (C, H, W) -> numbers."""
 
 
 def expect_form(condition: bool, what: str) -> None:
-    """Refuse what a network of another program does, and this package cannot, by its name."""
+    """Refuse what a network of another program does, and this package cannot do, by its name."""
     if not condition:
         raise NotImplementedError(f"{what} has no compiled form")
 
@@ -25,25 +26,19 @@ def compare(
 ) -> None:
     """Compare a network with the layers that were read from it, on all of `volumes_to_compare`.
 
+    Parameters
+    ----------
+    shape : of a volume, (C, H, W).
+    tolerance : how much numbers may differ, as a share of the largest number for the same volume. A
+        volume's largest number counts as at least 0.01, and as at least 1 % of the largest number
+        for any volume: smaller ones make no difference to a softmax.
+
     Raises
     ------
-    ValueError : their numbers differ by more than `tolerance` of a volume's largest (or of 1 % of
-        the largest for any volume, or of 0.01: smaller ones make no difference to a softmax); or
-        the network fails on a volume.
+    ValueError : their numbers differ by more; or the network fails on a volume.
     """
-    pairs = []
-    for volume in volumes_to_compare(shape):
-        try:
-            expected = original(volume.copy())  # which may be changed in place
-        except Exception as error:  # of any type
-            raise ValueError(f"it fails on a volume of shape {shape}: {one_line(error)}") from None
-        found = layers(volume).reshape(-1)
-        if expected.size != found.size:
-            raise ValueError(f"it gives numbers of shape {expected.shape}, its layers {found.size}")
-        pairs.append((expected.reshape(-1), found))
-    largest = [
-        float(np.abs(expected[np.isfinite(expected)]).max(initial=0.0)) for expected, _ in pairs
-    ]
+    pairs = [_numbers_of_both(original, layers, volume) for volume in volumes_to_compare(shape)]
+    largest = [_largest_finite(expected) for expected, _ in pairs]
     for (expected, found), own in zip(pairs, largest, strict=True):
         bound = tolerance * max(own, max(largest) / 100, 0.01)
         if not np.allclose(found, expected, rtol=0.0, atol=bound, equal_nan=True):
@@ -54,13 +49,44 @@ def compare(
             )
 
 
+def _numbers_of_both(
+    original: Function, layers: Function, volume: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers of the network, and those of its layers, as vectors of one length."""
+    try:
+        expected = original(volume.copy())  # a copy, as the network may change it in place
+    except Exception as error:  # of any type
+        raise ValueError(
+            f"it fails on a volume of shape {volume.shape}: {one_line(error)}"
+        ) from None
+    found = layers(volume).reshape(-1)
+    if expected.size != found.size:
+        raise ValueError(f"it gives numbers of shape {expected.shape}, its layers {found.size}")
+    return expected.reshape(-1), found
+
+
+def _largest_finite(numbers: np.ndarray) -> float:
+    """The largest size of a finite number; 0 if there is none."""
+    finite = numbers[np.isfinite(numbers)]
+    return float(np.abs(finite).max(initial=0.0))
+
+
 def volumes_to_compare(shape: tuple[int, ...]) -> Iterator[np.ndarray]:
-    """Volumes (C, H, W), float32: normal numbers, sparse counts, these times 100, only negative
-    numbers, zeros, and counts that are dense in one corner, as of an object."""
+    """Volumes (C, H, W), float32.
+
+    Two of normal numbers, two of sparse counts, one of these times 100, one of negative numbers
+    only, zeros, and counts that are dense in one corner, as those of an object are.
+    """
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(2, *shape)).astype(np.float32)
-    counts = (rng.poisson(0.05, (2, *shape)) * rng.choice([-1, 1], (2, *shape))).astype(np.float32)
-    yield from (*normal, *counts, 100 * counts[0], -np.abs(normal[0]), np.zeros(shape, np.float32))
+    sizes = rng.poisson(0.05, (2, *shape))
+    counts = (sizes * rng.choice([-1, 1], (2, *shape))).astype(np.float32)
+    yield from normal
+    yield from counts
+    yield 100 * counts[0]
+    yield -np.abs(normal[0])
+    yield np.zeros(shape, np.float32)
+
     corner = np.zeros(shape, np.float32)
     corner[:, : 1 + shape[1] // 2, : 1 + shape[2] // 2] = 1
     yield 3 * rng.poisson(2.0, shape).astype(np.float32) * corner

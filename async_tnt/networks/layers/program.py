@@ -1,5 +1,4 @@
-"""Steps as the arrays that the kernels work on, see `kernels.program`, and volumes as they take
-them."""
+"""A network as the arrays that the kernels work on, see `kernels.network.program`."""
 
 from __future__ import annotations
 
@@ -10,19 +9,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.base.checks import plain_array
+from async_tnt.base.checks import ParameterValueError, plain_array
 from async_tnt.kernels.network import program as P
 from async_tnt.kernels.network.changes import MAX_ROW
 from async_tnt.kernels.network.forward import forward
 from async_tnt.kernels.network.sync_input import set_input
 from async_tnt.kernels.simd import LANES
 from async_tnt.networks.layers import graph
-from async_tnt.networks.layers.operations import Layer
-from async_tnt.networks.layers.steps import Map, Step, steps_of
+from async_tnt.networks.layers.layer import Layer
+from async_tnt.networks.layers.lowering import steps_of
+from async_tnt.networks.layers.packing import (
+    aligned,
+    packed_weights,
+    round_up,
+    shared_weights,
+)
+from async_tnt.networks.layers.steps import Map, Step
 
 
 class ProgramArrays(NamedTuple):
-    """In the order in which the kernels take them."""
+    """The arrays in the order in which the kernels take them."""
 
     program: np.ndarray
     weights: np.ndarray
@@ -32,14 +38,16 @@ class ProgramArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class Program:
-    """A network for the compiled interpreter; its input is zero, and nothing has been computed.
+    """A network for the compiled interpreter. Its input is zero, and nothing has been computed.
 
-    arrays : ProgramArrays.
-    steps : of each, in order, the name of the layer that it computes or belongs to.
-    output_layout : where in `maps` the output begins, numbers from one of its rows, columns and
+    Parameters
+    ----------
+    arrays : what the kernels read and write.
+    steps : for each step, in order, the name of the layer that it computes or belongs to.
+    output_layout : where in `maps` the output begins, and numbers from one of its rows, columns and
         channels to the next.
     output_changes : where in the program the records of the output's changes begin.
-    lanes : as many filters lie side by side in `arrays.weights`.
+    lanes : how many filters lie side by side in `arrays.weights`.
     """
 
     arrays: ProgramArrays
@@ -65,8 +73,16 @@ class Program:
         return replace(self, arrays=copy.deepcopy(self.arrays, memo))
 
     def run(self, volume: np.ndarray) -> np.ndarray:
-        """Compute the whole network: volume, as `VolumeInput` returns it -> the output's numbers, a
-        view that begins with the first and may go on behind the last."""
+        """Compute the whole network.
+
+        Parameters
+        ----------
+        volume : as `VolumeInput` returns it.
+
+        Returns
+        -------
+        The output's numbers: a view that begins with the first, and may go on behind the last.
+        """
         set_input(volume, self.arrays.program, self.arrays.maps)
         forward(*self.arrays)
         return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
@@ -78,120 +94,40 @@ def make_program(
     tensors: Mapping[str, np.ndarray],
     shared: dict[str, np.ndarray] | None = None,
 ) -> Program:
-    """The program of a network whose layers have been checked, for volumes of this shape (C, H, W).
+    """The program of a network whose layers have been checked.
 
-    shared : where programs of the same layers and shape share their packed weights; those of the
-        first one enter it.
+    Parameters
+    ----------
+    shape : of the volumes, (C, H, W).
+    tensors : name -> weights.
+    shared : where programs of the same layers and shape share their packed weights. Those of the
+        first program enter it.
     """
     channels, height, width = shape
     volume = Map(channels, height, width)
     steps, output = steps_of(layers, volume, tensors)
-    steps = _without_unused(steps, (volume, output))
-    _frame(steps)
-    maps = list(dict.fromkeys([volume, *(step.output for step in steps)]))
+    layout = _lay_out(steps, volume)
 
-    program = np.zeros(P.FIRST_STEP + len(steps) * P.STEP_SIZE, np.int64)
-    program[[P.N_STEPS, P.CHANNELS, P.HEIGHT, P.WIDTH, P.STALE]] = (
-        len(steps),
-        channels,
-        height,
-        width,
-        1,
-    )
-    tables: list[int] = []
-    places = _Arena()
-    program[P.LIST] = places.take(max(part.rows * part.columns for part in maps) + 2)
-    program[P.SCRATCH_WORDS] = n_words = max(_words(part.columns) for part in maps)
-    before = max(_words(step.padding[1]) for step in steps)
-    seen = max(
-        _words(s.columns) * s.stride[1] + _words((s.kernel[1] - 1) * s.dilation[1]) + 2
-        for s in steps
-    )
-    program[P.SCRATCH] = places.take(2 * (before + max(n_words, seen))) // 2 + before
-    for record_at in (P.INPUT_CHANGED, P.INPUT_TOUCHED):
-        program[record_at : record_at + 4] = _changes(height, width, places)
-    numbers = _Arena()
-    program[P.PLANES] = numbers.take(channels * height * width)
-    firsts = {volume: numbers.take(_size(volume)) + _first(volume)}
-    first_number = numbers.size
-    firsts |= {part: numbers.take(_size(part)) + _first(part) for part in maps[1:]}
-    # maps that are added have one frame, that of the widest padding
-    if numbers.size > 2 * graph.MAX_NUMBERS:
-        raise ValueError(
-            f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}"
-        )
-    behind = _up(numbers.size + LANES, LANES)  # a register may reach behind the last channel
-    program[P.EMPTY] = behind - first_number
-    program[[P.INPUT, P.INPUT_DY]] = firsts[volume], _pitch(volume)
-    program[[P.OUTPUT, P.OUTPUT_DY]] = firsts[output], _pitch(output)
+    writer = _ProgramWriter(steps, layout)
+    writer.write_header(output)
+    for step in steps:
+        writer.write_step(step)
 
-    records = {step: P.FIRST_STEP + k * P.STEP_SIZE for k, step in enumerate(steps)}
-    weights: list[np.ndarray] = []
-    n_weights = 0
-    for step, at in records.items():
-        record = program[at : at + P.STEP_SIZE]
-        sources = [records[writer] + P.CHANGED for part in step.inputs for writer in part.writers]
-        sources += [P.INPUT_CHANGED] * any(part is volume for part in step.inputs)
-        runs, run_length = _runs(step, firsts)
-        groups, place_weights, packed = _packed(step)
-        source = step.inputs[0]
-        record[P.KIND] = step.kind
-        record[[P.N_SOURCES, P.SOURCES]] = len(sources), len(program) + len(tables)
-        tables += sources
-        record[[P.KERNEL_Y, P.KERNEL_X]] = step.kernel
-        record[[P.STRIDE_Y, P.STRIDE_X]] = step.stride
-        record[[P.PAD_Y, P.PAD_X]] = step.padding
-        record[[P.DILATION_Y, P.DILATION_X]] = step.dilation
-        record[[P.ROWS, P.COLUMNS]] = step.rows, step.columns
-        for k in (P.CHANGED, P.TOUCHED):
-            record[k : k + 4] = _changes(step.rows, step.columns, places)
-        record[P.IN] = 0  # the distances below are from the beginning
-        record[[P.IN_DY, P.IN_DX]] = (
-            step.stride[0] * _pitch(source),
-            step.stride[1] * source.channels,
-        )
-        record[P.OUT] = firsts[step.output] + step.channel
-        record[[P.OUT_DY, P.OUT_DX]] = _pitch(step.output), step.output.channels
-        record[P.OUT_CHANNELS] = len(step.bias) // groups
-        record[[P.RUNS, P.N_RUNS, P.RUN_LENGTH]] = len(program) + len(tables), len(runs), run_length
-        tables += runs
-        record[[P.GROUPS, P.GROUP_CHANNELS]] = groups, source.channels // groups
-        record[[P.APPLIED, P.BLOCK]] = step.applied, step.block
-        record[[P.WEIGHTS, P.PLACE_WEIGHTS]] = n_weights, place_weights
-        weights.append(packed)
-        n_weights += packed.size
-    values = aligned(behind + numbers.size - first_number, np.float32)
-    for part in maps:
-        if part.fill:
-            values[firsts[part] - _first(part) :][: _size(part)] = part.fill
     arrays = ProgramArrays(
-        np.concatenate([program, np.array(tables, np.int64)]),
-        _shared_weights(weights, n_weights, {} if shared is None else shared),
-        values,
-        np.zeros(places.size, np.uint32),
+        np.concatenate([writer.program, np.array(writer.tables, np.int64)]),
+        shared_weights(writer.weights, {} if shared is None else shared),
+        layout.empty_maps(),
+        np.zeros(writer.places.size, np.uint32),
     )
-    layout = firsts[output], _pitch(output), output.channels, 1
-    output_changes = [records[writer] + P.CHANGED for writer in output.writers]
-    return Program(arrays, [step.name for step in steps], layout, output_changes)
+    return Program(
+        arrays,
+        steps=[step.name for step in steps],
+        output_layout=(layout.firsts[output], output.pitch, output.channels, 1),
+        output_changes=[writer.records[step] + P.CHANGED for step in output.writers],
+    )
 
 
-def _shared_weights(parts: list[np.ndarray], n: int, shared: dict[str, np.ndarray]) -> np.ndarray:
-    """The weights of all steps in one read-only array: that of an earlier program, if there is
-    one."""
-    if "weights" not in shared:
-        weights = aligned(n, np.float32)
-        np.concatenate(parts, out=weights)
-        weights.flags.writeable = False
-        shared["weights"] = weights
-    return shared["weights"]
-
-
-def aligned(n: int, dtype: type) -> np.ndarray:
-    """Zeros that begin where a cache line does: registers across two lines are read half as
-    fast."""
-    array: np.ndarray = np.zeros(n + 64 // np.dtype(dtype).itemsize, dtype)
-    first = -array.ctypes.data % 64 // array.itemsize
-    return array[first : first + n]
+# -- where maps lie --------------------------------------------------------------------------------
 
 
 class _Arena:
@@ -202,154 +138,223 @@ class _Arena:
 
     def take(self, n: int) -> int:
         first = self.size
-        self.size += -(-n // 16) * 16
+        self.size += round_up(n, 16)
         return first
 
 
-def _changes(rows: int, columns: int, places: _Arena) -> tuple[int, int, int, int]:
-    """A record of changes, see `kernels.changes`: none."""
-    return places.take(2 * rows * _words(columns)) // 2, MAX_ROW, -1, _words(columns)
+@dataclass(frozen=True)
+class _MapsLayout:
+    """Where the maps of a network lie in the array `maps`.
+
+    Parameters
+    ----------
+    volume : the network's input.
+    planes : where the volume lies as (C, H, W).
+    firsts : map -> where its place (0, 0) begins; the volume is the first one.
+    empty : numbers from a step's map to what it is for an empty window.
+    size : numbers in all.
+    """
+
+    volume: Map
+    planes: int
+    firsts: dict[Map, int]
+    empty: int
+    size: int
+
+    def empty_maps(self) -> np.ndarray:
+        """The array: zeros, and in each map with a `fill` that number."""
+        values = aligned(self.size, np.float32)
+        for part, first in self.firsts.items():
+            if part.fill:
+                begin = first - part.origin
+                values[begin : begin + part.size] = part.fill
+        return values
+
+
+def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
+    """The layout of the volume and of all maps that steps compute.
+
+    Raises
+    ------
+    ValueError : they need more memory than the layers said. Maps that are added to each other have
+        one frame, that of the widest padding.
+    """
+    numbers = _Arena()
+    planes = numbers.take(volume.channels * volume.rows * volume.columns)
+    firsts = {volume: numbers.take(volume.size) + volume.origin}
+    n_input = numbers.size
+    for step in steps:
+        part = step.output
+        if part not in firsts:
+            firsts[part] = numbers.take(part.size) + part.origin
+    if numbers.size > 2 * graph.MAX_NUMBERS:
+        raise ValueError(
+            f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}"
+        )
+    # a register may reach behind the last channel
+    behind = round_up(numbers.size + LANES, LANES)
+    n_computed = numbers.size - n_input
+    return _MapsLayout(volume, planes, firsts, empty=behind - n_input, size=behind + n_computed)
+
+
+# -- header and records ----------------------------------------------------------------------------
+
+
+class _ProgramWriter:
+    """Writes the numbers of a program.
+
+    Attributes
+    ----------
+    program : the header, and a record for each step.
+    tables : what stands behind it.
+    weights : the packed weights of each step.
+    places : what lies in the array `places`.
+    records : step -> where its record begins.
+    """
+
+    def __init__(self, steps: Sequence[Step], layout: _MapsLayout) -> None:
+        self._steps = steps
+        self._layout = layout
+        self.program = np.zeros(P.FIRST_STEP + len(steps) * P.STEP_SIZE, np.int64)
+        self.tables: list[int] = []
+        self.weights: list[np.ndarray] = []
+        self.places = _Arena()
+        self.records = {step: P.FIRST_STEP + k * P.STEP_SIZE for k, step in enumerate(steps)}
+        self._n_weights = 0
+
+    def write_header(self, output: Map) -> None:
+        program = self.program
+        layout = self._layout
+        volume = layout.volume
+        program[P.N_STEPS] = len(self._steps)
+        program[P.CHANNELS] = volume.channels
+        program[P.HEIGHT] = volume.rows
+        program[P.WIDTH] = volume.columns
+        program[P.STALE] = 1
+        program[P.PLANES] = layout.planes
+        program[P.EMPTY] = layout.empty
+        program[P.INPUT] = layout.firsts[volume]
+        program[P.INPUT_DY] = volume.pitch
+        program[P.OUTPUT] = layout.firsts[output]
+        program[P.OUTPUT_DY] = output.pitch
+
+        most_places = max(part.rows * part.columns for part in layout.firsts)
+        program[P.LIST] = self.places.take(most_places + 2)
+        self._write_scratch()
+        self._write_changes(program, P.INPUT_CHANGED, volume.rows, volume.columns)
+        self._write_changes(program, P.INPUT_TOUCHED, volume.rows, volume.columns)
+
+    def _write_scratch(self) -> None:
+        """Room for a row of bits of any map, within zeros for what steps see beside it."""
+        n_words = max(_words(part.columns) for part in self._layout.firsts)
+        n_before = max(_words(step.padding[1]) for step in self._steps)
+        n_seen = max(_words_seen(step) for step in self._steps)
+        first = self.places.take(2 * (n_before + max(n_words, n_seen))) // 2
+        self.program[P.SCRATCH] = first + n_before
+        self.program[P.SCRATCH_WORDS] = n_words
+
+    def _write_changes(self, record: np.ndarray, at: int, rows: int, columns: int) -> None:
+        """A record of changes, see `kernels.network.changes`: there are none."""
+        n_words = _words(columns)
+        first = self.places.take(2 * rows * n_words) // 2
+        record[at : at + 4] = first, MAX_ROW, -1, n_words
+
+    def write_step(self, step: Step) -> None:
+        at = self.records[step]
+        record = self.program[at : at + P.STEP_SIZE]
+        record[P.KIND] = step.kind
+        record[P.APPLIED] = step.applied
+        record[P.BLOCK] = step.block
+        self._write_window(record, step)
+        self._write_places(record, step)
+        self._write_inputs(record, step)
+        self._write_output(record, step)
+        self._write_weights(record, step)
+
+    def _write_window(self, record: np.ndarray, step: Step) -> None:
+        record[[P.KERNEL_Y, P.KERNEL_X]] = step.kernel
+        record[[P.STRIDE_Y, P.STRIDE_X]] = step.stride
+        record[[P.PAD_Y, P.PAD_X]] = step.padding
+        record[[P.DILATION_Y, P.DILATION_X]] = step.dilation
+
+    def _write_places(self, record: np.ndarray, step: Step) -> None:
+        """Which places there are, and that none has changed."""
+        record[P.ROWS] = step.rows
+        record[P.COLUMNS] = step.columns
+        self._write_changes(record, P.CHANGED, step.rows, step.columns)
+        self._write_changes(record, P.TOUCHED, step.rows, step.columns)
+
+    def _write_inputs(self, record: np.ndarray, step: Step) -> None:
+        """Whose changes the step depends on, and where it reads."""
+        sources = [
+            self.records[writer] + P.CHANGED for part in step.inputs for writer in part.writers
+        ]
+        if self._layout.volume in step.inputs:
+            sources.append(P.INPUT_CHANGED)
+        record[P.N_SOURCES] = len(sources)
+        record[P.SOURCES] = self._add_table(sources)
+
+        source = step.inputs[0]
+        runs, run_length = _runs(step, self._layout.firsts)
+        record[P.IN] = 0  # the distances of runs are from the beginning of `maps`
+        record[P.IN_DY] = step.stride[0] * source.pitch
+        record[P.IN_DX] = step.stride[1] * source.channels
+        record[P.N_RUNS] = len(runs)
+        record[P.RUN_LENGTH] = run_length
+        record[P.RUNS] = self._add_table(runs)
+
+    def _write_output(self, record: np.ndarray, step: Step) -> None:
+        record[P.OUT] = self._layout.firsts[step.output] + step.channel
+        record[P.OUT_DY] = step.output.pitch
+        record[P.OUT_DX] = step.output.channels
+
+    def _write_weights(self, record: np.ndarray, step: Step) -> None:
+        packed = packed_weights(step)
+        record[P.OUT_CHANNELS] = len(step.bias) // packed.groups
+        record[P.GROUPS] = packed.groups
+        record[P.GROUP_CHANNELS] = step.inputs[0].channels // packed.groups
+        record[P.WEIGHTS] = self._n_weights
+        record[P.PLACE_WEIGHTS] = packed.place_weights
+        self.weights.append(packed.numbers)
+        self._n_weights += packed.numbers.size
+
+    def _add_table(self, numbers: list[int]) -> int:
+        """Write numbers behind the records; returns where they begin in the whole program."""
+        first = len(self.program) + len(self.tables)
+        self.tables += numbers
+        return first
 
 
 def _words(columns: int) -> int:
-    """uint64 that have a bit for each."""
+    """uint64 words that have a bit for each column."""
     return -(-columns // 64)
 
 
-def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
-    """The steps whose maps are read, or are to be kept. Last rows and columns that no step reads,
-    as a pooling may drop them, are not computed."""
-    needed: dict[Map, tuple[int, int]] = {}
-    used = []
-    for step in reversed(steps):
-        if step.output not in keep:
-            if step.output not in needed:
-                continue
-            step.rows, step.columns = needed[step.output]
-        rows, columns = step.reads
-        for part in step.inputs:
-            before = needed.get(part, (0, 0))
-            needed[part] = (
-                min(max(before[0], rows, 1), part.rows),
-                min(max(before[1], columns, 1), part.columns),
-            )
-        used.append(step)
-    return used[::-1]
-
-
-def _frame(steps: list[Step]) -> None:
-    """Give each map the frame that its readers need; the maps that a step adds get the same one."""
-    for step in steps:
-        for part in step.inputs:
-            rows, columns = step.reads
-            _widen(part, (*step.padding, max(0, rows - part.rows), max(0, columns - part.columns)))
-    while any(
-        [
-            _widen(part, other.frame)
-            for step in steps
-            for part in step.inputs
-            for other in step.inputs
-        ]
-    ):
-        pass
-
-
-def _widen(part: Map, frame: Sequence[int]) -> bool:
-    """Returns whether that changed anything."""
-    before = part.frame
-    top, left, bottom, right = map(max, before, frame)
-    part.frame = top, left, bottom, right
-    return part.frame != before
-
-
-def _pitch(part: Map) -> int:
-    """Numbers in a row."""
-    _, left, _, right = part.frame
-    return (left + part.columns + right) * part.channels
-
-
-def _size(part: Map) -> int:
-    top, _, bottom, _ = part.frame
-    return (top + part.rows + bottom) * _pitch(part)
-
-
-def _first(part: Map) -> int:
-    """Where its place (0, 0) lies, behind the frame."""
-    return part.frame[0] * _pitch(part) + part.frame[1] * part.channels
+def _words_seen(step: Step) -> int:
+    """Words of a row of its input that a row of a step may see, two of them beyond."""
+    kernel_words = _words((step.kernel[1] - 1) * step.dilation[1])
+    return _words(step.columns) * step.stride[1] + kernel_words + 2
 
 
 def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
     """Where in the maps the runs or taps of place (0, 0) begin, and how long a run is."""
     taps = []
     for part in step.inputs:
-        origin = firsts[part] - step.padding[0] * _pitch(part) - step.padding[1] * part.channels
-        taps += [
-            origin + i * step.dilation[0] * _pitch(part) + j * step.dilation[1] * part.channels
-            for i in range(step.kernel[0])
-            for j in range(step.kernel[1])
-        ]
+        row_distance = step.dilation[0] * part.pitch
+        column_distance = step.dilation[1] * part.channels
+        above, before = step.padding
+        origin = firsts[part] - above * part.pitch - before * part.channels
+        for i in range(step.kernel[0]):
+            for j in range(step.kernel[1]):
+                taps.append(origin + i * row_distance + j * column_distance)
     channels = step.inputs[0].channels
+    # a MIX reads a row of its kernel at once where its columns lie side by side
     if step.kind == P.MIX and step.groups == 1 and step.dilation[1] == 1:
         return taps[:: step.kernel[1]], step.kernel[1] * channels
     return taps, channels // step.groups
 
 
-def _packed(step: Step) -> tuple[int, int, np.ndarray]:
-    """Groups, numbers from one place's weights to the next one's, and the weights as
-    `kernels.program` describes."""
-    if step.own_weights:
-        of_places = step.weights[: step.rows, : step.columns].reshape(-1, *step.weights.shape[2:])
-        packed = (
-            np.stack([_blocks(w, step) for w in of_places])
-            if step.kind == P.MIX
-            else _rows(of_places, step)
-        )
-        return 1, packed.shape[1], packed.reshape(-1)
-    if step.kind != P.MIX:
-        return 1, 0, _rows(step.weights.reshape(1, -1, len(step.bias)), step)[0]
-    per_group = len(step.bias) // step.groups
-    parts = [
-        _blocks(step.weights[k : k + per_group], step, k)
-        for k in range(0, len(step.bias), per_group)
-    ]
-    return step.groups, 0, np.concatenate(parts)
-
-
-def _rows(w: np.ndarray, step: Step) -> np.ndarray:
-    """(places, numbers): of a step that computes each channel by itself, from (places, taps, C)."""
-    n_places, n_taps, channels = w.shape
-    size = _up(channels, LANES)
-    packed = np.zeros((n_places, (n_taps + 2) * size + LANES), np.float32)
-    rows = packed[:, :-LANES].reshape(n_places, -1, size)  # a view
-    rows[:, :n_taps, :channels] = w
-    rows[:, n_taps, :channels], rows[:, n_taps + 1, :channels] = step.bias, step.slopes
-    packed[:, -LANES:] = _limits(step)
-    return packed
-
-
-def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
-    """Filters (F, C) or (F, C, kernel_y, kernel_x), the step's from `first` on, in blocks of one or
-    two registers."""
-    parts = []
-    # (K, F): taps, then channels
-    products = w.reshape(*w.shape[:2], -1).transpose(2, 1, 0).reshape(-1, len(w))
-    for f in range(0, len(w), 2 * LANES):
-        n = min(len(w) - f, 2 * LANES)
-        size = _up(n, LANES)
-        block = np.zeros((len(products) + 2, size), np.float32)
-        block[:-2, :n] = products[:, f : f + n]
-        block[-2, :n] = step.bias[first + f : first + f + n]
-        block[-1, :n] = step.slopes[first + f : first + f + n]
-        parts += [block.reshape(-1), _limits(step)]
-    return np.concatenate(parts)
-
-
-def _limits(step: Step) -> np.ndarray:
-    return np.pad(np.array([step.low, step.high], np.float32), (0, LANES - 2))
-
-
-def _up(n: int, step: int) -> int:
-    return -(-n // step) * step
+# -- volumes ---------------------------------------------------------------------------------------
 
 
 class VolumeInput:
@@ -361,8 +366,9 @@ class VolumeInput:
         self._copy = np.zeros(shape, np.float32)
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """float32, contiguous, read-only: the volume itself where it is so, else a copy, valid
-        until the next call.
+        """The volume as float32, contiguous and read-only.
+
+        Where it is so, it is returned as it is. Else a copy is returned, valid until the next call.
 
         Raises
         ------
@@ -370,7 +376,7 @@ class VolumeInput:
         """
         volume = plain_array("volume", volume)
         if volume.shape != self.shape:
-            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
+            raise ParameterValueError("volume", f"must have shape {self.shape}", volume.shape)
         if volume.dtype == np.float32 and volume.flags.c_contiguous and not volume.flags.writeable:
             return volume
         np.copyto(self._copy, volume)

@@ -1,4 +1,4 @@
-"""A model's networks, compiled: the classifier, which computes only what has changed, and the
+"""The compiled networks of a model: the classifier, which computes only what has changed, and the
 landmark regressor."""
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from async_tnt.base.checks import Running, one_at_a_time
+from async_tnt.base.checks import ParameterValueError, Running, one_at_a_time
 from async_tnt.kernels.decisions.classify import absorb_and_decide, classify_cells
 from async_tnt.kernels.decisions.objects import locate_cells, score_map
 from async_tnt.kernels.network.heatmap import centroid
@@ -33,12 +33,12 @@ def _program_of(model: Model, network: str) -> Program:
 
 
 class CompiledClassifier:
-    """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,), of a map model
-    (n_classes + 1, R, C).
+    """The compiled network of a model: volume (C, H, W) -> logits.
 
-    Equal to torch to 1e-4. Called with an array it computes the whole network;
-    `refresh` computes what has changed in a volume since its last call. Both give the same logits,
-    bit for bit. Holds its feature maps: one instance per thread.
+    Logits are (n_classes,), or (n_classes + 1, R, C) of a map model. They equal torch's to 1e-4.
+    Called with an array, the classifier computes the whole network; `refresh` computes what has
+    changed in a volume since its last call. Both give the same logits, bit for bit. It holds its
+    feature maps: use one instance per thread.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ class CompiledClassifier:
     shape : (C, H, W) of the volumes.
     n_classes : number of classes.
     sensor : (width, height).
-    places : of a map model: where on the sensor the places of its map lie; of others None.
-    network : the arrays that compiled code reads, see `kernels.program`.
-    steps : of each step of the program, the name of the layer that it computes or belongs to.
+    places : where on the sensor the places of a map model's map lie; None for other models.
+    network : the arrays that compiled code reads, see `kernels.network.program`.
+    steps : for each step of the program, the name of the layer that it computes or belongs to.
 
     Raises
     ------
@@ -62,7 +62,8 @@ class CompiledClassifier:
     --------
     >>> from async_tnt import TNTVolume, load_model
     >>> model = load_model("digits")
-    >>> network, volume = CompiledClassifier(model), TNTVolume(model.config)
+    >>> network = CompiledClassifier(model)
+    >>> volume = TNTVolume(model.config)
     >>> for t in range(1, 100):
     ...     _ = volume.update_one(t, t % 34, 17, 1)
     ...     assert (network.refresh(volume) == CompiledClassifier(model)(volume.array)).all()
@@ -79,10 +80,12 @@ class CompiledClassifier:
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
-        self.places, self.sensor = model.places, model.config.sensor
+        self.places = model.places
+        self.sensor = model.config.sensor
         self._running = Running("CompiledClassifier")
         self._program = _program_of(model, CLASSIFIER)
-        self.network, self.steps = self._program.arrays, self._program.steps
+        self.network = self._program.arrays
+        self.steps = self._program.steps
         self._input = VolumeInput(self.shape)
         self.logits_shape = model.logits_shape
         self.reader: ObjectReader | None = None
@@ -98,8 +101,7 @@ class CompiledClassifier:
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new
-        array."""
+        """The logits of one volume, a new array: float32, (n_classes,) or (n_classes + 1, R, C)."""
         logits = self._program.run(self._input(volume))
         if self.reader is None:
             return logits[: self.n_classes].copy()
@@ -107,8 +109,9 @@ class CompiledClassifier:
         return self.map.copy()
 
     def refresh(self, volume: TNTVolume) -> np.ndarray:
-        """Logits of a volume's open window, a new array; quick where little has changed since the
-        last call.
+        """The logits of a volume's open window, a new array.
+
+        It is quick where little has changed since the last call.
 
         Parameters
         ----------
@@ -123,7 +126,9 @@ class CompiledClassifier:
         ValueError : a volume of another shape.
         """
         if volume.config.shape != self.shape:
-            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")
+            raise ParameterValueError(
+                "volume", f"must have shape {self.shape}", volume.config.shape
+            )
         if self.places is None:
             return self.answer(volume)[1]
         self.locate(volume, new_tracks(self.places, self.logits_shape, 0), 0, False)
@@ -131,35 +136,42 @@ class CompiledClassifier:
 
     @cached_property  # made once: a view takes as long as a small network
     def map(self) -> np.ndarray:
-        """Of a map model: its last map, (n_classes + 1, R, C), read-only; the next call changes
-        it."""
-        first, *strides = (4 * n for n in self._program.output_layout)
+        """A map model's last map, (n_classes + 1, R, C), read-only; the next call changes it."""
+        n_bytes = np.dtype(np.float32).itemsize
+        first, row, column, channel = self._program.output_layout
+        strides = (n_bytes * channel, n_bytes * row, n_bytes * column)
         view = np.ndarray(
-            self.logits_shape, np.float32, self.network.maps, first, (strides[2], *strides[:2])
+            self.logits_shape, np.float32, self.network.maps, n_bytes * first, strides
         )
         view.flags.writeable = False
         return view
 
     def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
-        """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not
-        finite), logits, and probabilities (float64, shape (n_classes,))."""
-        logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
+        """`refresh` for a volume whose shape is known to fit.
+
+        Returns
+        -------
+        The class, or -1 if a logit is not finite; the logits; the probabilities, float64, shape
+        (n_classes,).
+        """
+        logits = np.empty(self.n_classes, np.float32)
+        probabilities = np.empty(self.n_classes)
         self._running.begin()
         try:
-            return (
-                classify_cells(volume.state(), *self.network, logits, probabilities),
-                logits,
-                probabilities,
-            )
+            index = classify_cells(volume.state(), *self.network, logits, probabilities)
+            return index, logits, probabilities
         finally:
             self._running.now = False
 
     @one_at_a_time
     def locate(self, volume: TNTVolume, tracks: np.ndarray, time_us: int, keep: bool) -> int:
-        """`answer` of a map model: how many objects there are (-1 if a logit is not finite), which
-        `reader` has.
+        """`answer` for a map model: how many objects there are, or -1 if a logit is not finite.
 
-        tracks, time_us, keep : see `kernels.objects.locate_on_map`.
+        `reader` then holds the objects.
+
+        Parameters
+        ----------
+        tracks, time_us, keep : see `kernels.decisions.objects.locate_on_map`.
         """
         assert self.reader is not None
         n: int = locate_cells(
@@ -177,8 +189,13 @@ class CompiledClassifier:
         trigger: np.ndarray,
         *answers: np.ndarray,
     ) -> tuple[int, int, int]:
-        """`kernels.classify.absorb_and_decide`, which describes `buffer`, `columns`, `first`,
-        `last` and `trigger`; `answers` are its arrays for logits, probabilities and notes."""
+        """Absorb events and decide in one compiled call, see
+        `kernels.decisions.classify.absorb_and_decide`.
+
+        Parameters
+        ----------
+        answers : its arrays for logits, probabilities and notes.
+        """
         found: tuple[int, int, int]
         found = absorb_and_decide(
             buffer, *columns[:4], first, last, trigger, *self.network, *answers
@@ -187,13 +204,13 @@ class CompiledClassifier:
 
 
 class CompiledRegressor:
-    """The landmark network of a model, compiled: raw volume (C, H, W) -> landmark (x, y) in grid
+    """The compiled landmark network of a model: raw volume (C, H, W) -> landmark (x, y) in grid
     pixels.
 
-    Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. Equal to
-    torch to 1e-4 pixels. For the volume alone: `TNTVolume(model.config,
-    regressor=CompiledRegressor(model))`; `Processor(model)` makes its own. Holds scratch memory:
-    one instance per thread.
+    Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. It
+    equals torch's to 1e-4 pixels. A volume alone takes one as `TNTVolume(model.config,
+    regressor=CompiledRegressor(model))`; `Processor(model)` makes its own. It holds scratch memory:
+    use one instance per thread.
 
     Parameters
     ----------
@@ -227,6 +244,7 @@ class CompiledRegressor:
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
         """The landmark of one raw volume, float64; nan where the network's float32 numbers
         overflow."""
-        exponent, (_, height, width) = self._program.run(self._input(volume)), self.shape
+        exponent = self._program.run(self._input(volume))
+        _, height, width = self.shape
         x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
         return x, y

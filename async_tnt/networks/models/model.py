@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import plain_array, short
+from async_tnt.base.checks import (
+    ParameterTypeError,
+    ParameterValueError,
+    plain_array,
+    short,
+)
 from async_tnt.base.files import replacing, user_path
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
-from async_tnt.networks.layers.operations import Shape
+from async_tnt.networks.layers.layer import Shape
 from async_tnt.networks.models.model_file import checksum_of, tensor_bytes
 from async_tnt.networks.models.objects import Places, places_of
 from async_tnt.volume.config import TNTConfig
@@ -24,13 +29,15 @@ if TYPE_CHECKING:
     from torch import nn
 
 FORMAT = "async_tnt 2"
+"""The `format` in a file's metadata; its number grows when an older release cannot read it."""
+
 CENTROID = "heatmap_centroid"
+"""The operation that a landmark network ends in."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
 class Model:
-    """A trained classifier: how events become a volume, and the weights of the network that reads
-    it.
+    """A trained classifier: how events become a volume, and the network that reads it.
 
     Parameters
     ----------
@@ -38,17 +45,17 @@ class Model:
     weights : float32 arrays, by the names that the network's layers give them.
     classes : names, in the order of the network's outputs. A map model, whose network computes a
         map (n_classes + 1, R, C) of more than one place, finds objects of these classes; the last
-        channel is nothing.
+        channel stands for nothing.
     record : how it was trained: data, seed, accuracy, what was tried.
-    network : its layers, see `networks.graph`: {"classifier": [...]}, volume (C, H, W) -> logits,
-        and with landmark "regressor" (and transform "tnt"), and then only, {"regressor": [...]},
-        raw volume -> landmark.
+    network : its layers, see `networks.layers.graph`. "classifier" computes logits from a volume
+        (C, H, W). "regressor" computes the landmark from the raw volume; it is there where the
+        landmark is "regressor" and the transform "tnt", and only there.
 
     Raises
     ------
     ValueError, TypeError : weights are missing, are not finite, or do not fit the network; or the
         network does not fit the configuration or `classes`, or is larger than
-        `networks.graph.MAX_NUMBERS` or `MAX_PRODUCTS`. The message names the layer.
+        `networks.layers.graph.MAX_NUMBERS` or `MAX_PRODUCTS`. The message names the layer.
     NotImplementedError : names a layer that this release cannot run.
     """
 
@@ -59,22 +66,22 @@ class Model:
     network: Network = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        # without order
-        if not isinstance(self.classes, Iterable) or isinstance(
+        is_ordered = isinstance(self.classes, Iterable) and not isinstance(
             self.classes, (str, set, frozenset)
-        ):
-            raise TypeError(
-                f"`classes` must be a tuple or list of names, got {short(self.classes)}"
-            )
+        )
+        if not is_ordered:
+            rule = "must be a tuple or list of names"
+            raise ParameterTypeError("classes", rule, short(self.classes))
         if not isinstance(self.record, Mapping):
-            raise TypeError(f"`record` must be a mapping, got {short(self.record)}")
+            raise ParameterTypeError("record", "must be a mapping", short(self.record))
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
         weights = {name: _float32(name, w) for name, w in self.weights.items()}
         object.__setattr__(self, "weights", weights)
         if not self.classes:
-            raise ValueError("`classes` must hold at least one name")
+            raise ParameterValueError("classes", "must hold at least one name")
         if len(set(self.classes)) < len(self.classes):
-            raise ValueError(f"`classes` must have different names, got {short(self.classes)}")
+            rule = "must have different names"
+            raise ParameterValueError("classes", rule, short(self.classes))
         _check_network(self.network, weights, self.config, len(self.classes))
 
     @classmethod
@@ -91,11 +98,11 @@ class Model:
 
         Parameters
         ----------
-        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. Taken as in
-            eval mode, with the weights that it has now.
+        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. It is taken
+            as in eval mode, with the weights that it has now.
         config, classes, record : see Model.
-        regressor : the landmark network, raw volumes -> landmarks; where the configuration needs
-            one, and only there.
+        regressor : the landmark network, raw volumes -> landmarks. It is given where the
+            configuration needs one, and only there.
 
         Raises
         ------
@@ -108,7 +115,13 @@ class Model:
         >>> from torch import nn
         >>> from async_tnt import CompiledClassifier, Model, TNTConfig
         >>> config = TNTConfig(sensor=(34, 34), bins=5)
-        >>> net = nn.Sequential(nn.Conv2d(5, 8, 3), nn.ReLU(), nn.MaxPool2d(2), nn.Flatten(), nn.Linear(8 * 16 * 16, 2))
+        >>> net = nn.Sequential(
+        ...     nn.Conv2d(5, 8, 3),
+        ...     nn.ReLU(),
+        ...     nn.MaxPool2d(2),
+        ...     nn.Flatten(),
+        ...     nn.Linear(8 * 16 * 16, 2),
+        ... )
         >>> model = Model.from_torch(net, config, classes=["left", "right"])
         >>> CompiledClassifier(model).n_classes
         2
@@ -119,18 +132,26 @@ class Model:
             layers_from_torch,
         )
 
-        parts = {CLASSIFIER: module, **({} if regressor is None else {REGRESSOR: regressor})}
+        parts = {CLASSIFIER: module}
+        if regressor is not None:
+            parts[REGRESSOR] = regressor
         network: dict[str, Any] = {}
         weights: dict[str, np.ndarray] = {}
         try:
             for name, part in parts.items():
                 prefix = "" if name == CLASSIFIER else f"{name}."
-                # of a submodule of this name
+                # the classifier may have a submodule of this name
                 while prefix and any(tensor.startswith(prefix) for tensor in weights):
                     prefix = f"_{prefix}"
                 network[name], tensors = layers_from_torch(part, config.shape, prefix)
                 weights |= tensors
-            model = cls(config, weights, classes, record or {}, network=network)  # type: ignore[arg-type]
+            model = cls(
+                config,
+                weights,
+                classes,  # type: ignore[arg-type]  # checked, and made a tuple, there
+                record or {},
+                network=network,
+            )
             for name, part in parts.items():
                 check_torch_layers(part, network[name], weights, config.shape)
         except NotImplementedError as error:
@@ -139,78 +160,88 @@ class Model:
 
     @property
     def logits_shape(self) -> Shape:
-        """(n_classes,), or (n_classes, 1, 1); of a map model (n_classes + 1, R, C)."""
+        """The shape of the output: (n_classes,) or (n_classes, 1, 1), or (n_classes + 1, R, C) for a
+        map model."""
         return self._shapes[self.network[CLASSIFIER][-1]["name"]]
 
     @property
     def places(self) -> Places | None:
-        """Of a map model: where on the sensor the places of its map lie. None of any other."""
+        """Where on the sensor the places of a map model's map lie; None for other models."""
         if self.logits_shape[0] == len(self.classes):
             return None
         return places_of(self.network[CLASSIFIER], self.config)
 
     def for_sensor(self, sensor: tuple[int, int]) -> Model:
-        """The same network for another sensor, (width, height), at the scale that it was trained
-        at.
+        """The same network for another sensor, at the scale that it was trained at.
 
-        A pixel of the sensor stays as many pixels of the grid. Meant for map models, and other
-        networks of convolutions and poolings alone; what a pooling with torch's `ceil_mode`, or
-        with one side None, made of the first size stays.
+        A pixel of the sensor stays as many pixels of the grid. This is meant for map models, and
+        for other networks of convolutions and poolings alone. A pooling that had torch's
+        `ceil_mode`, or one side None, keeps what was made of it for the first size.
+
+        Parameters
+        ----------
+        sensor : (width, height).
 
         Raises
         ------
-        ValueError : the network does not fit volumes of another size, as one with dense layers.
+        ValueError : the network does not fit volumes of another size, as it has dense layers.
         """
         if len(sensor) != 2:
-            raise ValueError(f"`sensor` must be (width, height), got {short(sensor)}")
-        scale = [g / s for g, s in zip(self.config.grid, self.config.sensor, strict=True)]
-        grid = tuple(max(2, round(share * side)) for share, side in zip(scale, sensor, strict=True))
-        return replace(self, config=self.config.replace(sensor=tuple(sensor), grid=grid))
+            raise ParameterValueError("sensor", "must be (width, height)", short(sensor))
+        grid = []
+        for own_grid, own_side, side in zip(
+            self.config.grid, self.config.sensor, sensor, strict=True
+        ):
+            scale = own_grid / own_side
+            grid.append(max(2, round(scale * side)))
+        return replace(self, config=self.config.replace(sensor=tuple(sensor), grid=tuple(grid)))
 
     @property
     def multiplications(self) -> int:
-        """Of the classifier's convolutions and dense layers, computed as a whole."""
+        """The multiplications of the classifier's convolutions and dense layers, for one volume."""
         shapes = self._shapes
-        return sum(
-            math.prod(shapes[layer["name"]])
-            * math.prod(self.weights[layer["weights"]["weight"]].shape[1:])
-            for layer in self.network[CLASSIFIER]
-            if layer["op"] in ("conv", "dense")
-        )
+        n = 0
+        for layer in self.network[CLASSIFIER]:
+            if layer["op"] in ("conv", "dense"):
+                weight = self.weights[layer["weights"]["weight"]]
+                n += math.prod(shapes[layer["name"]]) * math.prod(weight.shape[1:])
+        return n
 
     @property
     def _shapes(self) -> dict[str, Shape]:
-        """What the classifier's layers compute."""
+        """The shapes of what the classifier's layers compute."""
         tensors = {name: w.shape for name, w in self.weights.items()}
         return layer_shapes(self.network[CLASSIFIER], self.config.shape, tensors)
 
     def __repr__(self) -> str:
-        ops = Counter(
-            layer["op"]
-            for layers in self.network.values()
-            for layer in layers
-            if layer.get("weights")
-        )
-        volume = (
-            f"{'x'.join(map(str, self.config.sensor))} -> {'x'.join(map(str, self.config.shape))}"
-        )
-        network = [
-            *(f"{n} {op}" for op, n in ops.items()),
-            f"{sum(w.size for w in self.weights.values()):,} weights",
+        sensor = "x".join(map(str, self.config.sensor))
+        volume = "x".join(map(str, self.config.shape))
+        all_layers = [layer for layers in self.network.values() for layer in layers]
+        n_layers = Counter(layer["op"] for layer in all_layers if layer.get("weights"))
+        n_weights = sum(w.size for w in self.weights.values())
+        parts = [
+            f"{len(self.classes)} classes",
+            f"{sensor} -> {volume}",
+            *(f"{n} {op}" for op, n in n_layers.items()),
+            f"{n_weights:,} weights",
         ]
-        return f"Model({len(self.classes)} classes, {', '.join([volume, *network])})"
+        return f"Model({', '.join(parts)})"
 
     def description(self) -> dict[str, str]:
-        """Format, configuration, classes and record as JSON, for the metadata of a file; a
-        TypeError if the record holds something that JSON cannot represent."""
+        """Format, configuration, classes and record as JSON, for the metadata of a file.
+
+        Raises
+        ------
+        TypeError : the record holds something that JSON cannot represent.
+        """
         values = {"config": self.config.to_dict(), "classes": self.classes, "record": self.record}
         return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
 
     def save(self, path: str | Path) -> Path:
-        """Write the model to `path`, a .safetensors file; returns the path.
+        """Write the model to a .safetensors file; returns its path.
 
-        An existing file is replaced in one step when the new one is complete, and kept if that
-        fails.
+        An existing file is replaced in one step when the new one is complete. If writing fails, the
+        existing file stays.
 
         Raises
         ------
@@ -240,66 +271,68 @@ def _float32(name: str, values: Any) -> np.ndarray:
 def _check_network(
     network: Any, weights: Mapping[str, np.ndarray], config: TNTConfig, n_classes: int
 ) -> None:
-    if not isinstance(network, Mapping) or not all(
-        isinstance(layers, Sequence) for layers in network.values()
-    ):
-        raise TypeError(f"`network` must map names to lists of layers, got {short(network)}")
-    expected = {CLASSIFIER, *([REGRESSOR] if config.needs_regressor else [])}
-    if set(network) != expected:
-        raise ValueError(
-            f"`network` must hold {', '.join(sorted(expected))} here, got "
-            f"{', '.join(sorted(network))}"
-        )
+    is_mapping = isinstance(network, Mapping)
+    if not is_mapping or not all(isinstance(layers, Sequence) for layers in network.values()):
+        raise ParameterTypeError("network", "must map names to lists of layers", short(network))
+    expected = [CLASSIFIER]
+    if config.needs_regressor:
+        expected.append(REGRESSOR)
+    if set(network) != set(expected):
+        rule = f"must hold {', '.join(expected)} here"
+        raise ParameterValueError("network", rule, ", ".join(sorted(network)))
+
     tensors = {name: w.shape for name, w in weights.items()}
     shapes = {name: layer_shapes(layers, config.shape, tensors) for name, layers in network.items()}
     logits = list(shapes[CLASSIFIER].values())[-1]
+    _check_logits(logits, n_classes, config)
+    _check_centroids(network, shapes, config)
+    _check_values(network, weights)
+
+
+def _check_logits(logits: Shape, n_classes: int, config: TNTConfig) -> None:
+    """A number for each class, or a map with a channel for each class and one for nothing."""
     is_map = len(logits) == 3 and logits[0] == n_classes + 1 and logits[1:] != (1, 1)
     if logits not in ((n_classes,), (n_classes, 1, 1)) and not is_map:
         raise ValueError(
             f"the network must compute {n_classes} logits, one for each class, or a map of "
-            f"{n_classes + 1} channels, "
-            f"one for each class and the last for nothing; got {logits}"
+            f"{n_classes + 1} channels, one for each class and the last for nothing; got {logits}"
         )
     if is_map and config.transform != "none":
         raise ValueError(
             f"a map model needs transform='none', as a place of its map is one of the sensor; got "
             f"{config.transform!r}"
         )
-    _check_centroids(network, shapes, config)
-    _check_values(network, weights)
 
 
 def _check_centroids(
     network: Mapping[str, Any], shapes: Mapping[str, Any], config: TNTConfig
 ) -> None:
     """A regressor ends in a centroid of a heatmap of the volume's size; no other layer is one."""
-    centroids = [
-        layer for layers in network.values() for layer in layers if layer["op"] == CENTROID
-    ]
-    if centroids != [layers[-1] for name, layers in network.items() if name == REGRESSOR]:
+    all_layers = [layer for layers in network.values() for layer in layers]
+    centroids = [layer for layer in all_layers if layer["op"] == CENTROID]
+    expected = [network[REGRESSOR][-1]] if REGRESSOR in network else []
+    if centroids != expected:
         raise ValueError(f"a {CENTROID} must be the last layer of a regressor, and nowhere else")
+    volume = (1, *config.shape[1:])
     for layer in centroids:
         heatmap = shapes[REGRESSOR][layer["inputs"][0]]
-        if heatmap != (1, *config.shape[1:]):
-            raise ValueError(
-                f"the heatmap must be of shape {(1, *config.shape[1:])}, as the volume, got "
-                f"{heatmap}"
-            )
+        if heatmap != volume:
+            raise ValueError(f"the heatmap must be of shape {volume}, as the volume, got {heatmap}")
 
 
 def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray]) -> None:
     """Every weight is used and finite, and a batch norm never divides by zero."""
-    if unused := set(weights) - set().union(*(tensors_of(layers) for layers in network.values())):
+    all_layers = [layer for layers in network.values() for layer in layers]
+    unused = set(weights) - tensors_of(all_layers)
+    if unused:
         raise ValueError(f"no layer has the weights {', '.join(sorted(unused))}")
     for name, w in weights.items():
         if not np.isfinite(w).all():
             raise ValueError(f"`{name}` must be finite numbers")
-    for layers in network.values():
-        for layer in layers:
-            if (
-                layer["op"] == "batch_norm"
-                and not (weights[layer["weights"]["variance"]] + layer["epsilon"] > 0).all()
-            ):
+    for layer in all_layers:
+        if layer["op"] == "batch_norm":
+            variance = weights[layer["weights"]["variance"]]
+            if not (variance + layer["epsilon"] > 0).all():
                 raise ValueError(
                     f"layer {layer['name']!r} (batch_norm): variance + epsilon must be positive"
                 )

@@ -16,26 +16,31 @@ from async_tnt.base.checks import one_line, parse_json
 from async_tnt.volume.config import TNTConfig
 
 ALIGNMENT = 8
+"""Bytes: the length of the header stands in the first ones, and tensors begin at multiples."""
 
 
 def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
-    """`safetensors.numpy.save` with sorted metadata, whose order otherwise changes from call to
-    call.
+    """The content of a .safetensors file, with sorted metadata.
+
+    `safetensors.numpy.save` writes metadata in an order that changes from call to call.
 
     Examples
     --------
     >>> from safetensors.numpy import load
     >>> content = tensor_bytes({"x": np.arange(3)}, {"b": "2", "a": "1"})
-    >>> load(content)["x"].tolist(), content == tensor_bytes({"x": np.arange(3)}, {"a": "1", "b": "2"})
-    ([0, 1, 2], True)
+    >>> load(content)["x"].tolist()
+    [0, 1, 2]
+    >>> content == tensor_bytes({"x": np.arange(3)}, {"a": "1", "b": "2"})
+    True
     """
     content = save(dict(tensors), metadata=dict(metadata))
-    end = ALIGNMENT + int.from_bytes(content[:8], "little")
-    header = json.loads(content[8:end])
-    header = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
+    end = ALIGNMENT + int.from_bytes(content[:ALIGNMENT], "little")
+    header = json.loads(content[ALIGNMENT:end])
+    sorted_metadata = dict(sorted(header.pop("__metadata__").items()))
+    header = {"__metadata__": sorted_metadata, **header}
     text = json.dumps(header, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % ALIGNMENT)  # tensors begin at multiples of 8
-    return len(text).to_bytes(8, "little") + text + content[end:]
+    text += b" " * (-len(text) % ALIGNMENT)
+    return len(text).to_bytes(ALIGNMENT, "little") + text + content[end:]
 
 
 def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -45,7 +50,7 @@ def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict
     ------
     SafetensorError : it is not a .safetensors file, or NumPy lacks the type of a tensor.
     ValueError : `format` in its metadata is not the expected one. Only the header has been read
-        then, as tensors of other programs may be huge.
+        then, as the tensors of another program may be huge.
     """
     with safe_open(path, "numpy") as file:
         metadata = file.metadata() or {}
@@ -66,21 +71,31 @@ def parse_metadata(metadata: Mapping[str, str], name: str) -> Any:
 
 
 def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig, Any, Any]:
-    """Configuration, classes and record of `Model.description`; a ValueError if they, or `more`
-    names, are missing."""
-    if missing := [
-        name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata
-    ]:
+    """Configuration, classes and record, as `Model.description` wrote them.
+
+    Parameters
+    ----------
+    more : names that the metadata must have, too.
+
+    Raises
+    ------
+    ValueError : a name is missing, or its value cannot be read.
+    """
+    expected = ("config", "classes", "record", *more, "sha256")
+    missing = [name for name in expected if name not in metadata]
+    if missing:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
-    config, classes, record = (
-        parse_metadata(metadata, name) for name in ("config", "classes", "record")
-    )
+    config = parse_metadata(metadata, "config")
+    classes = parse_metadata(metadata, "classes")
+    record = parse_metadata(metadata, "record")
     return TNTConfig.from_dict(config), classes, record
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
-    """SHA-256 of a text and of the tensors' names, dtypes, shapes and bytes, in any order and
-    memory layout."""
+    """SHA-256 of a text and of the tensors' names, dtypes, shapes and bytes.
+
+    It does not depend on the tensors' order, nor on how they lie in memory.
+    """
     digest = hashlib.sha256(text.encode())
     for name in sorted(tensors):
         digest.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
@@ -89,7 +104,6 @@ def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
 
 
 def checksum_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
-    """Of the weights and all metadata other than itself."""
-    return checksum(
-        weights, json.dumps({name: metadata[name] for name in sorted(metadata) if name != "sha256"})
-    )
+    """The checksum of the weights and of all metadata other than itself."""
+    others = {name: metadata[name] for name in sorted(metadata) if name != "sha256"}
+    return checksum(weights, json.dumps(others))

@@ -11,14 +11,16 @@ import numpy as np
 
 from async_tnt.kernels.decisions import objects as K
 from async_tnt.networks.layers.graph import VOLUME
-from async_tnt.networks.layers.operations import Layer, Shape
+from async_tnt.networks.layers.layer import Layer, Shape
+from async_tnt.networks.layers.operations import OPERATIONS
+from async_tnt.networks.layers.places import Axis, axis_through_window
 from async_tnt.volume.config import TNTConfig
 
 REACH = 4
-"""Places that an object may move from one decision to the next, and be the same one."""
-
+"""How many places an object may move from one decision to the next, and be the same object."""
 
 LOGITS = "(1, n_classes), or a map (1, n_classes + 1, R, C)"
+"""The shapes of a network's answer, for messages."""
 
 
 class Places(NamedTuple):
@@ -32,64 +34,46 @@ class Places(NamedTuple):
 
 def even_places(shape: Shape, sensor: tuple[int, int]) -> Places:
     """Where places lie that divide the sensor evenly."""
-    dy, dx = sensor[1] / shape[1], sensor[0] / shape[2]
+    width, height = sensor
+    _, rows, columns = shape
+    dx = width / columns
+    dy = height / rows
     return Places((dx - 1) / 2, dx, (dy - 1) / 2, dy)
-
-
-class _Axis(NamedTuple):
-    """Rows or columns of a map: the middle of what the first one depends on, the distance of the
-    middles, in grid pixels, and how many there are."""
-
-    first: float
-    distance: float
-    n: int
 
 
 def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
     """Where the places of a network's last map lie: in the middle of the pixels that a place
     depends on.
 
-    Of several inputs the first one counts.
+    Where a layer has several inputs, the first one counts.
     """
-    axes = {VOLUME: [_Axis(0.0, 1.0, config.grid[1]), _Axis(0.0, 1.0, config.grid[0])]}
+    width, height = config.grid
+    axes = {VOLUME: (Axis(0.0, 1.0, height), Axis(0.0, 1.0, width))}
     for layer in layers:
-        source = axes[layer["inputs"][0]]
-        axes[layer["name"]] = [_through(layer, k, axis) for k, axis in enumerate(source)]
+        operation = OPERATIONS.get(layer["op"])  # None in a file of a later release
+        through = axis_through_window if operation is None else operation.places
+        rows, columns = axes[layer["inputs"][0]]
+        axes[layer["name"]] = (through(layer, 0, rows), through(layer, 1, columns))
+
     rows, columns = axes[layers[-1]["name"]]
-    across, down = ((s - 1) / (g - 1) for s, g in zip(config.sensor, config.grid, strict=True))
+    # sensor pixels in a grid pixel
+    across = (config.sensor[0] - 1) / (width - 1)
+    down = (config.sensor[1] - 1) / (height - 1)
     return Places(
         across * columns.first, across * columns.distance, down * rows.first, down * rows.distance
     )
 
 
-def _through(layer: Layer, k: int, axis: _Axis) -> _Axis:
-    if "kernel" in layer:
-        reach = (layer["kernel"][k] - 1) * layer.get("dilation", (1, 1))[k]
-        before, after = layer["padding"][k], layer["padding"][2 + k]
-        stride = layer["stride"][k]
-        n = (axis.n + before + after - reach - 1) // stride + 1
-        return _Axis(axis.first + axis.distance * (reach / 2 - before), axis.distance * stride, n)
-    if layer["op"] in ("adaptive_average_pool", "global_average_pool"):
-        n = layer.get("size", (1, 1))[k]
-        return _Axis(
-            axis.first + axis.distance * (axis.n / n - 1) / 2, axis.distance * axis.n / n, n
-        )
-    if layer["op"] == "depth_to_space":
-        block = layer["block"]
-        return _Axis(
-            axis.first + axis.distance * (1 / block - 1) / 2, axis.distance / block, axis.n * block
-        )
-    return axis
-
-
 def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
-    """How an answer of this shape is read: as logits (n,), or as a map (n_classes + 1, R, C); None:
-    as neither.
+    """How an answer of this shape is read: as logits (n,), or as a map (n_classes + 1, R, C); None
+    where it can be neither.
 
     Examples
     --------
-    >>> logits_shape((1, 10)), logits_shape((1, 10, 1, 1)), logits_shape((1, 11, 8, 9)), logits_shape((2, 10))
-    ((10,), (10,), (11, 8, 9), None)
+    >>> logits_shape((1, 10)), logits_shape((1, 10, 1, 1))
+    ((10,), (10,))
+    >>> logits_shape((1, 11, 8, 9)), logits_shape((2, 10))
+    ((11, 8, 9), None)
     """
     n = math.prod(shape)
     if n == 0:
@@ -101,19 +85,19 @@ def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
 
 
 class ObjectReader:
-    """Finds the objects on maps of logits, see `kernels.objects`.
+    """Finds the objects on maps of logits, see `kernels.decisions.objects`.
 
     Parameters
     ----------
     shape : (K + 1, R, C) of the maps: a channel for each class, then nothing.
-    layout : of an incremental network: where the map begins, numbers from one row, column and
+    layout : for an incremental network, where its map begins, and numbers from one row, column and
         channel to the next.
-    sources : of an incremental network: where in its program the records of the map's changes
+    sources : for an incremental network, where in its program the records of the map's changes
         begin.
 
     Attributes
     ----------
-    found, probabilities : of the objects found last, see `kernels.objects`.
+    found, probabilities : the objects found last, see `kernels.decisions.objects`.
     """
 
     KERNELS = (K.locate_on_map,)
@@ -124,16 +108,18 @@ class ObjectReader:
         layout: tuple[int, int, int, int] | None = None,
         sources: Sequence[int] = (),
     ) -> None:
-        self.shape = channels, rows, columns = shape
+        self.shape = shape
+        channels, rows, columns = shape
         about = np.zeros(K.ABOUT_SIZE + len(sources), np.int64)
         about[[K.FIRST, K.DY, K.DX, K.DK]] = layout or (0, columns, 1, rows * columns)
         about[[K.ROWS, K.COLUMNS, K.CHANNELS, K.N_SOURCES]] = rows, columns, channels, len(sources)
         about[K.ABOUT_SIZE :] = sources
         self.found = np.empty((most_objects(rows, columns), K.FOUND_SIZE))
         self.probabilities = np.empty((len(self.found), channels))
-        # of zeros
-        scores, peaks = np.zeros((rows, columns)), np.zeros((rows, -(-columns // 64)), np.uint64)
-        self.arrays = about, scores, peaks, self.probabilities, self.found
+        # those of a map of zeros
+        scores = np.zeros((rows, columns))
+        peaks = np.zeros((rows, -(-columns // 64)), np.uint64)
+        self.arrays = (about, scores, peaks, self.probabilities, self.found)
 
     def read(self, logits: np.ndarray, tracks: np.ndarray, time_us: int, keep: bool) -> int:
         """How many objects a map has, float32 of this shape; -1 if a logit is not finite."""
@@ -144,13 +130,16 @@ class ObjectReader:
 
 
 def most_objects(rows: int, columns: int) -> int:
-    """No two peaks are nearer than `NEAR`."""
+    """The most objects on a map, as no two peaks are nearer than `NEAR`."""
     return math.prod(-(-side // (K.NEAR + 1)) for side in (rows, columns))
 
 
 def new_tracks(places: Places, shape: Shape, memory_us: int) -> np.ndarray:
-    """Where objects stand, and that none is known yet: `tracks` of `kernels.objects`.
+    """The `tracks` of `kernels.decisions.objects`, which say where objects stand; none is known.
 
+    Parameters
+    ----------
+    shape : (K + 1, R, C) of the maps.
     memory_us : how long an object that is not found is remembered.
     """
     tracks = np.zeros((K.KNOWN + 2 * min(K.MOST_TRACKED, most_objects(*shape[1:])), 4))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.base.checks import needs_extra, positive_int
+from async_tnt.base.checks import ParameterTypeError, needs_extra, positive_int
 from async_tnt.networks.layers.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.objects import LOGITS, Places, logits_shape
@@ -23,13 +23,14 @@ if TYPE_CHECKING:
 
 
 def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
-    """A model's classifier: volumes (N, C, H, W) -> logits (N, n_classes), in eval mode."""
+    """A model's classifier as a module in eval mode: volumes (N, C, H, W) -> logits (N,
+    n_classes)."""
     return _network(model, CLASSIFIER)
 
 
 def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
-    """A model's landmark network: raw volumes (N, C, H, W) -> (N, 2) in grid pixels, in eval mode;
-    None without one."""
+    """A model's landmark network as a module in eval mode: raw volumes (N, C, H, W) -> (N, 2) in
+    grid pixels. None if the model has no landmark network."""
     return _network(model, REGRESSOR) if model.config.needs_regressor else None
 
 
@@ -66,9 +67,9 @@ class TorchClassifier:
     Parameters
     ----------
     module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1,
-        n_classes), or a map (1, n_classes + 1, R, C), see `Model`. Modules are put into eval mode
-        in place: call `module.train()` before training continues.
-    places : of a map: where its places lie; by default they divide the sensor evenly.
+        n_classes), or a map (1, n_classes + 1, R, C), see `Model`. The module itself is put into
+        eval mode: call `module.train()` before training continues.
+    places : where the places of a map lie; by default they divide the sensor evenly.
     threads : given to `torch.set_num_threads`, once, here. That is process-wide: it also applies
         to other classifiers and to training in this process. None leaves it unchanged.
 
@@ -88,27 +89,27 @@ class TorchClassifier:
     ) -> None:
         with needs_extra("reference", "torch modules need torch"):
             import torch
+
         if isinstance(module, torch.export.ExportedProgram):
             module = module.module()
         if not callable(module):
-            raise TypeError(f"`module` must be callable, got {type(module).__name__}")
+            raise ParameterTypeError("module", "must be callable", type(module).__name__)
         if threads is not None:
             torch.set_num_threads(positive_int("threads", threads))
-        self.module, self.places = module, places
+        self.module = module
+        self.places = places
         self._like = torch.empty(0)  # on the device and of the type of the module
         if isinstance(module, torch.nn.Module):
-            # of an exported program, which keeps the mode it was exported in
+            # an exported program has no such mode: it keeps the one that it was exported in
             with suppress(NotImplementedError):
                 module.eval()
-            weights = (
-                w for w in chain(module.parameters(), module.buffers()) if w.is_floating_point()
-            )
-            first = next(weights, self._like)
-            self._like = torch.empty(0, dtype=first.dtype, device=first.device)
+            for w in chain(module.parameters(), module.buffers()):
+                if w.is_floating_point():
+                    self._like = torch.empty(0, dtype=w.dtype, device=w.device)
+                    break
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new
-        array."""
+        """The logits of one volume, a new array: float32, (n_classes,) or (n_classes + 1, R, C)."""
         import torch
 
         # One copy, 1 us for 9 x 34 x 34: torch has no read-only tensors, and a module that works in

@@ -3,7 +3,7 @@ own files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +15,8 @@ from async_tnt.networks.layers.graph import CLASSIFIER, layer_shapes, tensors_of
 from async_tnt.networks.models.compiled import CompiledClassifier
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.objects import logits_shape
-from async_tnt.networks.onnx.export import read_metadata
 from async_tnt.networks.onnx.layers import Node, OnnxLayers
+from async_tnt.networks.onnx.metadata import Exported, read_metadata
 from async_tnt.networks.onnx.network import open_session
 from async_tnt.networks.onnx.operations import RULES
 from async_tnt.volume.config import TNTConfig
@@ -26,10 +26,16 @@ if TYPE_CHECKING:
 
 Layers = list[dict[str, Any]]
 
-STANDARD = ("", "ai.onnx")  # the domain of ONNX's own operations
-# before it, sums took an axis, and batch norms and dropouts trained unless told otherwise
+STANDARD = ("", "ai.onnx")
+"""The names of the domain of ONNX's own operations."""
+
 FIRST_OPSET = 7
+"""The first version of ONNX's operations that is read.
+
+Before it, sums took an axis, and batch norms and dropouts trained unless told otherwise."""
+
 WAY_OUT = "; OnnxClassifier(path) runs any float32 network of logits, whole at every decision"
+"""What to do with a network that is refused, for the end of messages."""
 
 
 def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:
@@ -48,42 +54,58 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
             raise TypeError(
                 f"`config` and `classes` are for networks of other programs; {path} has its own"
             )
-        if exported.config.needs_regressor:
-            raise NotImplementedError(
-                f"the landmark network of {path} has no ONNX form: load the model it was exported "
-                "from"
-            )
         weights = {
             tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in proto.graph.initializer
         }
-        own = exported.layers
-        try:
-            # checks them
-            layer_shapes(own, exported.config.shape, {name: w.shape for name, w in weights.items()})
-            used = {name: weights[name] for name in sorted(tensors_of(own)) if name in weights}
-            return Model(
-                exported.config, used, exported.classes, exported.record, network={CLASSIFIER: own}
-            )
-        except NotImplementedError as error:
-            raise ValueError(
-                f"{path} holds a network that this release cannot run: {one_line(error)}"
-            ) from None
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
+        return _exported_model(path, exported, weights)
     if config is None:
         raise TypeError(
             f"{path} does not say how events become its volume: load_model(path, "
             "config=TNTConfig(...), classes=[...])"
         )
+    return _foreign_model(path, proto, config, classes)
+
+
+def _exported_model(path: Path, exported: Exported, weights: Mapping[str, np.ndarray]) -> Model:
+    """The model in a file that this package wrote.
+
+    Parameters
+    ----------
+    weights : all constants of the file by name, with those that the export added.
+    """
+    if exported.config.needs_regressor:
+        raise NotImplementedError(
+            f"the landmark network of {path} has no ONNX form: load the model it was exported from"
+        )
+    layers = exported.layers
+    try:
+        # checks the layers, from which the names of the weights are read
+        layer_shapes(layers, exported.config.shape, _shapes(weights))
+        own = {name: weights[name] for name in sorted(tensors_of(layers))}
+        network = {CLASSIFIER: layers}
+        return Model(exported.config, own, exported.classes, exported.record, network=network)
+    except NotImplementedError as error:
+        raise ValueError(
+            f"{path} holds a network that this release cannot run: {one_line(error)}"
+        ) from None
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
+
+
+def _foreign_model(
+    path: Path, proto: onnx.ModelProto, config: TNTConfig, classes: Sequence[str] | None
+) -> Model:
+    """The model of another program's network, compared with what onnxruntime computes."""
     try:
         layers, weights = layers_from_onnx(proto, config.shape)
         if classes is None:
-            shapes = layer_shapes(
-                layers, config.shape, {name: w.shape for name, w in weights.items()}
-            )
-            read = logits_shape(list(shapes.values())[-1]) or (0,)
-            classes = [str(k) for k in range(max(1, read[0] - (len(read) == 3)))]
-        model = Model(config, weights, classes, network={CLASSIFIER: layers})  # type: ignore[arg-type]
+            classes = _default_classes(layers, config.shape, weights)
+        model = Model(
+            config,
+            weights,
+            classes,  # type: ignore[arg-type]  # checked, and made a tuple, there
+            network={CLASSIFIER: layers},
+        )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     except NotImplementedError as error:
@@ -95,6 +117,21 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
     return model
 
 
+def _default_classes(
+    layers: Layers, shape: tuple[int, int, int], weights: Mapping[str, np.ndarray]
+) -> list[str]:
+    """ "0", "1", ... for each logit, or for each channel of a map but the last."""
+    output = list(layer_shapes(layers, shape, _shapes(weights)).values())[-1]
+    read = logits_shape(output) or (0,)
+    is_map = len(read) == 3
+    n_classes = read[0] - 1 if is_map else read[0]
+    return [str(k) for k in range(max(1, n_classes))]
+
+
+def _shapes(weights: Mapping[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+    return {name: w.shape for name, w in weights.items()}
+
+
 def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) -> None:
     """Compare an ONNX network, run by onnxruntime, with the compiled layers that were read from it.
 
@@ -103,59 +140,61 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
     ImportError : onnxruntime is not installed.
     ValueError : see `compare`; or onnxruntime cannot open the file.
     """
-    session, (given,), *_ = open_session(str(path), str(path), 1)
+    opened = open_session(str(path), str(path), 1)
+    (given,) = opened.inputs
     dtype = input_type(proto)
-    # at the end, or it has no layers
-    softmax = any(node.op_type == "Softmax" for node in proto.graph.node)
-    # some files fix a batch
-    n = given.shape[0] if given.shape and isinstance(given.shape[0], int) else 1
+    # a softmax stands at the end, or the network has no layers
+    has_softmax = any(node.op_type == "Softmax" for node in proto.graph.node)
+    n_batch = 1
+    if given.shape and isinstance(given.shape[0], int):  # some files fix a batch
+        n_batch = given.shape[0]
     compiled = CompiledClassifier(model)
 
     def theirs(volume: np.ndarray) -> np.ndarray:
-        answer: np.ndarray = session.run(
-            None, {given.name: np.repeat(volume[None], n, 0).astype(dtype)}
-        )[0]
-        return np.asarray(answer.reshape(n, -1)[0], np.float64)
+        batch = np.repeat(volume[None], n_batch, 0).astype(dtype)
+        answer: np.ndarray = opened.session.run(None, {given.name: batch})[0]
+        return np.asarray(answer.reshape(n_batch, -1)[0], np.float64)
 
     def ours(volume: np.ndarray) -> np.ndarray:
         logits = compiled(volume).astype(np.float64)
+        if not has_softmax:
+            return logits
         odds = np.exp(logits - logits.max(0))
-        return odds / odds.sum(0) if softmax else logits
+        shares: np.ndarray = odds / odds.sum(0)
+        return shares
 
-    compare(theirs, ours, model.config.shape, max(TOLERANCE, 8 * float(np.finfo(dtype).eps)))
+    tolerance = max(TOLERANCE, 8 * float(np.finfo(dtype).eps))
+    compare(theirs, ours, model.config.shape, tolerance)
 
 
 def layers_from_onnx(
     model: onnx.ModelProto, shape: tuple[int, int, int]
 ) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a network of one input (N, C, H, W), here of this shape (C, H, W), and their
-    weights. A softmax at its end is left out.
+    """The layers of a network of one input, and their weights.
 
-    Conv, Gemm, MatMul with a constant, BatchNormalization, sums and products with constants of one
-    number or one for each channel; Relu, LeakyRelu, PRelu, Clip, Sigmoid, HardSigmoid, Tanh,
-    HardSwish, Gelu, x Sigmoid(x), Log of x + 1; MaxPool, AveragePool, GlobalAveragePool, ReduceMean
-    over all places; Add, Sum, Concat; Flatten, Reshape to (n, -1), Dropout, Identity.
+    They are made of the operators that `networks/onnx/operations.py` lists. A softmax at the end is
+    left out.
+
+    Parameters
+    ----------
+    shape : (C, H, W), as the input (N, C, H, W) may leave sides open.
 
     Raises
     ------
-    NotImplementedError : names the first node that is not among these.
+    NotImplementedError : names the first node that has no compiled form.
+    ValueError : the network's input has another shape.
     """
     from onnx import numpy_helper
 
-    graph, opset = model.graph, _check_meanings(model)
+    graph = model.graph
+    opset = _check_meanings(model)
     inputs = _inputs(model)
     if len(inputs) != 1 or len(graph.output) != 1:
         raise NotImplementedError(
             f"the network must have one input and one output, got {len(inputs)} and "
             f"{len(graph.output)}"
         )
-    sides = [side.dim_value for side in inputs[0].type.tensor_type.shape.dim][1:]  # 0: not fixed
-    if sides and (
-        len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))
-    ):
-        raise ValueError(
-            f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}"
-        )
+    _check_input_shape(inputs[0], shape)
     constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     made = OnnxLayers(inputs[0].name, shape, input_type(model), constants, opset)
     output = graph.output[0].name
@@ -165,20 +204,34 @@ def layers_from_onnx(
             raise NotImplementedError(f"{node.where} has no compiled form")
         try:
             rule(made, node)
-        # the second: of a shape that no layer takes
-        except (NotImplementedError, ValueError) as error:
+        except (NotImplementedError, ValueError) as error:  # the latter: no layer takes the shape
             raise NotImplementedError(f"{node.where}: {error}") from None
     if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
         raise NotImplementedError("the network's last layer must compute its output")
     try:
-        layer_shapes(made.layers, shape, {name: w.shape for name, w in made.tensors.items()})
+        layer_shapes(made.layers, shape, _shapes(made.tensors))
     except ValueError as error:
         raise NotImplementedError(str(error)) from None
     return made.layers, made.tensors
 
 
+def _check_input_shape(value: onnx.ValueInfoProto, shape: tuple[int, int, int]) -> None:
+    """Refuse an input (N, C, H, W) that is no volume of this shape (C, H, W)."""
+    sides = [side.dim_value for side in value.type.tensor_type.shape.dim][1:]
+    if not sides:  # the file does not say
+        return
+    is_volume = len(sides) == 3 and all(
+        side in (0, own)  # 0: it is not fixed
+        for side, own in zip(sides, shape, strict=True)
+    )
+    if not is_volume:
+        raise ValueError(
+            f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}"
+        )
+
+
 def _inputs(model: onnx.ModelProto) -> list[onnx.ValueInfoProto]:
-    """Without the weights, which old files list, too."""
+    """The network's inputs, without the weights, which old files list, too."""
     constants = {tensor.name for tensor in model.graph.initializer}
     return [value for value in model.graph.input if value.name not in constants]
 
@@ -201,11 +254,17 @@ def input_type(model: onnx.ModelProto) -> np.dtype:
 
 
 def _check_meanings(model: onnx.ModelProto) -> int:
-    """The opset; refuses operations that are not ONNX's own of that name, or whose meaning was
-    another one."""
-    if theirs := [node for node in model.graph.node if node.domain not in STANDARD]:
-        where = Node(theirs[0]).where
-        raise NotImplementedError(f"{where} is of the domain {theirs[0].domain!r}, not ONNX's own")
+    """The version of ONNX's operations.
+
+    Raises
+    ------
+    NotImplementedError : an operation is not ONNX's own of that name, or had another meaning in
+        this version.
+    """
+    for node in model.graph.node:
+        if node.domain not in STANDARD:
+            where = Node(node).where
+            raise NotImplementedError(f"{where} is of the domain {node.domain!r}, not ONNX's own")
     if any(function.domain in STANDARD for function in model.functions):
         raise NotImplementedError("the network redefines operations of ONNX")
     versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD]

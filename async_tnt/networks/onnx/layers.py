@@ -15,12 +15,21 @@ if TYPE_CHECKING:
 
 
 class Node:
-    """A node, its attributes as Python values."""
+    """A node of an ONNX graph, with its attributes as Python values.
+
+    Attributes
+    ----------
+    op : its ONNX operator.
+    inputs : the names of its inputs; "" for one that is left out.
+    outputs : the names of its outputs, without those that are left out.
+    where : what messages call it.
+    """
 
     def __init__(self, node: onnx.NodeProto) -> None:
         from onnx import helper
 
-        self.op, self.inputs = node.op_type, list(node.input)
+        self.op: str = node.op_type
+        self.inputs = list(node.input)
         self.outputs = [name for name in node.output if name]
         self.where = f"node {node.name or node.output[0]!r} ({node.op_type})"
         self._attributes = {
@@ -41,6 +50,11 @@ class OnnxLayers:
     given : the name of the network's input, a volume of `shape` (C, H, W) and type `dtype`.
     constants : name -> values.
     opset : the version of ONNX's operations.
+
+    Attributes
+    ----------
+    layers, tensors : the layers, and the weights by their names.
+    names : value -> the layer that computes it.
     """
 
     def __init__(
@@ -54,26 +68,22 @@ class OnnxLayers:
         self.layers: list[dict[str, Any]] = []
         self.tensors: dict[str, np.ndarray] = {}
         self.names = {given: VOLUME}
-        """Value -> the layer that computes it."""
         self.constants = dict(constants)
         self.opset = opset
-        self._shape, self._dtype = shape, dtype
+        self._shape = shape
+        self._dtype = dtype
 
     def add(self, node: Node, op: str, sources: Sequence[str], **parameters: Any) -> None:
-        """A layer named after the node's output; one that follows in the same node takes its
-        place."""
+        """Add a layer that a node becomes, named after the node's output.
+
+        Of several layers of one node, the last one computes the output.
+        """
         taken = {VOLUME, *(layer["name"] for layer in self.layers)}
         name = node.outputs[0]
         while name in taken:
             name += "_"
-        self.layers.append(
-            {
-                "op": op,
-                "name": name,
-                "inputs": [self.layer(source) for source in sources],
-                **parameters,
-            }
-        )
+        inputs = [self.layer(source) for source in sources]
+        self.layers.append({"op": op, "name": name, "inputs": inputs, **parameters})
         self.names[node.outputs[0]] = name
 
     def layer(self, value: str) -> str:
@@ -84,31 +94,33 @@ class OnnxLayers:
         return self.names[value]
 
     def layer_of(self, value: str) -> dict[str, Any]:
-        """The layer that computes a value; an empty one, with `op` "volume", for the volume."""
+        """The layer that computes a value; for the volume, one with the `op` "volume"."""
         name = self.layer(value)
-        return next(
-            (layer for layer in self.layers if layer["name"] == name), {"op": VOLUME, "inputs": []}
-        )
+        for layer in self.layers:
+            if layer["name"] == name:
+                return layer
+        return {"op": VOLUME, "inputs": []}
 
     def shape(self, value: str) -> tuple[int, ...]:
-        """(C, H, W) or (N,)."""
+        """The shape of a value, (C, H, W) or (N,)."""
         tensors = {name: values.shape for name, values in self.tensors.items()}
         return layer_shapes(self.layers, self._shape, tensors, partial=True)[self.layer(value)]
 
     def alias(self, node: Node, value: str) -> None:
-        """A node that passes a value on: its output has the name of the same layer."""
+        """Note that a node passes a value on: the same layer computes its output."""
         self.names[node.outputs[0]] = self.layer(value)
 
     def constant(self, node: Node, place: int) -> np.ndarray | None:
         """A constant input; None where there is no input at this place."""
         if place >= len(node.inputs) or not node.inputs[place]:
             return None
-        if node.inputs[place] not in self.constants:
-            raise NotImplementedError(f"its input {node.inputs[place]!r} is not a constant")
-        return self.constants[node.inputs[place]]
+        name = node.inputs[place]
+        if name not in self.constants:
+            raise NotImplementedError(f"its input {name!r} is not a constant")
+        return self.constants[name]
 
     def tensor(self, name: str, values: np.ndarray) -> str:
-        """Keep a tensor under its own name, or where another one has it, with a `_` behind."""
+        """Keep a tensor; returns its name, which has `_` behind where another tensor has it."""
         expect_form(
             values.dtype == self._dtype,
             f"{name!r} of type {values.dtype} beside an input of {self._dtype}",
@@ -120,10 +132,19 @@ class OnnxLayers:
         return name
 
     def weights(self, node: Node, **places: int) -> dict[str, str]:
-        """Role -> name of the tensor at this place of the inputs."""
-        found = {role: self.constant(node, place) for role, place in places.items()}
-        return {
-            role: self.tensor(node.inputs[places[role]], values)
-            for role, values in found.items()
-            if values is not None
-        }
+        """Keep constant inputs as tensors.
+
+        Parameters
+        ----------
+        places : role -> the place of its tensor among the inputs.
+
+        Returns
+        -------
+        Role -> the tensor's name, for those that are there.
+        """
+        constants = {role: self.constant(node, place) for role, place in places.items()}
+        weights = {}
+        for role, values in constants.items():
+            if values is not None:
+                weights[role] = self.tensor(node.inputs[places[role]], values)
+        return weights

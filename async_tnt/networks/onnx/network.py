@@ -5,16 +5,26 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import async_tnt.volume.config as limits
-from async_tnt.base.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
+from async_tnt.base.checks import (
+    ParameterTypeError,
+    ParameterValueError,
+    Running,
+    needs_extra,
+    one_at_a_time,
+    one_line,
+    positive_int,
+)
 from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.networks.models.objects import LOGITS, Places, logits_shape, places_of
-from async_tnt.networks.onnx.export import Exported, read_metadata
+from async_tnt.networks.onnx.metadata import Exported, read_metadata
+from async_tnt.volume.config import TNTConfig
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -23,29 +33,31 @@ if TYPE_CHECKING:
 class OnnxClassifier:
     """A classifier in an ONNX file, run by onnxruntime: volume (C, H, W) -> logits (n_classes,).
 
-    `Processor(config, classifier=OnnxClassifier("net.onnx"))` decides by any network of one input,
-    float32 of shape (1, C, H, W) or with an open batch, and one output, float32 logits of any shape
-    that has one axis longer than 1, or a map (1, n_classes + 1, R, C), see `Model`.
-    Files by `to_onnx` or `async-tnt export` hold their configuration and classes:
+    `Processor(config, classifier=OnnxClassifier("net.onnx"))` decides by any network of one input
+    and one output. The input is float32 of shape (1, C, H, W), or with an open batch. The output is
+    float32 logits of any shape that has one axis longer than 1, or a map (1, n_classes + 1, R, C),
+    see `Model`. Files by `to_onnx` or `async-tnt export` hold their configuration and classes:
     `Processor(net.config, classifier=net, classes=net.classes)`.
 
-    Holds scratch memory: one instance per thread. Copies and pickles open the network again, from
-    the same path or bytes.
+    It holds scratch memory: use one instance per thread. Copies and pickles open the network again,
+    from the same path or bytes.
 
     Parameters
     ----------
     path_or_bytes : an .onnx file's path, its content, or an `onnx.ModelProto`.
-    threads : of onnxruntime, within a node and between nodes, at least 1. With 1 it starts no
-        threads; with more, they sleep between calls instead of spinning.
+    threads : how many onnxruntime uses within a node and between nodes, at least 1. With 1 it
+        starts no threads; with more, they sleep between calls instead of spinning.
     shape : (C, H, W), for networks that leave these sides open.
 
     Attributes
     ----------
     shape : (C, H, W).
-    n_classes : logits, or channels of a map but for the last.
-    places : of a map in a file by this package: where its places lie. Else None: they divide the
-        sensor evenly.
+    n_classes : how many logits, or channels of a map but for the last.
+    places : where the places of a map lie, if this package wrote the file; else None, and they
+        divide the sensor evenly.
     config, classes : TNTConfig and names, if this package wrote the file; else None.
+    exported : the Model of the file, without its weights, if this package wrote the file; else
+        None.
 
     Raises
     ------
@@ -60,49 +72,66 @@ class OnnxClassifier:
     ) -> None:
         self.threads = positive_int("threads", threads)
         self._running = Running("OnnxClassifier")
-        self._source = source = source_of(path_or_bytes)
-        self._name = name = (
-            f"the ONNX network of {len(source):_} bytes" if isinstance(source, bytes) else source
-        )
-        self._session, inputs, outputs, exported = open_session(source, name, self.threads)
+        self._source = source_of(path_or_bytes)
+        if isinstance(self._source, bytes):
+            self._name = f"the ONNX network of {len(self._source):_} bytes"
+        else:
+            self._name = self._source
+        opened = open_session(self._source, self._name, self.threads)
+        self._session = opened.session
         try:
-            self.shape = check_input(inputs, shape)
-            if len(outputs) != 1 or outputs[0].type != "tensor(float)":
-                wanted = f"one output, logits {LOGITS}, tensor(float)"
-                raise ValueError(f"the network must have {wanted}; got {_listed(outputs)}")
+            self.shape = check_input(opened.inputs, shape)
+            _check_output(opened.outputs)
         except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
-        self.n_classes = self._answer.size if self._answer.ndim == 1 else len(self._answer) - 1
-        self.exported: Exported | None = exported
-        self.config = None if exported is None else exported.config
-        self.classes = None if exported is None else exported.classes
-        self.places = (
-            None if exported is None or self._answer.ndim == 1 else _places_of(exported, name)
-        )
-        if self.config is not None and self.config.shape != self.shape:
+            raise ValueError(f"{self._name}: {error}") from None
+
+        bound = self._bind(opened.inputs[0].name, opened.outputs[0])
+        self._volume, self._answer, self._binding = bound
+        is_map = self._answer.ndim > 1
+        self.n_classes = len(self._answer) - 1 if is_map else self._answer.size
+
+        self.exported = opened.exported
+        self.config: TNTConfig | None = None
+        self.classes: tuple[str, ...] | None = None
+        self.places: Places | None = None
+        if self.exported is not None:
+            self.config = self.exported.config
+            self.classes = self.exported.classes
+            if is_map:
+                self.places = _places_of(self.exported, self._name)
+            self._check_exported(self.exported)
+
+    def _check_exported(self, exported: Exported) -> None:
+        """Refuse a file whose metadata and network do not fit each other."""
+        shape = exported.config.shape
+        if shape != self.shape:
             raise ValueError(
-                f"{name} is damaged: its configuration gives volumes of shape {self.config.shape}, "
-                "its network takes "
-                f"{self.shape}"
+                f"{self._name} is damaged: its configuration gives volumes of shape {shape}, "
+                f"its network takes {self.shape}"
             )
-        if self.classes is not None and len(self.classes) != self.n_classes:
+        n_names = len(exported.classes)
+        if n_names != self.n_classes:
             raise ValueError(
-                f"{name} is damaged: it names {len(self.classes)} classes, its network gives "
+                f"{self._name} is damaged: it names {n_names} classes, its network gives "
                 f"{self.n_classes} logits"
             )
 
     def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
-        return functools.partial(
+        opened_again = functools.partial(
             type(self), self._source, threads=self.threads, shape=self.shape
-        ), ()
+        )
+        return opened_again, ()
 
     def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
         """Memory that the network reads from and writes to, bound once.
 
-        This is the fastest way that onnxruntime offers. For `digits` on one Xeon core: 50 us, where
-        `session.run` takes 52 to 57 (it checks a dictionary and makes a list and an array), an
-        `io_binding` for each volume 55, and `run_with_ort_values` 93.
+        This is the fastest way that onnxruntime offers. For `digits` on one Xeon core it takes
+        50 us. `session.run` takes 52 to 57, as it checks a dictionary and makes a list and an
+        array; an `io_binding` for each volume takes 55, and `run_with_ort_values` 93.
+
+        Returns
+        -------
+        The volume (C, H, W), the answer in the shape in which it is read, and the binding.
         """
         try:
             volume = np.zeros((1, *self.shape), np.float32)
@@ -112,7 +141,8 @@ class OnnxClassifier:
             raise ValueError(
                 f"{self._name}: the network fails on an empty volume: {one_line(error)}"
             ) from None
-        if (shape_read := logits_shape(answer.shape)) is None:
+        shape_read = logits_shape(answer.shape)
+        if shape_read is None:
             raise ValueError(
                 f"{self._name}: the network must give logits {LOGITS}, of a volume, got shape "
                 f"{answer.shape}"
@@ -127,15 +157,14 @@ class OnnxClassifier:
 
     @property
     def logits_shape(self) -> tuple[int, ...]:
-        """(n_classes,), of a map (n_classes + 1, R, C)."""
+        """The shape of an answer: (n_classes,), or (n_classes + 1, R, C) for a map."""
         return self._answer.shape
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
-        """Logits of one volume: float32, shape (n_classes,) or (n_classes + 1, R, C), a new
-        array."""
+        """The logits of one volume, a new array: float32, (n_classes,) or (n_classes + 1, R, C)."""
         if volume.shape != self.shape:
-            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
+            raise ParameterValueError("volume", f"must have shape {self.shape}", volume.shape)
         np.copyto(self._volume, volume)
         try:
             self._session.run_with_iobinding(self._binding)
@@ -147,6 +176,7 @@ class OnnxClassifier:
 
 
 def _places_of(exported: Exported, name: str) -> Places:
+    """Where the places of an exported map model's map lie."""
     try:
         return places_of(exported.layers, exported.config)
     except (LookupError, TypeError, AttributeError) as error:
@@ -166,9 +196,10 @@ def source_of(path_or_bytes: Any) -> str | bytes:
     if isinstance(path_or_bytes, (bytes, bytearray, memoryview)):
         return bytes(path_or_bytes)
     if not isinstance(path_or_bytes, (str, os.PathLike)):
-        raise TypeError(
-            f"`path_or_bytes` must be a path, bytes or an onnx.ModelProto, got "
-            f"{type(path_or_bytes).__name__}"
+        raise ParameterTypeError(
+            "path_or_bytes",
+            "must be a path, bytes or an onnx.ModelProto",
+            type(path_or_bytes).__name__,
         )
     path = user_path(path_or_bytes)
     if not path.exists():
@@ -191,13 +222,41 @@ def import_onnxruntime() -> Any:
     return onnxruntime
 
 
-def open_session(
-    source: str | bytes, name: str, threads: int
-) -> tuple[onnxruntime.InferenceSession, list[Any], list[Any], Exported | None]:
-    """The session, its inputs and outputs, and the metadata if the file is ours."""
+@dataclass(frozen=True)
+class OpenedNetwork:
+    """An ONNX network that onnxruntime has opened.
+
+    Parameters
+    ----------
+    inputs, outputs : onnxruntime's descriptions of them.
+    exported : the Model of the file, without its weights, if this package wrote the file; else
+        None.
+    """
+
+    session: onnxruntime.InferenceSession
+    inputs: list[Any]
+    outputs: list[Any]
+    exported: Exported | None
+
+
+def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
+    """Open a network.
+
+    Parameters
+    ----------
+    source : the path of its file, or its bytes.
+    name : what messages call it.
+    threads : see `OnnxClassifier`.
+
+    Raises
+    ------
+    ImportError : onnxruntime is not installed.
+    ValueError : it is no ONNX network, or this package wrote it and it is damaged.
+    """
     onnxruntime = import_onnxruntime()
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = threads
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = threads
     # a spinning helper thread would take a core from the source of the events
     for pool in ("intra_op", "inter_op"):
         options.add_session_config_entry(f"session.{pool}.allow_spinning", "0")
@@ -209,17 +268,17 @@ def open_session(
             providers=["CPUExecutionProvider"],
             enable_fallback=0,  # otherwise it prints that it tries again
         )
-        inputs, outputs = session.get_inputs(), session.get_outputs()
+        inputs = session.get_inputs()
+        outputs = session.get_outputs()
         metadata = session.get_modelmeta().custom_metadata_map
     except Exception as error:  # of many types, none of them a ValueError
         raise ValueError(f"{name} is not a readable ONNX network: {one_line(error)}") from None
+    content = Path(source).read_bytes() if isinstance(source, str) else source
     try:
-        exported = read_metadata(
-            metadata, Path(source).read_bytes() if isinstance(source, str) else source
-        )
+        exported = read_metadata(metadata, content)
     except ValueError as error:
         raise ValueError(f"{name} is damaged: {one_line(error)}") from None
-    return session, inputs, outputs, exported
+    return OpenedNetwork(session, inputs, outputs, exported)
 
 
 def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, int, int]:
@@ -229,8 +288,7 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, in
     if len(inputs) != 1 or inputs[0].type != "tensor(float)" or not one_volume:
         raise ValueError(
             "the network must have one input, a volume, tensor(float) of shape (1, C, H, W), or of "
-            "any number of them; "
-            f"got {_listed(inputs)}"
+            f"any number of them; got {_listed(inputs)}"
         )
     if shape is None:
         if not all(isinstance(side, int) for side in sides[1:]):
@@ -241,7 +299,7 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, in
         shape = sides[1:]
     elif len(shape) != 3:
         raise ValueError(f"`shape` must be (C, H, W), got {shape!r}")
-    channels, height, width = (positive_int("shape", side) for side in shape)
+    channels, height, width = [positive_int("shape", side) for side in shape]
     for side, wanted in zip(sides[1:], (channels, height, width), strict=True):
         if isinstance(side, int) and side != wanted:
             raise ValueError(
@@ -255,13 +313,20 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> tuple[int, in
     return channels, height, width
 
 
+def _check_output(outputs: list[Any]) -> None:
+    """Refuse a network that does not have one output of float32."""
+    if len(outputs) != 1 or outputs[0].type != "tensor(float)":
+        wanted = f"one output, logits {LOGITS}, tensor(float)"
+        raise ValueError(f"the network must have {wanted}; got {_listed(outputs)}")
+
+
 def _listed(values: list[Any]) -> str:
-    return (
-        ", ".join(f"{value.name!r} {value.type} {_spelled(value.shape)}" for value in values)
-        or "none"
-    )
+    """Inputs or outputs with their types and shapes, for messages."""
+    if not values:
+        return "none"
+    return ", ".join(f"{value.name!r} {value.type} {_spelled(value.shape)}" for value in values)
 
 
 def _spelled(sides: Sequence[Any]) -> str:
-    """(1, 9, height, ?): a side is a number, a name or unknown."""
+    """A shape for messages, such as (1, 9, height, ?): a side is a number, a name or unknown."""
     return "(" + ", ".join("?" if side is None else str(side) for side in sides) + ")"

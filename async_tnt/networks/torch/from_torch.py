@@ -14,14 +14,20 @@ import torch
 from tnt_reference import LayerNetwork
 from torch import fx, nn
 
-from async_tnt.base.checks import one_line
+from async_tnt.base.checks import ParameterTypeError, one_line
 from async_tnt.networks.layers.conversion_check import Function, compare
 from async_tnt.networks.layers.graph import VOLUME, layer_shapes
+from async_tnt.networks.torch.form import TorchForm
 from async_tnt.networks.torch.layers import Call, LayerList, float_array
-from async_tnt.networks.torch.operations import FUNCTIONS, METHODS, MODULES, Operation
+from async_tnt.networks.torch.operations import FUNCTIONS, METHODS, MODULES
 
 Layers = list[dict[str, Any]]
-WAY_OUT = "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
+
+WAY_OUT = (
+    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, "
+    "whole at every decision"
+)
+"""What to do with a module that is refused, for the end of messages."""
 
 
 def layers_from_torch(
@@ -31,13 +37,10 @@ def layers_from_torch(
 
     Parameters
     ----------
-    module : volumes (1, C, H, W) -> (1, n). Convolutions, linear layers, batch norm; ReLU,
-        LeakyReLU, PReLU, ReLU6, Hardtanh, clamp, Sigmoid, Hardsigmoid, Tanh, SiLU, GELU, Hardswish,
-        log1p; max, average and adaptive average pooling, mean over all places, pixel shuffle; sums
-        and concatenations; sums and products with constants; flatten, dropout and identity: as
-        modules, functions or methods, in place or not.
+    module : volumes (1, C, H, W) -> (1, n), made of the modules, functions and methods that
+        `networks/torch/operations.py` lists, in place or not.
     shape : of a volume, (C, H, W).
-    prefix : of the weights' names, which are otherwise those in `state_dict`.
+    prefix : what stands before the weights' names, which are otherwise those in `state_dict`.
 
     Raises
     ------
@@ -47,13 +50,14 @@ def layers_from_torch(
     ValueError : a layer does not fit `shape`.
     """
     if not isinstance(module, nn.Module):
-        advice = (
-            ": load it into its module (load_state_dict)" if isinstance(module, Mapping) else ""
-        )
-        raise TypeError(f"`module` must be a torch.nn.Module, got {type(module).__name__}{advice}")
+        is_state = isinstance(module, Mapping)
+        advice = ": load it into its module (load_state_dict)" if is_state else ""
+        got = f"{type(module).__name__}{advice}"
+        raise ParameterTypeError("module", "must be a torch.nn.Module", got)
     if type(module) is LayerNetwork:
         layers = [_with_prefix(layer, prefix) for layer in module.layers]
         return layers, {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
+
     module = own_copy(module)
     if type(module) in MODULES:  # which a trace would look into
         module = nn.Sequential(module)
@@ -69,18 +73,20 @@ def layers_from_torch(
             _function_of(module)(np.zeros(shape, np.float32))
         except Exception:  # of any type: the module does not take such volumes either
             raise error from None
-        raise NotImplementedError(f"the module cannot be read as layers: {error}") from None
+        raise _cannot_be_read(error) from None
     return layers, weights
+
+
+def _cannot_be_read(error: Exception) -> NotImplementedError:
+    return NotImplementedError(f"the module cannot be read as layers: {error}")
 
 
 def _with_prefix(layer: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     """The layer, with the prefix before its weights' names."""
     if "weights" not in layer:
         return dict(layer)
-    return {
-        **layer,
-        "weights": {role: f"{prefix}{name}" for role, name in layer["weights"].items()},
-    }
+    weights = {role: f"{prefix}{name}" for role, name in layer["weights"].items()}
+    return {**layer, "weights": weights}
 
 
 def check_torch_layers(
@@ -101,18 +107,16 @@ def check_torch_layers(
     ------
     NotImplementedError : see `compare`.
     """
+    original = _function_of(own_copy(module))
+    converted = _function_of(LayerNetwork(layers, weights).eval())
     try:
-        compare(
-            _function_of(own_copy(module)),
-            _function_of(LayerNetwork(layers, weights).eval()),
-            shape,
-        )
+        compare(original, converted, shape)
     except ValueError as error:
-        raise NotImplementedError(f"the module cannot be read as layers: {error}") from None
+        raise _cannot_be_read(error) from None
 
 
 def _function_of(network: nn.Module) -> Function:
-    """Of a network that nothing else uses, in float64."""
+    """A function of volumes that computes in float64. It uses the network itself, not a copy."""
     network = network.cpu().double()
 
     def logits(volume: np.ndarray) -> np.ndarray:
@@ -166,7 +170,8 @@ class _Conversion:
     """
 
     def __init__(self, module: nn.Module, made: LayerList) -> None:
-        self._module, self._made = module, made
+        self._module = module
+        self._made = made
         self._position: dict[fx.Node, int] = {}
         self._tensor: dict[fx.Node, fx.Node] = {}
         """A result in place -> the first node that is the same tensor; others are their own."""
@@ -174,6 +179,7 @@ class _Conversion:
         """What may lie in another node's memory -> that node; others have their own."""
 
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
+        """The layers that the output is computed from, and their weights."""
         self._position = {node: k for k, node in enumerate(graph.nodes)}
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
@@ -181,21 +187,10 @@ class _Conversion:
                 f"the module must take one volume, got {len(inputs)} arguments"
             )
         self._made.names[inputs[0]] = VOLUME
-        refused = []
-        for node in graph.nodes:
-            if node.op not in ("placeholder", "get_attr", "output") and not self._is_size(node):
-                try:
-                    self._read(node)
-                except NotImplementedError as error:
-                    refused.append(str(error))
-                    # any: others may be refused for reasons of their own
-                    self._made.names[node] = VOLUME
-                except ValueError:
-                    if not refused:  # if there are some, shapes are wrong
-                        raise
-        if refused:
-            raise NotImplementedError("; ".join(refused))
-        (output,) = (node.args[0] for node in graph.nodes if node.op == "output")
+        self._read_all(graph)
+
+        (output_node,) = [node for node in graph.nodes if node.op == "output"]
+        output = output_node.args[0]
         if not isinstance(output, fx.Node):
             raise NotImplementedError("the module must return one tensor of logits")
         try:
@@ -203,40 +198,44 @@ class _Conversion:
         except NotImplementedError as error:
             raise NotImplementedError(f"the module's output: {error}") from None
 
-    def _is_size(self, node: fx.Node) -> bool:
-        """x.size(...), x.shape, and numbers taken from them: known to `_view`, unknown to all other
-        rules."""
-        if node.op == "call_method" and node.target == "size":
-            return True
-        if node.op == "call_function" and node.target is getattr and node.args[1] == "shape":
-            return True
-        of = node.args[0] if node.target is operator.getitem else None
-        return isinstance(of, fx.Node) and self._is_size(of)
+    def _read_all(self, graph: fx.Graph) -> None:
+        """Read all calls; a NotImplementedError that names all that have no compiled form."""
+        refused: list[str] = []
+        for node in graph.nodes:
+            if node.op in ("placeholder", "get_attr", "output") or _is_size(node):
+                continue
+            try:
+                self._read(node)
+            except NotImplementedError as error:
+                refused.append(str(error))
+                # any layer will do: later calls may be refused for reasons of their own
+                self._made.names[node] = VOLUME
+            except ValueError:
+                if not refused:  # otherwise shapes are wrong anyway
+                    raise
+        if refused:
+            raise NotImplementedError("; ".join(refused))
 
     def _read(self, node: fx.Node) -> None:
         """Add a node's layer, if it is one, and keep the name of the layer whose value it has."""
-        kind, module, operation = self._operation(node)
-        where = (
-            f"layer {node.target!r} ({kind})"
-            if module is not None
-            else f"operation {node.name!r} ({kind})"
-        )
-        if operation is None:
+        kind, module, form = self._form(node)
+        if module is not None:
+            where = f"layer {node.target!r} ({kind})"
+        else:
+            where = f"operation {node.name!r} ({kind})"
+        if form is None:
             if not node.users and not _may_change_its_input(node, module):
                 return
-            instead = (
-                ": a decision has the softmax of its logits, leave it out"
-                if "softmax" in kind.lower()
-                else ""
-            )
-            raise NotImplementedError(f"{where} has no compiled form{instead}")
+            is_softmax = "softmax" in kind.lower()
+            advice = ": a decision has the softmax of its logits, leave it out"
+            raise NotImplementedError(f"{where} has no compiled form{advice if is_softmax else ''}")
         try:
-            call = Call(node, self._with_tensors(operation.arguments(node, module)), module)
+            call = Call(node, self._with_tensors(form.arguments(node, module)), module)
             if node.users or call.written is not None:
-                name = operation.rule(self._made, call)
+                name = form.rule(self._made, call)
                 if call.written is not None:
                     self._write(node, call.written, name)
-                elif operation.may_share:
+                elif form.may_share:
                     self._memory[node] = self._memory.get(call["input"], call["input"])
                 self._made.names[node] = name
         except NotImplementedError as error:
@@ -255,11 +254,9 @@ class _Conversion:
         for other in list(self._made.names):
             if self._tensor.get(other, other) is tensor:
                 self._made.names[other] = name
-            elif (
-                is_change
-                and self._memory.get(other, other) is memory
-                and self._is_read(other, node)
-            ):
+                continue
+            shares_memory = self._memory.get(other, other) is memory
+            if is_change and shares_memory and self._is_read(other, node):
                 raise NotImplementedError(
                     f"a change in place of memory that {other.name!r} shares, which is read later, "
                     "has no compiled form"
@@ -268,12 +265,13 @@ class _Conversion:
         self._memory[node] = memory
 
     def _is_read(self, node: fx.Node, after: fx.Node) -> bool:
-        """Whether its value, and not its size alone, is read by a later operation whose result
-        counts."""
-        later = [user for user in node.users if self._position[user] > self._position[after]]
-        return any(
-            (user.users or user.op == "output") and not self._is_size(user) for user in later
-        )
+        """Whether a later operation whose result counts reads its value, and not its size alone."""
+        for user in node.users:
+            is_later = self._position[user] > self._position[after]
+            counts = user.users or user.op == "output"
+            if is_later and counts and not _is_size(user):
+                return True
+        return False
 
     def _with_tensors(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """The module's own parameters and buffers in place of the nodes that read them."""
@@ -285,23 +283,36 @@ class _Conversion:
 
         return {name: value(argument) for name, argument in arguments.items()}
 
-    def _operation(self, node: fx.Node) -> tuple[str, nn.Module | None, Operation | None]:
+    def _form(self, node: fx.Node) -> tuple[str, nn.Module | None, TorchForm | None]:
         """The name of what a node calls, the module if it is one, and what is known of it."""
+        target: Any = node.target
         if node.op == "call_module":
-            module = self._module.get_submodule(str(node.target))
+            module = self._module.get_submodule(str(target))
             return type(module).__name__, module, MODULES.get(type(module))
-        name = (
-            node.target
-            if isinstance(node.target, str)
-            else getattr(node.target, "__name__", str(node.target))
-        )
-        known = {"call_method": METHODS, "call_function": FUNCTIONS}.get(node.op, {})
-        return name, None, known.get(node.target)
+        if node.op == "call_method":
+            return str(target), None, METHODS.get(target)
+        name = getattr(target, "__name__", str(target))
+        return name, None, FUNCTIONS.get(target)
+
+
+def _is_size(node: fx.Node) -> bool:
+    """Whether it is x.size(...), x.shape, or a number taken from them.
+
+    The rule of views knows them, no other rule does.
+    """
+    if node.op == "call_method" and node.target == "size":
+        return True
+    if node.op == "call_function" and node.target is getattr and node.args[1] == "shape":
+        return True
+    sizes = node.args[0] if node.target is operator.getitem else None
+    return isinstance(sizes, fx.Node) and _is_size(sizes)
 
 
 def _may_change_its_input(node: fx.Node, module: nn.Module | None) -> bool:
-    """Whether an operation without a compiled form may work in place: torch's say so, others
-    may."""
+    """Whether an operation without a compiled form may work in place.
+
+    Torch's own operations say so. Others may do so silently.
+    """
     if module is not None:
         return bool(getattr(module, "inplace", False))
     if node.op == "call_method":

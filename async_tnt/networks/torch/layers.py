@@ -17,49 +17,67 @@ from async_tnt.networks.layers.graph import VOLUME, layer_shapes
 
 @dataclass(frozen=True)
 class Call:
-    """A node of the trace that is a known operation, with all of its arguments."""
+    """A node of the trace that is a known operation, with all of its arguments.
+
+    Parameters
+    ----------
+    module : the torch module that is called, or None.
+    """
 
     node: fx.Node
     arguments: Mapping[str, Any]
     module: Any
-    """The torch module that is called, or None."""
 
     def __getitem__(self, name: str) -> Any:
         return self.arguments[name]
 
     @property
     def written(self) -> Any:
-        """The node whose value its result replaces, as of in-place operations; or None."""
+        """The node whose value an operation in place replaces by its result; None for others."""
         target = self.node.target
         name = target if self.node.op == "call_method" else getattr(target, "__name__", "")
-        in_place = str(name).endswith("_") or bool(self.arguments.get("inplace"))
-        return self.arguments["input"] if in_place else self.arguments.get("out")
+        if str(name).endswith("_") or self.arguments.get("inplace"):
+            return self.arguments["input"]
+        return self.arguments.get("out")
 
 
 class LayerList:
-    """The layers of a trace and their weights, so far; for volumes of this shape, (C, H, W)."""
+    """The layers of a trace and their weights, so far.
+
+    Parameters
+    ----------
+    shape : of a volume, (C, H, W).
+    prefix : of the weights' names.
+
+    Attributes
+    ----------
+    names : node -> the layer whose value it has.
+    """
 
     def __init__(self, shape: tuple[int, ...], prefix: str) -> None:
-        self._volume, self.prefix = shape, prefix
+        self._volume = shape
+        self.prefix = prefix
         self.layers: list[dict[str, Any]] = []
         self.weights: dict[str, np.ndarray] = {}
         self.names: dict[fx.Node, str] = {}
-        """Of the layer whose value a node has."""
 
     def add(
         self, op: str, call: Call, sources: Iterable[Any] | None = None, **parameters: Any
     ) -> str:
-        """Add a layer of a call; returns its name. `sources` are by default its only input."""
+        """Add a layer that a call becomes; returns its name.
+
+        Parameters
+        ----------
+        sources : its inputs, nodes or names of layers; by default the call's only input.
+        """
         taken = {VOLUME, *(layer["name"] for layer in self.layers)}
-        node = call.node
-        name = (
-            str(node.target)
-            if call.module is not None and str(node.target) not in taken
-            else node.name
-        )
+        name = call.node.name
+        if call.module is not None and str(call.node.target) not in taken:
+            name = str(call.node.target)
         while name in taken:
             name += "_"
-        inputs = [self.source(node) for node in ([call["input"]] if sources is None else sources)]
+        nodes = [call["input"]] if sources is None else sources
+        inputs = [self.source(node) for node in nodes]
         self.layers.append({"op": op, "name": name, "inputs": inputs, **parameters})
         return name
 
@@ -76,7 +94,7 @@ class LayerList:
         return self.names[node]
 
     def shape(self, node: Any) -> tuple[int, ...]:
-        """(C, H, W) or (N,)."""
+        """The shape of a node's value, (C, H, W) or (N,)."""
         tensors = {name: values.shape for name, values in self.weights.items()}
         return layer_shapes(self.layers, self._volume, tensors, partial=True)[self.source(node)]
 
@@ -94,12 +112,23 @@ class LayerList:
         return layers, {name: values for name, values in self.weights.items() if name in used}
 
     def tensors(self, call: Call, **roles: str) -> dict[str, str]:
-        """Keep a module's tensors; role -> name, without those that are None."""
+        """Keep a module's tensors.
+
+        Parameters
+        ----------
+        roles : role -> the module's attribute, which may be None.
+
+        Returns
+        -------
+        Role -> the tensor's name, for those that are not None.
+        """
         weights = {}
         for role, attribute in roles.items():
-            if (tensor := getattr(call.module, attribute)) is not None:
-                weights[role] = f"{self.prefix}{call.node.target}.{attribute}"
-                self.weights[weights[role]] = float_array(tensor)
+            tensor = getattr(call.module, attribute)
+            if tensor is not None:
+                name = f"{self.prefix}{call.node.target}.{attribute}"
+                weights[role] = name
+                self.weights[name] = float_array(tensor)
         return weights
 
 

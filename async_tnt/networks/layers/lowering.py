@@ -1,0 +1,119 @@
+"""From layers to steps of the compiled interpreter.
+
+Batch norms are folded into the step before them, and activations become part of it. A dense layer
+that reads a map becomes three steps, a global average pooling two: what each place adds, the sum of
+each row, the sum of the rows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from async_tnt.networks.layers.graph import VOLUME, layer_shapes
+from async_tnt.networks.layers.layer import Layer
+from async_tnt.networks.layers.operations import OPERATIONS
+from async_tnt.networks.layers.steps import Map, Step, StepList
+
+
+def steps_of(
+    layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
+) -> tuple[list[Step], Map]:
+    """The steps of a network whose layers have been checked, in order, and the map of its output.
+
+    Steps that nobody needs are left out, and each map has the frame that its readers need. The last
+    layer may be a `heatmap_centroid`, which is no step: then the output is its heatmap.
+    """
+    steps, output = _made_steps(layers, volume, tensors)
+    steps = _without_unused(steps, (volume, output))
+    _give_frames(steps)
+    return steps, output
+
+
+def _made_steps(
+    layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]
+) -> tuple[list[Step], Map]:
+    """The steps of all layers, and the map of the last layer's output."""
+    tensor_shapes = {name: w.shape for name, w in tensors.items()}
+    shapes = layer_shapes(layers, (volume.channels, *volume.sides), tensor_shapes)
+    made = StepList(shapes, _count_readers(layers), tensors)
+    maps = {VOLUME: volume}
+    for layer in layers:
+        made.name = layer["name"]
+        inputs = [maps[name] for name in layer["inputs"]]
+        maps[layer["name"]] = OPERATIONS[layer["op"]].steps(made, layer, inputs)
+    output = maps[layers[-1]["name"]]
+    if output is volume:
+        output = made.copy(volume, volume.like())
+    return made.steps, output
+
+
+def _count_readers(layers: Sequence[Layer]) -> Counter[str]:
+    """How many layers read the output of a layer, directly or through a flatten.
+
+    The network's output is read once more.
+    """
+    origins: dict[str, str] = {}  # flatten -> the layer whose numbers it has
+    readers: Counter[str] = Counter()
+    for layer in layers:
+        read = [origins.get(name, name) for name in layer["inputs"]]
+        if layer["op"] == "flatten":
+            origins[layer["name"]] = read[0]
+        else:
+            readers.update(read)
+    output: str = layers[-1]["name"]
+    readers[origins.get(output, output)] += 1
+    for name, origin in origins.items():
+        readers[name] = readers[origin]
+    return readers
+
+
+def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
+    """The steps whose maps are read, or are to be kept.
+
+    The last rows and columns that no step reads, as a pooling may drop them, are not computed.
+    """
+    needed: dict[Map, tuple[int, int]] = {}  # map -> how many of its rows and columns are read
+    used = []
+    for step in reversed(steps):
+        if step.output not in keep:
+            if step.output not in needed:
+                continue
+            step.rows, step.columns = needed[step.output]
+        rows, columns = step.reads
+        for part in step.inputs:
+            rows_before, columns_before = needed.get(part, (1, 1))
+            needed[part] = (
+                min(max(rows_before, rows), part.rows),
+                min(max(columns_before, columns), part.columns),
+            )
+        used.append(step)
+    return used[::-1]
+
+
+def _give_frames(steps: list[Step]) -> None:
+    """Give each map the frame that its readers need; the inputs of a step get the same frame."""
+    for step in steps:
+        rows, columns = step.reads
+        for part in step.inputs:
+            below = max(0, rows - part.rows)
+            right = max(0, columns - part.columns)
+            _widen(part, (*step.padding, below, right))
+
+    has_changed = True
+    while has_changed:
+        has_changed = False
+        for step in steps:
+            for part in step.inputs:
+                for other in step.inputs:
+                    has_changed |= _widen(part, other.frame)
+
+
+def _widen(part: Map, frame: Sequence[int]) -> bool:
+    """Make a map's frame as wide as this one; returns whether that changed anything."""
+    before = part.frame
+    top, left, bottom, right = map(max, before, frame)
+    part.frame = (top, left, bottom, right)
+    return part.frame != before

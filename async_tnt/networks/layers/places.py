@@ -1,0 +1,54 @@
+"""Where the places of a map lie on the grid."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from async_tnt.networks.layers.layer import Layer
+
+
+class Axis(NamedTuple):
+    """The rows or the columns of a map.
+
+    Parameters
+    ----------
+    first : the middle of the grid pixels that the first row or column depends on.
+    distance : grid pixels from the middle of one to the middle of the next.
+    n : how many there are.
+    """
+
+    first: float
+    distance: float
+    n: int
+
+
+def axis_through_window(layer: Layer, k: int, axis: Axis) -> Axis:
+    """The axis of a layer's output: moved by its window, or as it is where the layer has none.
+
+    Parameters
+    ----------
+    k : 0 for rows, 1 for columns.
+    axis : of the layer's input.
+    """
+    if "kernel" not in layer:
+        return axis
+    reach = (layer["kernel"][k] - 1) * layer.get("dilation", (1, 1))[k]
+    before = layer["padding"][k]
+    after = layer["padding"][2 + k]
+    stride = layer["stride"][k]
+    n = (axis.n + before + after - reach - 1) // stride + 1
+    return Axis(axis.first + axis.distance * (reach / 2 - before), axis.distance * stride, n)
+
+
+def divided_axis(layer: Layer, k: int, axis: Axis) -> Axis:
+    """The axis of a pooling to `size` places, or to one: they divide the input evenly."""
+    n = layer.get("size", (1, 1))[k]
+    first = axis.first + axis.distance * (axis.n / n - 1) / 2
+    return Axis(first, axis.distance * axis.n / n, n)
+
+
+def spread_axis(layer: Layer, k: int, axis: Axis) -> Axis:
+    """The axis of a map each of whose places becomes a block of places."""
+    block = layer["block"]
+    first = axis.first + axis.distance * (1 / block - 1) / 2
+    return Axis(first, axis.distance / block, axis.n * block)

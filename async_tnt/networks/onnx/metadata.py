@@ -1,0 +1,96 @@
+"""The metadata of ONNX files that this package wrote, and their checksum."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from async_tnt.networks.layers.graph import CLASSIFIER
+from async_tnt.networks.layers.layer import Layer
+from async_tnt.networks.models.model import FORMAT, Model
+from async_tnt.networks.models.model_file import parse_metadata, read_description
+from async_tnt.volume.config import TNTConfig
+
+if TYPE_CHECKING:
+    import onnx
+
+CHECKSUM = "sha256"
+"""The name in the metadata under which the checksum of the whole file stands."""
+
+BLANK = 64 * "0"
+"""What stands in place of the checksum while it is computed."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """The Model that a classifier was exported from, without its weights."""
+
+    config: TNTConfig
+    classes: tuple[str, ...]
+    record: Mapping[str, Any]
+    layers: list[Layer]
+
+
+def metadata_of(model: Model) -> dict[str, str]:
+    """What a model file's metadata holds, with the classifier's layers and a blank checksum.
+
+    The layers are there because nodes do not show which layer they belong to.
+    """
+    network = json.dumps(model.network[CLASSIFIER])
+    return {**model.description(), "network": network, CHECKSUM: BLANK}
+
+
+def seal(made: onnx.ModelProto) -> None:
+    """Write the checksum of all of a file's bytes into its metadata."""
+    (entry,) = [entry for entry in made.metadata_props if entry.key == CHECKSUM]
+    entry.value = BLANK
+    entry.value = _checksum(made.SerializeToString(), BLANK)
+
+
+def _checksum(content: bytes, written: str) -> str:
+    """The checksum of a file, in which the written one counts as blank."""
+    return hashlib.sha256(content.replace(written.encode(), BLANK.encode())).hexdigest()
+
+
+def read_metadata(metadata: Mapping[str, str], content: bytes) -> Exported | None:
+    """The model that a file was exported from; None if another program wrote the file.
+
+    Parameters
+    ----------
+    metadata : of the file.
+    content : all of its bytes.
+
+    Raises
+    ------
+    ValueError : this package wrote the file, but in another version, or it is not what `seal`
+        wrote.
+    """
+    written = metadata.get("format", "")
+    if not written.startswith(FORMAT.split()[0] + " "):
+        return None
+    if written != FORMAT:
+        raise ValueError(f"metadata `format` must be {FORMAT!r}, got {written!r}")
+    try:
+        config, classes, record = read_description(metadata)
+        layers = parse_metadata({"network": metadata.get("network", "")}, "network")
+    except TypeError as error:
+        raise ValueError(str(error)) from None
+
+    is_list = isinstance(classes, list) and len(classes) > 0
+    if not is_list or not all(isinstance(name, str) for name in classes):
+        raise ValueError(f"metadata `classes` must be a list of names, got {metadata['classes']!r}")
+    if not isinstance(record, dict):
+        raise ValueError(f"metadata `record` must be a mapping, got {metadata['record']!r}")
+    if not isinstance(layers, list):
+        raise ValueError(
+            f"metadata `network` must be a list of layers, got {metadata['network']!r}"
+        )
+    if metadata[CHECKSUM] != _checksum(content, metadata[CHECKSUM]):
+        raise ValueError(
+            "its checksum differs; copy or export it again (where another program has changed it, "
+            "remove `format` from its metadata)"
+        )
+    return Exported(config, tuple(classes), record, layers)

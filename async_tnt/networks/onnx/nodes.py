@@ -1,0 +1,105 @@
+"""The nodes of an ONNX graph that a network is written into."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt.networks.layers.graph import VOLUME
+from async_tnt.networks.layers.layer import Layer, Shape
+
+if TYPE_CHECKING:
+    import onnx
+
+LOGITS = "logits"
+"""The name of the graph's output."""
+
+
+class OnnxNodes:
+    """Nodes so far, and the constants that they read.
+
+    Parameters
+    ----------
+    layers : of the network that is written.
+    weights : name -> values.
+    shapes : layer -> the shape of its output; and of the volume.
+    make_node : `onnx.helper.make_node`.
+
+    Attributes
+    ----------
+    nodes : in the order in which they are computed.
+    weights : those of the network, then the constants that nodes need besides.
+
+    Raises
+    ------
+    ValueError : a weight has the name of the graph's input or output.
+    """
+
+    def __init__(
+        self,
+        layers: Sequence[Layer],
+        weights: Mapping[str, np.ndarray],
+        shapes: Mapping[str, Shape],
+        make_node: Callable[..., onnx.NodeProto],
+    ) -> None:
+        for name in (LOGITS, VOLUME):
+            if name in weights:
+                raise ValueError(
+                    f"a weight is named {name!r}, as ONNX's input or output: it needs another name"
+                )
+        self.nodes: list[onnx.NodeProto] = []
+        self.weights = dict(weights)
+        self._shapes = shapes
+        self._make = make_node
+        self._layer_names = [layer["name"] for layer in layers]
+        self._taken = {VOLUME, LOGITS, *weights}
+        self._values = {VOLUME: VOLUME}  # layer -> the name of its value in the graph
+
+    def value_of(self, layer: str) -> str:
+        """The name that the value of a layer has in the graph."""
+        return self._values[layer]
+
+    def name_value(self, layer: Layer, *, is_output: bool) -> str:
+        """Choose the name of a layer's value: its own or, where that is taken, one with `_` behind.
+
+        The output has its name in the file if it is a vector.
+        """
+        name: str = layer["name"]
+        # the names of values that help to compute a layer begin with the layer's and a dot
+        while name in self._taken or any(own.startswith(f"{name}.") for own in self._layer_names):
+            name += "_"
+        if is_output and len(self._shapes[layer["name"]]) == 1:
+            name = LOGITS
+        self._taken.add(name)
+        self._values[layer["name"]] = name
+        return name
+
+    def input_shape(self, layer: Layer) -> Shape:
+        """The shape of a layer's first input."""
+        return self._shapes[layer["inputs"][0]]
+
+    def output_shape(self, layer: Layer) -> Shape:
+        """The shape of a layer's output."""
+        return self._shapes[layer["name"]]
+
+    def add(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
+        """Add a node; returns the name of its output."""
+        self.nodes.append(self._make(op, list(inputs), [output], **attributes))
+        return output
+
+    def constant(self, name: str, value: Any) -> str:
+        """Add a constant, float32; returns its name, which has `_` behind where a weight has it."""
+        while name in self.weights:
+            name += "_"
+        self.weights[name] = np.asarray(value, np.float32)
+        return name
+
+    def scale(self, value: str, factor: float, name: str) -> str:
+        """Add a product with a number; returns its name."""
+        return self.add("Mul", [value, self.constant(f"{name}.factor", factor)], name)
+
+    def add_number(self, value: str, number: float, name: str) -> str:
+        """Add a sum with a number; returns its name."""
+        return self.add("Add", [value, self.constant(f"{name}.number", number)], name)

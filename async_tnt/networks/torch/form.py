@@ -1,0 +1,80 @@
+"""How torch says an operation, and how a call of it becomes layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from torch import fx, nn
+
+from async_tnt.networks.torch.layers import Call, LayerList
+
+Rule = Callable[[LayerList, Call], str]
+"""Adds the layers of a call, and returns the name of the last one."""
+
+ArgumentsRule = Callable[[fx.Node], dict[str, Any]]
+"""The arguments of a call by name, where they do not follow torch's order."""
+
+INPLACE = {"inplace": False}
+"""The parameter of modules and functions that may work in place."""
+
+
+@dataclass(frozen=True)
+class TorchForm:
+    """Torch's names of an operation, and its rule.
+
+    Parameters
+    ----------
+    rule : how a call becomes layers.
+    modules : their very types, as a subclass may compute anything.
+    functions : the very functions, as one of the user's may have the same name.
+    methods : names of a tensor's methods.
+    parameters : what follows the inputs, in torch's order: name -> default. A module has them as
+        attributes.
+    inputs : names of the inputs.
+    may_share : whether the result may lie in the memory of the input, as a view does.
+    arguments_of : for calls whose arguments have no fixed order.
+    """
+
+    rule: Rule
+    modules: tuple[type[nn.Module], ...] = ()
+    functions: tuple[Callable[..., Any], ...] = ()
+    methods: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ("input",)
+    may_share: bool = False
+    arguments_of: ArgumentsRule | None = None
+
+    def arguments(self, node: fx.Node, module: nn.Module | None) -> dict[str, Any]:
+        """All arguments of a call, by name.
+
+        Raises
+        ------
+        NotImplementedError : names the first one that is not known.
+        """
+        if self.arguments_of is not None:
+            return self.arguments_of(node)
+        names = [*self.inputs]
+        if module is None:
+            names += [*self.parameters, "out"]
+        given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
+        unknown = [*node.args[len(names) :], *(name for name in given if name not in names)]
+        if unknown:
+            raise NotImplementedError(f"the argument {unknown[0]!r} has no compiled form")
+        defaults = {name: getattr(module, name, value) for name, value in self.parameters.items()}
+        return {**defaults, **given}
+
+
+def plain_layer(op: str) -> Rule:
+    """The rule of a layer that has one input and no parameters."""
+
+    def rule(made: LayerList, call: Call) -> str:
+        return made.add(op, call)
+
+    return rule
+
+
+def same_layer(made: LayerList, call: Call) -> str:
+    """The rule of a call that passes its input on: no layer of its own."""
+    return made.source(call["input"])

@@ -1,0 +1,286 @@
+"""How calls of torch's operations become layers, where that takes more than a name."""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any
+
+import torch
+from torch import fx
+
+from async_tnt.networks.layers.conversion_check import expect_form
+from async_tnt.networks.torch.form import same_layer
+from async_tnt.networks.torch.layers import Call, LayerList, float_array
+
+
+def _pair(value: Any) -> list[int]:
+    """[y, x], which torch lets people write as one number."""
+    if isinstance(value, (tuple, list)):
+        return [int(v) for v in value]
+    return [int(value), int(value)]
+
+
+# -- with weights ----------------------------------------------------------------------------------
+
+
+def conv(made: LayerList, call: Call) -> str:
+    module = call.module
+    expect_form(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
+    kernel = _pair(module.kernel_size)
+    dilation = _pair(module.dilation)
+    if module.padding == "same":
+        total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
+        before = [n // 2 for n in total]
+        after = [n - n // 2 for n in total]
+        padding = before + after
+    elif module.padding == "valid":
+        padding = [0, 0, 0, 0]
+    else:
+        padding = 2 * _pair(module.padding)
+    return made.add(
+        "conv",
+        call,
+        weights=made.tensors(call, weight="weight", bias="bias"),
+        kernel=kernel,
+        stride=_pair(module.stride),
+        padding=padding,
+        dilation=dilation,
+        groups=module.groups,
+    )
+
+
+def linear(made: LayerList, call: Call) -> str:
+    return made.add("dense", call, weights=made.tensors(call, weight="weight", bias="bias"))
+
+
+def batch_norm(made: LayerList, call: Call) -> str:
+    module = call.module
+    uses_statistics = module.running_mean is not None and not module.training
+    expect_form(uses_statistics, "a batch norm that does not use running statistics")
+    weights = made.tensors(
+        call, mean="running_mean", variance="running_var", weight="weight", bias="bias"
+    )
+    return made.add("batch_norm", call, weights=weights, epsilon=module.eps)
+
+
+# -- activations -----------------------------------------------------------------------------------
+
+
+def leaky_relu(made: LayerList, call: Call) -> str:
+    return made.add("leaky_relu", call, slope=float(call["negative_slope"]))
+
+
+def prelu(made: LayerList, call: Call) -> str:
+    return made.add("prelu", call, weights=made.tensors(call, slope="weight"))
+
+
+def clamp(made: LayerList, call: Call) -> str:
+    return _clip(made, call, call["min"], call["max"])
+
+
+def hardtanh(made: LayerList, call: Call) -> str:
+    return _clip(made, call, call["min_val"], call["max_val"])
+
+
+def _clip(made: LayerList, call: Call, low: Any, high: Any) -> str:
+    for value in (low, high):
+        expect_form(value is None or isinstance(value, (int, float)), "a limit that is no number")
+    return made.add("clip", call, low=low, high=high)
+
+
+def gelu(made: LayerList, call: Call) -> str:
+    approximate = call["approximate"]
+    expect_form(approximate in ("none", "tanh"), f"approximate {approximate!r}")
+    return made.add("gelu" if approximate == "none" else "gelu_tanh", call)
+
+
+# -- pooling ---------------------------------------------------------------------------------------
+
+
+def max_pool(made: LayerList, call: Call) -> str:
+    expect_form(_pair(call["dilation"]) == [1, 1], "dilation")
+    expect_form(not call.arguments.get("return_indices"), "return_indices")
+    return _pool(made, call, "max_pool")
+
+
+def average_pool(made: LayerList, call: Call) -> str:
+    if call["divisor_override"] is not None:
+        expect_form(call["divisor_override"] == 1, "divisor_override")
+        return _pool(made, call, "sum_pool")
+    is_padded = any(_pair(call["padding"]))
+    is_counted = bool(call["count_include_pad"])
+    can_count = not (call["ceil_mode"] and is_padded and is_counted)
+    expect_form(can_count, "ceil_mode with padding that counts")
+    if call["ceil_mode"] or (is_padded and not is_counted):
+        return _pool(made, call, "inside_average_pool")
+    return _pool(made, call, "average_pool")
+
+
+def _pool(made: LayerList, call: Call, op: str) -> str:
+    kernel = _pair(call["kernel_size"])
+    stride = _pair(call["stride"] or call["kernel_size"])
+    padding = 2 * _pair(call["padding"])
+    if call["ceil_mode"]:
+        sides = made.shape(call["input"])[1:]
+        expect_form(len(sides) == 2, "a pooling of a vector")
+        for axis, side in enumerate(sides):
+            needed = _padding_at_the_end(side, kernel[axis], stride[axis], padding[axis])
+            padding[2 + axis] = max(padding[2 + axis], needed)
+    return made.add(op, call, kernel=kernel, stride=stride, padding=padding)
+
+
+def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int:
+    """The padding with which torch's `ceil_mode` needs none: so much that a last window fits that
+    begins inside the input."""
+    last = min(math.ceil((side + 2 * before - kernel) / stride), (side + before - 1) // stride)
+    return last * stride + kernel - before - side
+
+
+def adaptive_pool(made: LayerList, call: Call) -> str:
+    size = call["output_size"]
+    if size in (1, (1, 1), [1, 1]):
+        return made.add("global_average_pool", call)
+    wanted = size if isinstance(size, (tuple, list)) else (size, size)
+    sides = made.shape(call["input"])[1:]
+    expect_form(len(sides) == len(wanted) == 2, f"an output size of {size} here")
+    if wanted[0] is wanted[1] is None:
+        return same_layer(made, call)
+    sizes = [n or side for n, side in zip(wanted, sides, strict=True)]
+    return made.add("adaptive_average_pool", call, size=sizes)
+
+
+def mean(made: LayerList, call: Call) -> str:
+    axes = call["dim"]
+    if isinstance(axes, (tuple, list)):
+        axes = sorted(axis % 4 for axis in axes)
+    expect_form(axes == [2, 3], f"a mean over {axes}, not over all places (2, 3),")
+    pooled = made.add("global_average_pool", call)
+    if call["keepdim"]:
+        return pooled
+    return made.add("flatten", call, [pooled])
+
+
+# -- sums, products, concatenations ----------------------------------------------------------------
+
+
+def add(made: LayerList, call: Call) -> str:
+    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
+    x, constant = _with_constant(call)
+    if constant is None:
+        return made.add("add", call, [call["input"], call["other"]])
+    return _affine(made, call, x, bias=constant)
+
+
+def subtract(made: LayerList, call: Call) -> str:
+    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
+    x, constant = _with_constant(call)
+    if constant is None or x is not call["input"]:
+        raise NotImplementedError(
+            "a difference other than a map less a constant has no compiled form"
+        )
+    return _affine(made, call, x, bias=-constant)
+
+
+def multiply(made: LayerList, call: Call) -> str:
+    x, constant = _with_constant(call)
+    if constant is None:
+        raise NotImplementedError("a product of two maps has no compiled form")
+    return _affine(made, call, x, weight=constant)
+
+
+def divide(made: LayerList, call: Call) -> str:
+    x, constant = _with_constant(call)
+    if constant is None or x is not call["input"] or call.arguments.get("rounding_mode"):
+        raise NotImplementedError("a quotient other than a map by a constant has no compiled form")
+    return _affine(made, call, x, weight=1 / constant)
+
+
+def _with_constant(call: Call) -> tuple[Any, torch.Tensor | None]:
+    """The operand that is computed from the volume, and the other one where it is a constant."""
+    x = call["input"]
+    other = call["other"]
+    if isinstance(other, fx.Node):
+        x, other = other, x
+    if isinstance(other, (int, float)):
+        return x, torch.tensor(float(other), dtype=torch.float64)
+    return x, other.detach() if isinstance(other, torch.Tensor) else None
+
+
+def _affine(made: LayerList, call: Call, x: Any, **constants: torch.Tensor) -> str:
+    """A batch norm that adds a constant `bias` to x, or multiplies it by a constant `weight`.
+
+    The constant has one number, or one for each channel.
+    """
+    constants |= {"mean": torch.zeros(1), "variance": torch.ones(1)}
+    channels, *sides = made.shape(x)
+    of_channels = [channels, *[1] * len(sides)]
+    weights = {}
+    for role, values in constants.items():
+        shape = list(values.shape)
+        while shape[:1] == [1]:
+            del shape[0]
+        expect_form(shape in ([], of_channels), f"a constant of shape {list(values.shape)} here")
+        name = f"{made.prefix}{call.node.name}().{role}"  # unlike any module's
+        weights[role] = name
+        made.weights[name] = float_array(values.reshape(-1).expand(channels))
+    return made.add("batch_norm", call, [x], weights=weights, epsilon=0.0)
+
+
+def concatenate(made: LayerList, call: Call) -> str:
+    axis = call["dim"]
+    expect_form(axis in (1, -3), f"a concatenation along axis {axis}, not of channels (1),")
+    expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
+    return made.add("concat", call, call["tensors"])
+
+
+# -- the order of numbers --------------------------------------------------------------------------
+
+
+def pixel_shuffle(made: LayerList, call: Call) -> str:
+    return made.add("depth_to_space", call, block=call["upscale_factor"])
+
+
+def flatten(made: LayerList, call: Call) -> str:
+    first = call["start_dim"]
+    last = call["end_dim"]
+    is_whole = (first, last) == (1, -1)
+    expect_form(is_whole, f"a flatten from axis {first} to {last}, not from 1 to -1,")
+    return made.add("flatten", call)
+
+
+def view(made: LayerList, call: Call) -> str:
+    """The rule of x.view(n, m), n the batch's size or 1 and m anything, or n -1 and m a number.
+
+    `check_torch_layers` finds out whether m fits.
+    """
+    shape = call["shape"]
+    n, m = shape if len(shape) == 2 else (None, None)
+    is_one_row = n in (1, -1) or _is_batch_size(n)
+    expect_form(isinstance(m, int) and is_one_row, "a view other than (n, -1), one row a volume,")
+    return made.add("flatten", call)
+
+
+def view_arguments(node: fx.Node) -> dict[str, Any]:
+    """The shape of a view, which may be given as numbers, as a list, or by name."""
+    shape = node.args[1:] or tuple(node.kwargs.values())
+    if isinstance(shape[0], (tuple, list)):
+        shape = tuple(shape[0])
+    return {"input": node.args[0], "shape": shape}
+
+
+def _is_batch_size(node: Any) -> bool:
+    """Whether it is x.size(0), x.size()[0] or x.shape[0]."""
+    if not isinstance(node, fx.Node):
+        return False
+    if node.target is operator.getitem:
+        sizes, index = node.args
+        if not isinstance(sizes, fx.Node) or index != 0:
+            return False
+        return sizes.target is getattr or len(sizes.args) == 1
+    return node.target == "size" and list(node.args[1:]) == [0]
+
+
+def dropout(made: LayerList, call: Call) -> str:
+    expect_form(not call["training"], "a dropout in training mode, also in evaluation,")
+    return same_layer(made, call)
