@@ -152,17 +152,25 @@ def _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
         x_at = layout[X_AT]
         y_at = layout[Y_AT]
         p_at = layout[P_AT]
+        # Time and place are loaded before either is stored: for all that the compiler knows, a
+        # store may change what is loaded after it.
         if p_kind in (U8, I8):
             for i in range(n):
-                t[i] = load(raw, i * size + t_at, np.int64)
-                x[i] = load(raw, i * size + x_at, np.uint16)
-                y[i] = load(raw, i * size + y_at, np.uint16)
+                time = load(raw, i * size + t_at, np.int64)
+                column = load(raw, i * size + x_at, np.uint16)
+                row = load(raw, i * size + y_at, np.uint16)
+                t[i] = time
+                x[i] = column
+                y[i] = row
                 p[i] = load(raw, i * size + p_at, np.uint8)
         else:
             for i in range(n):
-                t[i] = load(raw, i * size + t_at, np.int64)
-                x[i] = load(raw, i * size + x_at, np.uint16)
-                y[i] = load(raw, i * size + y_at, np.uint16)
+                time = load(raw, i * size + t_at, np.int64)
+                column = load(raw, i * size + x_at, np.uint16)
+                row = load(raw, i * size + y_at, np.uint16)
+                t[i] = time
+                x[i] = column
+                y[i] = row
                 p[i] = _in_one_byte(load(raw, i * size + p_at, np.uint16))
         return p_kind in (U8, U16) or _unsign(p, n)
     return _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p) and _unsign(p, n)
