@@ -68,7 +68,8 @@ def event_volume(
     sign = signs(p, len(events.dt))
     b = bin_position(events.dt, window_us, check_bins(bins))  # (N,)
     u, v = to_grid(events.pixels, sensor, grid).unbind(1)  # (N,), (N,)
-    return volume_of(b, v, u, sign, events.inside, bins, grid, polarity, dtype)
+    shape = (bins, grid[1], grid[0])
+    return volume_of(b, v, u, sign, events.inside, shape, polarity, dtype)
 
 
 def tnt_volume(
@@ -121,7 +122,7 @@ def tnt_volume(
         landmark=landmark,
         remove_flow=remove_flow,
     )
-    return volume_of(b, v, u, sign, kept, bins, grid, polarity, dtype)
+    return volume_of(b, v, u, sign, kept, (bins, grid[1], grid[0]), polarity, dtype)
 
 
 def volume_of(
@@ -130,12 +131,17 @@ def volume_of(
     u: torch.Tensor,
     sign: torch.Tensor,
     kept: torch.Tensor,
-    bins: int,
-    grid: tuple[int, int],
+    shape: tuple[int, int, int],
     polarity: str,
     dtype: torch.dtype,
 ) -> torch.Tensor:
-    """Splat the kept events with the weights that `polarity` asks for. All columns (N,)."""
+    """The volume of the kept events, with the weights that `polarity` asks for.
+
+    Parameters
+    ----------
+    b, v, u, sign, kept : (N,) each.
+    shape : (B, H, W), of one polarity.
+    """
     check_polarity(polarity)
     if not dtype.is_floating_point:
         raise TypeError(f"`dtype` must be a floating-point type, got {dtype}")
@@ -143,7 +149,6 @@ def volume_of(
     v = v[kept]  # (M,)
     u = u[kept]  # (M,)
     sign = sign[kept]  # (M,)
-    shape = (bins, grid[1], grid[0])
     if polarity == "signed":
         volume = splat(b, v, u, sign, shape)
     elif polarity == "unsigned":

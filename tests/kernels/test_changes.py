@@ -1,5 +1,4 @@
-"""Which places of a map see a changed one: a word of 64 at a time, as if each were looked at by
-itself."""
+"""Which places of a map see a changed one: by words of 64, as if each were looked at by itself."""
 
 import numpy as np
 from hypothesis import given
@@ -23,6 +22,7 @@ def find(bits, words, n_columns, taps, places):
 
 @njit
 def note(bits, column, changed):
+    """`note_changes`, to be called from Python."""
     note_changes(bits, FRAME, column, changed)
 
 

@@ -13,13 +13,13 @@ from async_tnt.volume.events import EventDecoder
 
 
 def others_run_during(compute) -> bool:
-    """Whether another thread, which waits for the lock, gets it while something is computed again
-    and again."""
-    ready, ran = threading.Event(), []
+    """Whether another thread gets the lock while something is computed again and again."""
+    ready = threading.Event()
+    ran = []
     other = threading.Thread(target=lambda: ran.append(ready.wait()))
-    compute()  # compiled
+    compute()  # It is compiled by now.
     interval = sys.getswitchinterval()
-    sys.setswitchinterval(1000)  # seconds: nothing but a release lets the other go on
+    sys.setswitchinterval(1000)  # seconds: only a release of the lock lets the other go on
     try:
         other.start()
         ready.set()
@@ -38,14 +38,16 @@ def others_run_during(compute) -> bool:
 def test_others_run_while_large_packets_are_added_and_whole_windows_classified(n):
     model = random_model()
     events = random_events(n, seed=1, duration_us=9_000, sensor=model.config.sensor)
-    decoder, classifier, volumes = EventDecoder(model.config.sensor), CompiledClassifier(model), []
-    for _ in range(2):
-        volumes.append(TNTVolume(model.config))
-        volumes[-1].update(events)
-    columns, is_large = EventDecoder(model.config.sensor).decode(events), n >= LARGE
+    decoder = EventDecoder(model.config.sensor)
+    classifier = CompiledClassifier(model)
+    volumes = [TNTVolume(model.config), TNTVolume(model.config)]
+    for volume in volumes:
+        volume.update(events)
+    columns = EventDecoder(model.config.sensor).decode(events)
+    is_large = n >= LARGE
     assert others_run_during(lambda: decoder.decode(events)) == is_large
     assert others_run_during(lambda: [classifier.answer(volume) for volume in volumes]) == is_large
     assert others_run_during(lambda: volumes[0].absorb(columns, 0, n)) == is_large
-    # whose kernel has released it before it calls the others
+    # The processor's kernel releases the lock before it calls the others.
     processor = Processor(model, every_events=LARGE)
     assert others_run_during(lambda: processor.push(events))

@@ -45,24 +45,47 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     -------
     n_out, n_off_sensor : int. Events written, and events dropped because they are off the sensor.
     """
+    if format == T64:
+        size = 13
+    elif format == SPIF:
+        size = 4
+    else:
+        size = 8
+
     n_out = 0
     n_off_sensor = 0
     first = 0
     for k in range(n_datagrams):
-        newest = clock[NEWEST]
+        newest = clock[NEWEST]  # as far as this datagram's events have been read
         start = RECORD_BYTES * n_out
         record = start
         for i in range(first, ends[k]):
+            at = i * size
+            good = True
             if format == T64:
-                t, x, y, p, good = _event_t64(raw, 13 * i)
-            elif format == T32:
-                t, x, y, p, good = _event_t32(raw, 8 * i, newest)
-            elif format == SPIF:
-                x, y, p, good = _pixel_spif(raw, 4 * i, 1)
-                t = arrivals[k]
+                t = load(raw, at, np.int64)
+                x = np.int64(load(raw, at + 8, np.uint16))
+                y = np.int64(load(raw, at + 10, np.uint16))
+                p = np.int64(load(raw, at + 12, np.uint8))
+                good = p <= 1
             else:
-                x, y, p, good = _pixel_spif(raw, 8 * i, 0)
-                t = _unwrapped(newest, np.int64(load(raw, 8 * i + 4, np.uint32)))
+                word = np.int64(load(raw, at, np.uint32))
+                low = word
+                if format == T32:
+                    # A word of time; then x (16 bits), p (1), y (15), from the lowest bit on.
+                    second = np.int64(load(raw, at + 4, np.uint32))
+                    x = second & 0xFFFF
+                    y = second >> 17
+                    p = second >> 16 & 1
+                else:
+                    # y (15 bits), p (1), x (15), and a bit that says that no word of time follows.
+                    x = word >> 16 & 0x7FFF
+                    y = word & 0x7FFF
+                    p = word >> 15 & 1
+                    good = (word >> 31 == 1) == (format == SPIF)
+                    if format == SPIF_T32:
+                        low = np.int64(load(raw, at + 4, np.uint32))
+                t = arrivals[k] if format == SPIF else _unwrapped(newest, low)
             if not good:
                 continue
             if x >= width or y >= height:
@@ -80,34 +103,6 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
         n_out += repair_times(out, start, n_good, RECORD_BYTES, 0, arrivals[k], max_jump, clock)
         first = ends[k]
     return n_out, n_off_sensor
-
-
-@inlined
-def _event_t64(raw, at):
-    """t, x, y, p of the event at byte `at`, and whether its polarity is 0 or 1."""
-    t = load(raw, at, np.int64)
-    x = np.int64(load(raw, at + 8, np.uint16))
-    y = np.int64(load(raw, at + 10, np.uint16))
-    p = np.int64(load(raw, at + 12, np.uint8))
-    return t, x, y, p, p <= 1
-
-
-@inlined
-def _event_t32(raw, at, newest):
-    """t, x, y, p of the event at byte `at`: a word of time, then x (16 bits), p (1), y (15)."""
-    t = _unwrapped(newest, np.int64(load(raw, at, np.uint32)))
-    word = np.int64(load(raw, at + 4, np.uint32))
-    return t, word & 0xFFFF, word >> 17, word >> 16 & 1, True
-
-
-@inlined
-def _pixel_spif(raw, at, flag):
-    """x, y, p of the word at byte `at`, and whether its upmost bit is `flag`.
-
-    From the lowest bit on: y (15 bits), p (1), x (15), the flag.
-    """
-    word = np.int64(load(raw, at, np.uint32))
-    return word >> 16 & 0x7FFF, word & 0x7FFF, word >> 15 & 1, word >> 31 == flag
 
 
 @inlined
