@@ -1,8 +1,8 @@
-"""One image that moves over a sensor: how likely a path makes a window's events.
+"""One image that moves over a sensor: the evidence for its path, and the cost of an image.
 
-And the cost that the best image for a path minimises. L is the image of log luminance at the
-window's start, in units of the pixels' thresholds. r_k is its displacement at the end of the k-th
-of K equal parts of the window. The events up to then sum up to
+L is the image of log luminance at the window's start, in units of the pixels' thresholds. r_k is
+its displacement at the end of the k-th of K equal parts of the window. The events up to then sum up
+to
 
     c_k           = (S(r_k) - 1) L + e_k
     cov(e_k, e_m) = V_km 1

@@ -1,15 +1,43 @@
 """Python's lock: other threads run while much is computed; for little it is kept."""
 
+import ast
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 from made import random_events, random_model
 
-from async_tnt import CompiledClassifier, Processor, TNTVolume
+from async_tnt import CompiledClassifier, Processor, TNTVolume, kernels
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
 from async_tnt.volume.events import EventDecoder
+
+
+def calls(statement: ast.stmt, name: str) -> bool:
+    """Whether a function of this name is called within a statement."""
+    nodes = [node for node in ast.walk(statement) if isinstance(node, ast.Call)]
+    return name in [ast.unparse(node.func) for node in nodes]
+
+
+def test_what_releases_the_lock_takes_it_back():
+    """Between the two stands no return, and no statement that raises."""
+    n_found = 0
+    for path in Path(kernels.__file__).parent.rglob("*.py"):
+        for function in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            released = [i for i, line in enumerate(function.body) if calls(line, "release_gil")]
+            taken = [i for i, line in enumerate(function.body) if calls(line, "take_gil")]
+            assert len(released) == len(taken) <= 1, function.name
+            if released:
+                n_found += 1
+                assert released[0] < taken[0], function.name
+                for line in function.body[released[0] : taken[0] + 1]:
+                    assert isinstance(line, (ast.Assign, ast.Expr, ast.For, ast.While))
+                    for node in ast.walk(line):
+                        assert not isinstance(node, (ast.Return, ast.Raise, ast.Assert))
+    assert n_found == 3
 
 
 def others_run_during(compute) -> bool:

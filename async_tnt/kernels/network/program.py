@@ -27,8 +27,9 @@ half of a dense layer is a MIX with other weights at each place: a sum over many
 parts, by place and by row, so that an update costs little and gives the bits of a sum from scratch.
 A SPREAD makes a block of places of each place of its source.
 
-The weights of a MIX are blocks, for each group, and for each place where places have their own. A
-block holds at most two registers of filters, padded with zeros to n, a multiple of LANES:
+The weights of a MIX are blocks of filters, group after group; and so for each place, if places have
+weights of their own. A block holds at most two registers of filters, padded with zeros to n, a
+multiple of LANES:
 
     (K, n) weights    (n,) biases    (n,) slopes    low, high    zeros up to a register
 

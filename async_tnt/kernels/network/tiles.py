@@ -31,6 +31,8 @@ AT_ONCE = 4
 cycles for each tap."""
 WORDS = ir.VectorType(ir.IntType(32), LANES)
 """A register as whole numbers of 32 bits."""
+CHANNEL_KINDS = (P.SUM, P.MAXIMUM, P.FUNCTION)
+"""The kinds of steps that treat each channel by itself, and compute something."""
 
 
 @inlined
@@ -143,11 +145,8 @@ def channel_tile_plain(program, at, places, listed, maps, weights):
 def channel_tile(simd, program, at, places, listed, maps, weights):
     tile = _Tile(simd, program, at, places, listed, maps, None, None)
     # Each kind of step has its own instructions.
-    kinds = {kind: partial(_by_channel, tile, weights, kind) for kind in _CHANNEL_KINDS}
+    kinds = {kind: partial(_by_channel, tile, weights, kind) for kind in CHANNEL_KINDS}
     return choose(simd.builder, tile.slot(P.KIND), kinds)
-
-
-_CHANNEL_KINDS = (P.SUM, P.MAXIMUM, P.FUNCTION)
 
 
 class _Tile:

@@ -1,7 +1,7 @@
-"""One image that moves over the sensor: how well a path explains a window's events.
+"""One image that moves over the sensor: the evidence for its path, and what the sensor sees.
 
-And the image as it is seen along a path. See `resynthesis.moving_image` for the model and its
-symbols. Numba takes arrays faster one by one than in a tuple, so two kernels have nine parameters.
+See `resynthesis.moving_image` for the model and its symbols. Numba takes arrays faster one by one
+than in a tuple, so two kernels have nine parameters.
 """
 
 import numpy as np
