@@ -1,2 +1,4 @@
-"""Compiled kernels: arrays in, arrays out. They import nothing of the package outside this
-folder."""
+"""Compiled kernels: arrays in, arrays out.
+
+They import nothing of the package outside this folder.
+"""

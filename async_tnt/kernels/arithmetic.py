@@ -9,11 +9,14 @@ from numba.core import cgutils
 
 
 class Arithmetic:
-    """Builds instructions on a float32 or on a vector of them; numbers in Python become
-    constants."""
+    """Builds instructions on a float32 or on a vector of them.
+
+    Numbers in Python become constants. `kind` is LLVM's type of the values.
+    """
 
     def __init__(self, builder: ir.IRBuilder, kind: Any) -> None:
-        self._builder, self._kind = builder, kind
+        self._builder = builder
+        self._kind = kind
         self._lanes = kind.count if isinstance(kind, ir.VectorType) else None
         bits = ir.IntType(32)
         self._bits = bits if self._lanes is None else ir.VectorType(bits, self._lanes)
@@ -53,8 +56,10 @@ class Arithmetic:
         return total
 
     def where(self, a: Any, relation: str, b: Any, then: Any, otherwise: Any) -> ir.Value:
-        """then if a < b else otherwise; the second where either is nan. Likewise with other
-        relations."""
+        """then if a < b else otherwise, and likewise with other relations.
+
+        `otherwise` where a or b is nan.
+        """
         holds = self._builder.fcmp_ordered(relation, *self._floats(a, b))
         return self._builder.select(holds, *self._floats(then, otherwise))
 
@@ -63,16 +68,18 @@ class Arithmetic:
         return self.where(x, ">", high, high, x)
 
     def bits(self, x: ir.Value) -> ir.Value:
+        """The bits of a float32, as a whole number of 32 bits."""
         return self._builder.bitcast(x, self._bits)
 
     def of_bits(self, bits: ir.Value) -> ir.Value:
+        """The float32 with these bits."""
         return self._builder.bitcast(bits, self._kind)
 
     def on_bits(self, operation: str, a: Any, b: Any) -> ir.Value:
-        """An operation of the builder on whole numbers of 32 bits."""
-        return getattr(self._builder, operation)(
-            self._value(a, self._bits), self._value(b, self._bits)
-        )
+        """The operation of this name of the builder, on whole numbers of 32 bits."""
+        build = getattr(self._builder, operation)
+        return build(self._value(a, self._bits), self._value(b, self._bits))
 
     def to_float(self, bits: ir.Value) -> ir.Value:
+        """A whole number of 32 bits, converted to float32."""
         return self._builder.sitofp(bits, self._kind)

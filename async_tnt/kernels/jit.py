@@ -1,5 +1,4 @@
-"""How the kernels are compiled: strictly, and cached on disk where a folder for that is
-writable."""
+"""How the kernels are compiled: strictly, and cached on disk where a folder can be written."""
 
 from __future__ import annotations
 
@@ -17,23 +16,28 @@ from numba.core.compiler_lock import global_compiler_lock
 
 if getattr(config, "DISABLE_JIT", 0):
     raise ImportError(
-        "async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset "
-        "it"
+        "async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: "
+        "unset it"
     )
 
-# NUMBA_BOUNDSCHECK=1: Numba tests every index
 BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))
+"""Whether Numba tests every index: NUMBA_BOUNDSCHECK=1."""
 
 # error_model="numpy": 1 / 0 is inf, as in the equations. Python's model would raise, and the test
 # for it keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not
 # change a bit. no_cfunc_wrapper: nobody calls these through C pointers, and each wrapper takes time
 # to compile.
 _strict = partial(njit, error_model="numpy", no_cfunc_wrapper=True)
-# re-entrant: a signal handler that forks may run in the thread that compiles
+
+# Re-entrant: a signal handler that forks may run in the thread that compiles.
 _compiling = threading.RLock()
-# in the order in which a compilation takes them; the last one is LLVM's, which Numba does not show
-_locks = [_compiling, global_compiler_lock, getattr(ffi.lib, "_lock", contextlib.nullcontext())]
+# LLVM's lock, which Numba does not show.
+_llvm_lock = getattr(ffi.lib, "_lock", contextlib.nullcontext())
+# In the order in which a compilation takes them.
+_locks = [_compiling, global_compiler_lock, _llvm_lock]
+
 _files = [path.stat() for path in sorted(Path(__file__).parent.rglob("*.py"))]
+# What all cached machine code depends on.
 _STAMP = tuple((file.st_mtime, file.st_size) for file in _files), BOUNDS_CHECKED
 
 
@@ -48,6 +52,7 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
         kernel = _strict(cache=True, **options)(function)
     except RuntimeError:
         return _strict(**options)(function)
+
     # Numba looks only at the file of the function itself: after an edit of a formula that is
     # compiled into it from another file, it would still serve the old code. So every cached kernel
     # depends on all files here.
@@ -58,8 +63,8 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
 
 
 compiled_without_gil = partial(compiled, nogil=True)
-"""`compiled`, and other Python threads run meanwhile: for work that always takes longer than
-releasing the lock."""
+"""`compiled`, and other Python threads run meanwhile. It is for work that always takes longer than
+to release Python's lock."""
 
 
 def compile_only(kernel: Any, *types: Any) -> None:
@@ -73,8 +78,7 @@ def compile_only(kernel: Any, *types: Any) -> None:
 
 
 def compile_for_types(kernel: Any, types: tuple[Any, ...]) -> None:
-    """Compile a kernel for these argument types, unless that has been done, by `compile_only`
-    perhaps."""
+    """Compile a kernel for these argument types, unless that has been done."""
     with _compiling:
         if types not in kernel.overloads:
             kernel.compile(types)
@@ -102,20 +106,20 @@ if hasattr(os, "register_at_fork"):  # Windows has no `fork`
 
 def is_cached(kernel: Any, types: tuple[Any, ...]) -> bool:
     """Whether an earlier process left this kernel on disk, or this one has compiled it."""
-    with global_compiler_lock:  # loading changes what another thread may be compiling with
-        return (
-            types in kernel.overloads
-            or kernel._cache.load_overload(types, kernel.targetctx) is not None
-        )
+    # Loading changes what another thread may be compiling with.
+    with global_compiler_lock:
+        if types in kernel.overloads:
+            return True
+        return kernel._cache.load_overload(types, kernel.targetctx) is not None
 
 
 def can_be_cached(kernel: Any) -> bool:
+    """Whether there is a folder for the kernel's machine code."""
     return kernel.stats.cache_path is not None
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A formula that kernels share, or a part of one: compiled into each of them, never called on
-    its own.
+    """Compile a formula, or a part of a kernel, into each kernel that uses it, and never by itself.
 
     A part that is `compiled` instead is compiled once by itself, and again within each kernel
     around it.

@@ -1,8 +1,13 @@
-"""Release Python's lock inside a kernel, where there is much to compute: to wait for it afterwards
-also takes time.
+"""Release Python's lock inside a kernel, where there is much to compute.
 
-Other threads run until `take_gil`; no return, and nothing that raises, may stand before it. See
-WITHOUT_GIL in `state`.
+Other threads run between `release_gil` and `take_gil`. Where there is little to compute, the lock
+is kept, because to wait for it afterwards may take longer. See also WITHOUT_GIL in `state`.
+
+The rule: no return, and nothing that raises, may stand between the two. A test reads the kernels
+and verifies it. Numba's own way, `nogil=True`, needs no rule, but holds for all calls of a kernel.
+Then each kernel is needed twice, for little and for much. As measured, a user's first start then
+takes 27.0 s instead of 23.6 s to compile, and the choice in Python takes 1 to 2 % of a `push` of 10
+events.
 """
 
 from numba import types
@@ -11,13 +16,16 @@ from numba.extending import intrinsic
 
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 
-LARGE = 4_000  # events: taking the lock back may wait until another thread has woken this one
+LARGE = 4_000
+"""Events from which on the lock is released: taking it back may wait for another thread."""
 
 
 @intrinsic
 def release_gil(typingctx, when):
-    """Release the lock if `when`; never where indices are checked, which may raise. Returns what
-    `take_gil` needs."""
+    """Release the lock if `when`. Returns what `take_gil` needs.
+
+    Where indices are checked, which may raise, the lock is never released.
+    """
 
     def codegen(context, builder, signature, args):
         thread = cgutils.alloca_once_value(builder, cgutils.get_null_value(cgutils.voidptr_t))

@@ -1,15 +1,15 @@
-"""Vector instructions, for kernels that keep sums in registers: LLVM does not find these in plain
-loops.
+"""Vector instructions, for kernels that keep sums in registers.
 
-Such a kernel is written twice, with the same arguments and the same bits:
+LLVM does not find these instructions in plain loops. So such a kernel is written twice, with the
+same arguments and the same bits:
 
     @inlined
-    def tile_plain(inputs, first, ...)          loops over numbers, whose indices Numba can check
-    @vectorized(tile_plain)
-    def tile(simd, inputs, first, ...)          the LLVM instructions, through a `Simd`; no index is
-                                                checked
+    def tile_plain(inputs, first, ...)       loops over numbers; Numba can check their indices
 
-`tile` is what other kernels call: the instructions, or under NUMBA_BOUNDSCHECK=1 the loops.
+    @vectorized(tile_plain)
+    def tile(simd, inputs, first, ...)       the LLVM instructions, through a `Simd`; unchecked
+
+Other kernels call `tile`: the instructions, or under NUMBA_BOUNDSCHECK=1 the loops.
 
 A register holds LANES float32. How many that is depends on the machine, and with it the layout of
 weights; results do not: every sum is taken in one order, each product added with one rounding.
@@ -32,14 +32,17 @@ from async_tnt.kernels.jit import BOUNDS_CHECKED, inlined
 
 
 def _lanes_of_this_machine():
+    """Numbers in a register: 16 with AVX-512, otherwise 8."""
     if getattr(config, "CPU_NAME", None):  # NUMBA_CPU_NAME: code for another machine
         return 16 if "+avx512f" in (config.CPU_FEATURES or "") else 8
     return 16 if llvm.get_host_cpu_features().get("avx512f", False) else 8
 
 
 LANES = _lanes_of_this_machine()
+"""Float32 numbers in a register."""
 INDEX = ir.IntType(64)
 VECTOR = ir.VectorType(ir.FloatType(), LANES)
+"""A register."""
 ZERO = ir.Constant(VECTOR, [0.0] * LANES)
 
 SPELLINGS: dict[str, tuple[Any, Any]] = {}
@@ -52,8 +55,10 @@ def whole(value: int) -> ir.Constant:
 
 
 class Simd:
-    """Builds instructions on vectors of LANES float32, or of another `kind`. Indices count
-    numbers."""
+    """Builds instructions on vectors of LANES float32, or of another `kind`.
+
+    Indices count numbers, not bytes.
+    """
 
     def __init__(self, builder: ir.IRBuilder) -> None:
         self.builder = builder
@@ -65,6 +70,7 @@ class Simd:
         return first
 
     def mul(self, index: ir.Value, factor: ir.Value | int) -> ir.Value:
+        """The product of indices."""
         return self.builder.mul(index, whole(factor) if isinstance(factor, int) else factor)
 
     def at(self, array: ir.Value, index: ir.Value) -> ir.Value:
@@ -74,53 +80,72 @@ class Simd:
     def load(self, array: ir.Value, index: ir.Value, kind: ir.VectorType = VECTOR) -> ir.Value:
         """As many numbers as `kind` holds, from `index` on."""
         value = self.builder.load(self.builder.bitcast(self.at(array, index), kind.as_pointer()))
-        value.align = 8 if kind.element == ir.DoubleType() else 4
+        value.align = _alignment(kind)
         return value
 
     def store(self, value: ir.Value, array: ir.Value, index: ir.Value) -> None:
+        """Write a vector from `index` on."""
         pointer = self.builder.bitcast(self.at(array, index), value.type.as_pointer())
-        self.builder.store(value, pointer).align = 8 if value.type.element == ir.DoubleType() else 4
+        instruction = self.builder.store(value, pointer)
+        instruction.align = _alignment(value.type)
 
     def spread(self, number: ir.Value) -> ir.Value:
         """One number in every lane."""
         undefined = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
         first = self.builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
-        return self.builder.shuffle_vector(
-            first, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
-        )
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+        return self.builder.shuffle_vector(first, undefined, zeros)
 
     def fma(self, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
         """a * b + c with one rounding, in every lane."""
         return Arithmetic(self.builder, VECTOR).fma(a, b, c)
 
     def loop(self, n: ir.Value, sums: list, body: Callable[[ir.Value, list], list]) -> list:
-        """for k in range(n): sums = body(k, sums)        sums: a list of registers; n is at least
-        1."""
+        """A loop: for k in range(n): sums = body(k, sums).
+
+        Parameters
+        ----------
+        n : the number of turns, at least 1.
+        sums : list of registers, the first ones.
+        body : builds the instructions of a turn. Takes k and registers, returns as many.
+
+        Returns
+        -------
+        list of registers, the last ones.
+        """
         builder = self.builder
         before = builder.block
         inside = builder.append_basic_block("sum")
         after = builder.append_basic_block("summed")
         builder.branch(inside)
+
         builder.position_at_end(inside)
-        carried = [
-            (builder.phi(INDEX), whole(0)),
-            *((builder.phi(VECTOR), value) for value in sums),
-        ]
-        counter = carried[0][0]
-        new = [builder.add(counter, whole(1)), *body(counter, [phi for phi, _ in carried[1:]])]
-        for (phi, first), value in zip(carried, new, strict=True):
+        counter = builder.phi(INDEX)
+        carried = [builder.phi(VECTOR) for _ in sums]
+        next_counter = builder.add(counter, whole(1))
+        new = body(counter, carried)
+        end = builder.block  # not `inside` if the body holds a loop
+        counter.add_incoming(whole(0), before)
+        counter.add_incoming(next_counter, end)
+        for phi, first, value in zip(carried, sums, new, strict=True):
             phi.add_incoming(first, before)
-            phi.add_incoming(value, builder.block)  # not `inside`, where the body holds a loop
-        builder.cbranch(builder.icmp_signed("<", new[0], n), inside, after)
+            phi.add_incoming(value, end)
+        builder.cbranch(builder.icmp_signed("<", next_counter, n), inside, after)
+
         builder.position_at_end(after)
-        return new[1:]
+        return new
+
+
+def _alignment(kind: ir.VectorType) -> int:
+    """Bytes: a vector may lie wherever one of its numbers may."""
+    return 8 if kind.element == ir.DoubleType() else 4
 
 
 def vectorized(plain: Callable[..., Any], returns: types.Type = types.void) -> Callable[..., Any]:
-    """Decorate the vector spelling of `plain`: `build(simd, ...)` with the kernel's arguments,
-    arrays as pointers.
+    """Decorate the vector spelling of `plain`.
 
-    Arrays are contiguous, other arguments int64, uint64 or float64.
+    It is a function `build(simd, ...)` with the kernel's arguments, arrays as pointers. Arrays are
+    contiguous, other arguments int64, uint64 or float64.
     """
 
     def decorate(build: Callable[..., Any]) -> Any:
@@ -131,30 +156,30 @@ def vectorized(plain: Callable[..., Any], returns: types.Type = types.void) -> C
                 return None
 
             def codegen(context: Any, builder: ir.IRBuilder, signature: Any, values: list) -> Any:
-                pointers = [
-                    context.make_array(kind)(context, builder, value).data
-                    if isinstance(kind, types.Array)
-                    else value
-                    for kind, value in zip(signature.args, values, strict=True)
-                ]
+                pointers = []
+                for kind, value in zip(signature.args, values, strict=True):
+                    if isinstance(kind, types.Array):
+                        pointers.append(context.make_array(kind)(context, builder, value).data)
+                    else:
+                        pointers.append(value)
                 result = build(Simd(builder), *pointers)
                 return context.get_dummy_value() if result is None else result
 
             return returns(*arguments), codegen
 
-        SPELLINGS[build.__name__] = plain, intrinsic(instructions)
-        return SPELLINGS[build.__name__][0 if BOUNDS_CHECKED else 1]
+        vector = intrinsic(instructions)
+        SPELLINGS[build.__name__] = plain, vector
+        return plain if BOUNDS_CHECKED else vector
 
     return decorate
 
 
 @intrinsic
 def fma(typingctx: Any, a: types.Type, b: types.Type, c: types.Type) -> Any:
-    """a * b + c for float32 with one rounding, the same in scalar and in vector code and on every
-    machine.
+    """a * b + c for float32 with one rounding.
 
-    Explicit, because letting the compiler contract a * b + c at will would make a result depend on
-    how a loop was vectorized.
+    It is the same in scalar and in vector code, and on every machine. If the compiler were allowed
+    to contract a * b + c at will, a result would depend on how a loop was vectorized.
     """
 
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
@@ -172,7 +197,9 @@ def trailing_zeros(typingctx: Any, word: types.Type) -> Any:
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
 
-    return (types.int64(word), codegen) if word == types.uint64 else None
+    if word != types.uint64:
+        return None
+    return types.int64(word), codegen
 
 
 @intrinsic
@@ -182,12 +209,17 @@ def count_bits(typingctx: Any, word: types.Type) -> Any:
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
         return builder.ctpop(args[0])
 
-    return (types.int64(word), codegen) if word == types.uint64 else None
+    if word != types.uint64:
+        return None
+    return types.int64(word), codegen
 
 
 @inlined
 def add_f64x2_plain(cells, index, first, second, factor):
-    """cells[index] += first * factor; cells[index + 1] += second * factor
+    """Add two numbers to neighbouring cells.
+
+        cells[index]     += first * factor
+        cells[index + 1] += second * factor
 
     Parameters
     ----------
@@ -201,7 +233,8 @@ def add_f64x2_plain(cells, index, first, second, factor):
 
 @vectorized(add_f64x2_plain)
 def add_f64x2(simd, cells, index, first, second, factor):
-    builder, pair = simd.builder, ir.VectorType(ir.DoubleType(), 2)
+    builder = simd.builder
+    pair = ir.VectorType(ir.DoubleType(), 2)
     place = [ir.Constant(ir.IntType(32), k) for k in range(2)]
 
     def pack(one: ir.Value, other: ir.Value) -> ir.Value:

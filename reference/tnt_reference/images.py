@@ -8,12 +8,15 @@ from .coordinates import to_grid, window_fraction
 from .window import Column, check_polarity, check_size, signs, whole_pixels, window_events
 
 WEIGHT_TOLERANCE = 1e-9
+"""Smaller weights are the rounding of a place, and count as 0."""
 
 
 def count_image(
     t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int, int]
 ) -> torch.Tensor:
-    """I[c, y, x] = #{i : x_i = x, y_i = y, p_i = 1 - c}        c = 0: ON, c = 1: OFF
+    """How many events each pixel has, by polarity.
+
+        I[c, y, x] = #{i : x_i = x, y_i = y, p_i = 1 - c}        c = 0: ON, c = 1: OFF
 
     Parameters
     ----------
@@ -58,10 +61,11 @@ def count_timestamp_image(
     """The four channels of EV-FlowNet: counts ON and OFF, time of the newest event ON and OFF.
 
         I[c, y, x]     = #{i : x_i = x, y_i = y, p_i = 1 - c}          c = 0: ON, c = 1: OFF
-        I[2 + c, y, x] = max {f_i : x_i = x, y_i = y, p_i = 1 - c}     f_i = (t_i - start_us) / window_us
+        I[2 + c, y, x] = max {f_i : x_i = x, y_i = y, p_i = 1 - c}
+        f_i            = (t_i - start_us) / window_us
 
-    over the events with 0 <= f_i < 1: here, as an exception, the window is half-open, as a stream's
-    is. The time of a pixel without events is 0.
+    over the events with 0 <= f_i < 1. Here, as an exception, the window is half-open, like that of
+    a stream. The time of a pixel without events is 0.
 
     Parameters
     ----------
@@ -78,14 +82,18 @@ def count_timestamp_image(
     Example
     -------
     >>> at = dict(start_us=10, window_us=40, sensor=(3, 2))
-    >>> count_timestamp_image(t=[10, 20, 30], x=[0, 2, 2], y=[1, 0, 0], p=[1, 0, 0], **at)[3].tolist()
+    >>> image = count_timestamp_image([10, 20, 30], [0, 2, 2], [1, 0, 0], [1, 0, 0], **at)
+    >>> image[3].tolist()
     [[0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
     """
     channel, row, column, f = events_at(
         t, x, y, p, start_us=start_us, window_us=window_us, sensor=sensor
     )
     inside = (f >= 0) & (f < 1)
-    channel, row, column, f = channel[inside], row[inside], column[inside], f[inside]
+    channel = channel[inside]  # (M,)
+    row = row[inside]  # (M,)
+    column = column[inside]  # (M,)
+    f = f[inside]  # (M,)
     image = torch.zeros(4, sensor[1], sensor[0], dtype=torch.float64)
     image.index_put_((channel, row, column), torch.ones_like(f), accumulate=True)
     pixel = ((2 + channel) * sensor[1] + row) * sensor[0] + column  # (M,)
@@ -107,15 +115,20 @@ def time_image(
     polarity: str = "split",
     dtype: torch.dtype = torch.float32,
 ) -> torch.Tensor:
-    """When events came, on a grid of any size: each is shared by the cells around it, as in the
-    event volume.
+    """The times of events on a grid of any size, as images.
+
+    As in the event volume, each event is shared by the cells around it. With its weight in a cell,
 
         w_i = k(y - y_i) k(x - x_i)         k(a) = max(0, 1 - |a|), places in grid pixels
-        N[y, x] = sum_i w_i                 T[y, x] = max {f_i : w_i > 0}          M[y, x] = sum_i w_i f_i / N[y, x]
-        S[y, x] = max {exp(-(1 - f_i) window / tau) : w_i > 0}                     tau = window / 2
 
-    Where there are no events, all are 0. A weight below WEIGHT_TOLERANCE counts as 0: it is the
-    rounding of a place.
+    the images are
+
+        N[y, x] = sum_i w_i
+        T[y, x] = max {f_i : w_i > 0}
+        M[y, x] = sum_i w_i f_i / N[y, x]
+        S[y, x] = max {exp(-(1 - f_i) window / tau) : w_i > 0}        tau = window / 2
+
+    Where there are no events, all are 0. A weight below WEIGHT_TOLERANCE counts as 0.
 
     Parameters
     ----------
@@ -136,7 +149,8 @@ def time_image(
     Example
     -------
     >>> at = dict(start_us=0, window_us=8, sensor=(2, 2), grid=(2, 2), polarity="unsigned")
-    >>> time_image([0, 2, 4], [1, 1, 0], [0, 0, 1], [1, 0, 1], representation="mean_time", **at).tolist()
+    >>> columns = [0, 2, 4], [1, 1, 0], [0, 0, 1], [1, 0, 1]
+    >>> time_image(*columns, representation="mean_time", **at).tolist()
     [[[0.0, 0.125], [0.5, 0.0]]]
     """
     if representation not in ("count_time", "mean_time", "time_surface"):
@@ -154,30 +168,38 @@ def time_image(
     sign = signs(p, len(events.dt))
     place = to_grid(events.pixels, sensor, grid).double()  # (N, 2)
     f = window_fraction(events.dt, window_us)  # (N,)
-    polarities = (
-        [events.inside]
-        if polarity == "unsigned"
-        else [events.inside & (sign > 0), events.inside & (sign < 0)]
-    )
+    groups = [events.inside]
+    if polarity == "split":
+        groups = [events.inside & (sign > 0), events.inside & (sign < 0)]
     channels = []
-    for which in polarities:
-        count, newest, total = (
-            torch.zeros(grid[1], grid[0], dtype=torch.float64) for _ in range(3)
-        )
-        for (u, v), time in zip(place[which].tolist(), f[which].tolist(), strict=True):
-            for column in range(int(u), min(int(u) + 2, grid[0])):
-                for row in range(int(v), min(int(v) + 2, grid[1])):
-                    w = (1 - abs(u - column)) * (1 - abs(v - row))
-                    if w >= WEIGHT_TOLERANCE:
-                        count[row, column] += w
-                        newest[row, column] = max(newest[row, column], time)
-                        total[row, column] += w * time
-        mean = torch.where(count > 0, total / torch.where(count > 0, count, 1.0), 0.0)
-        surface = torch.where(count > 0, torch.exp(-2 * (1 - newest)), 0.0)
-        channels += {"count_time": [count, newest], "mean_time": [mean], "time_surface": [surface]}[
-            representation
-        ]
+    for which in groups:
+        count, newest, mean = _time_sums(place[which], f[which], grid)
+        if representation == "count_time":
+            channels += [count, newest]
+        elif representation == "mean_time":
+            channels += [mean]
+        else:
+            channels += [torch.where(count > 0, torch.exp(-2 * (1 - newest)), 0.0)]
     return torch.stack(channels).to(dtype)
+
+
+def _time_sums(
+    place: torch.Tensor, f: torch.Tensor, grid: tuple[int, int]
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """N, T and M of `time_image` for M events: float64, (H, W) each."""
+    count = torch.zeros(grid[1], grid[0], dtype=torch.float64)
+    newest = torch.zeros_like(count)
+    total = torch.zeros_like(count)
+    for (u, v), time in zip(place.tolist(), f.tolist(), strict=True):
+        for column in range(int(u), min(int(u) + 2, grid[0])):
+            for row in range(int(v), min(int(v) + 2, grid[1])):
+                w = (1 - abs(u - column)) * (1 - abs(v - row))
+                if w >= WEIGHT_TOLERANCE:
+                    count[row, column] += w
+                    newest[row, column] = max(newest[row, column], time)
+                    total[row, column] += w * time
+    mean = torch.where(count > 0, total / torch.where(count > 0, count, 1.0), 0.0)
+    return count, newest, mean
 
 
 def events_at(
@@ -190,8 +212,10 @@ def events_at(
     window_us: int,
     sensor: tuple[int, int],
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Channel, row, column (int64) and window fraction (float64) of all N events, checked; four of
-    (N,)."""
+    """Channel, row, column (int64) and window fraction (float64) of all events: four of (N,).
+
+    The columns are checked.
+    """
     check_size("sensor", sensor)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     channel = (signs(p, len(events.dt)) < 0).long()  # (N,)

@@ -16,7 +16,7 @@ from .window import Column, check_size, window_events
 
 LANDMARKS = ("center", "running", "line", "window")
 
-# prefixes x events held at once by `line`: 512 KiB an array, which caches hold
+# `line` holds so many prefixes x events at once: 512 KiB an array, which fits in caches.
 _CHUNK_CELLS = 1 << 16
 
 
@@ -35,7 +35,7 @@ def landmark(
 
         center   l_i = c
         running  l_i = mean of x_1..x_i
-        line     l_i = mean_x - m_i mean_f over events 1..i, m_i = C_xf / (C_ff + 1)   (see `fitted_flow`)
+        line     l_i = mean_x - m_i mean_f over events 1..i, with the slope m_i of `fitted_flow`
         window   l_i = mean of all the window's x
 
     Parameters
@@ -101,7 +101,9 @@ def fitted_flow(
 ) -> torch.Tensor:
     """The slope m_i that goes with landmark `line`: the flow fitted to events 1..i.
 
-        m_i = C_xf / (C_ff + 1),   C_xf = sum_j (x_j - mean_x)(f_j - mean_f),   C_ff = sum_j (f_j - mean_f)^2
+        m_i  = C_xf / (C_ff + 1)
+        C_xf = sum_j (x_j - mean_x) (f_j - mean_f)
+        C_ff = sum_j (f_j - mean_f)^2
 
     with all sums over j = 1..i. The 1, in units of squared windows, is a ridge: with few events the
     slope goes to 0 and the intercept to the running centroid, where the plain fit would be
@@ -131,12 +133,24 @@ def prefix_means(pixels: torch.Tensor) -> torch.Tensor:
 
 
 def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Row i: intercept and slope of the ridge line through rows 0..i. (M, 2), (M,) -> (M, 2), (M,
-    2)."""
-    means, mean_fs = prefix_means(pixels), prefix_means(f[:, None])  # (M, 2), (M, 1)
-    intercepts, slopes = [means[:0]], [means[:0]]  # so that no events give (0, 2)
+    """Row i: intercept and slope of the ridge line through rows 0..i.
+
+    Parameters
+    ----------
+    pixels, f : (M, 2) and (M,).
+
+    Returns
+    -------
+    intercepts, slopes : (M, 2) each.
+    """
+    means = prefix_means(pixels)  # (M, 2)
+    mean_fs = prefix_means(f[:, None])  # (M, 1)
+    # The lists begin with an empty part, so that no events give (0, 2).
+    intercepts = [means[:0]]
+    slopes = [means[:0]]
+
+    # R prefixes at a time: all of them at once would be M x M.
     n_rows = max(1, _CHUNK_CELLS // max(1, len(f)))
-    # R prefixes at a time: all of them at once would be M x M
     for first in range(0, len(f), n_rows):
         last = min(first + n_rows, len(f))
         mean_xy = means[first:last]  # (R, 2)
@@ -144,8 +158,8 @@ def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, t
         df = f[:last] - mean_f  # (R, K)
         df[:, first:].tril_()  # 0 for events after the prefix
         c_ff = (df * df).sum(1)  # (R,)
-        # a row of df adds up to 0, so any one point may be taken off each pixel: a near one,
-        # against cancellation
+        # A row of df adds up to 0, so any one point may be taken off each pixel. A near one avoids
+        # cancellation.
         c_xf = df @ (pixels[:last] - means[last - 1])  # (R, 2)
         m = c_xf / (c_ff + 1)[:, None]  # (R, 2)
         slopes.append(m)

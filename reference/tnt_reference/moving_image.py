@@ -1,11 +1,12 @@
-"""One image that moves over a sensor: how likely a path makes a window's events, and its best
-image.
+"""One image that moves over a sensor: the evidence for its path, and the cost of an image.
 
-With L the image of log luminance at the window's start, in units of the pixels' thresholds, and r_k
-its displacement at the end of the k-th of K equal parts of the window, the events up to then sum up
+L is the image of log luminance at the window's start, in units of the pixels' thresholds. r_k is
+its displacement at the end of the k-th of K equal parts of the window. The events up to then sum up
 to
 
-    c_k = (S(r_k) - 1) L + e_k        cov(e_k, e_m) = V_km 1,   V_km = 1/3 (delta_km + 1) + 0.01 min(k, m)
+    c_k           = (S(r_k) - 1) L + e_k
+    cov(e_k, e_m) = V_km 1
+    V_km          = 1/3 (delta_km + 1) + 0.01 min(k, m)
 
 S(r) moves an image on a torus of odd sides without blurring it. Everything here is dense linear
 algebra over the pixels of small tori, without Fourier transforms.
@@ -30,13 +31,19 @@ def contrast_frames(
     step_on: float = 1.0,
     step_off: float = 1.0,
 ) -> torch.Tensor:
-    """c: what the events of each pixel up to the end of each part of the window sum up to, (K,
-    rows, columns).
+    """c: the sum of each pixel's events up to the end of each part of the window.
 
     Parameters
     ----------
     t, x, y, p : (N,) columns of one window, 0 <= t < window_us.
+    window_us : the window's length.
+    n_frames : K.
+    shape : (rows, columns).
     step_on, step_off : what an ON and an OFF event are worth.
+
+    Returns
+    -------
+    float64 tensor (K, rows, columns).
     """
     frames = torch.zeros(n_frames, *shape, dtype=torch.float64)
     for k in range(n_frames):
@@ -49,8 +56,8 @@ def contrast_frames(
 def shift_matrix(n: int, displacement: torch.Tensor) -> torch.Tensor:
     """S, (n, n): moves n samples of a periodic signal, n odd, by a real displacement.
 
-    S_ij = D(i - j - displacement), D(a) = 1/n sum_{|m| <= (n-1)/2} cos(2 pi m a / n), the periodic
-    sinc.
+    S_ij = D(i - j - displacement)
+    D(a) = 1/n sum_{|m| <= (n-1)/2} cos(2 pi m a / n)        the periodic sinc
     """
     if n % 2 == 0:
         raise ValueError(f"`n` must be odd, got {n}")
@@ -61,8 +68,10 @@ def shift_matrix(n: int, displacement: torch.Tensor) -> torch.Tensor:
 
 
 def motion_matrix(path: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
-    """A, (K R C, R C): from an image, row by row, to all c_k without noise. `path`: (K, 2), (x,
-    y)."""
+    """A, (K R C, R C): from an image, row by row, to all c_k without noise.
+
+    `path` is (K, 2), with columns x and y.
+    """
     rows, columns = shape
     one = torch.eye(rows * columns, dtype=torch.float64)
     moved = [torch.kron(shift_matrix(rows, r[1]), shift_matrix(columns, r[0])) - one for r in path]
@@ -70,7 +79,7 @@ def motion_matrix(path: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
 
 
 def noise_covariance(n_frames: int) -> torch.Tensor:
-    """V, (K, K)."""
+    """V, (K, K): the covariance of a pixel's e_k."""
     k = torch.arange(1, n_frames + 1, dtype=torch.float64)
     return (torch.eye(n_frames, dtype=torch.float64) + 1) / 3 + 0.01 * torch.minimum(k[:, None], k)
 
@@ -84,21 +93,19 @@ def path_evidence(
 
     Parameters
     ----------
-    frames : (K, rows, columns), on the whole torus. path : (K, 2), in pixels.
+    frames : (K, rows, columns), on the whole torus.
+    path : (K, 2), in pixels.
 
     Returns
     -------
     Scalar tensor, differentiable with respect to `path`.
     """
-    n_frames, *shape = frames.shape
-    noise = torch.kron(
-        noise_covariance(n_frames), torch.eye(shape[0] * shape[1], dtype=torch.float64)
-    )
-    differences = difference_matrix((shape[0], shape[1]))
-    precision = roughness * differences.T @ differences + level * torch.eye(
-        shape[0] * shape[1], dtype=torch.float64
-    )
-    moved = motion_matrix(path, (shape[0], shape[1]))
+    n_frames, rows, columns = frames.shape
+    one = torch.eye(rows * columns, dtype=torch.float64)
+    noise = torch.kron(noise_covariance(n_frames), one)
+    differences = difference_matrix((rows, columns))
+    precision = roughness * differences.T @ differences + level * one
+    moved = motion_matrix(path, (rows, columns))
     with_image = noise + moved @ torch.linalg.solve(precision, moved.T)
     c = frames.reshape(-1)
     return _log_density(c, with_image) - _log_density(c, noise)
@@ -113,36 +120,45 @@ def image_cost(
     edge: float,
     level: float,
 ) -> torch.Tensor:
-    """What the best image minimises: 1/2 |V^-1/2 (c - A L)|^2 + sum g(|D L|) + level/2 |L|^2, where
+    """What the best image minimises.
+
+        1/2 |V^-1/2 (c - A L)|^2 + sum g(|D L|) + level/2 |L|^2
 
         g(z) = sparseness edge (u sqrt(u^2 + 1) + asinh u - u^2),  u = z / (2 edge)
 
     Parameters
     ----------
-    image : (rows, columns). frames : (K, rows, columns). path : (K, 2).
+    image : (rows, columns).
+    frames : (K, rows, columns).
+    path : (K, 2), in pixels.
     """
-    n_frames, *shape = frames.shape
-    left = frames.reshape(n_frames, -1) - (
-        motion_matrix(path, (shape[0], shape[1])) @ image.reshape(-1)
-    ).reshape(n_frames, -1)
+    n_frames, rows, columns = frames.shape
+    predicted = motion_matrix(path, (rows, columns)) @ image.reshape(-1)
+    left = frames.reshape(n_frames, -1) - predicted.reshape(n_frames, -1)
     misfit = 0.5 * (left * torch.linalg.solve(noise_covariance(n_frames), left)).sum()
-    across, down = (difference_matrix((shape[0], shape[1])) @ image.reshape(-1)).reshape(2, -1)
+
+    across, down = (difference_matrix((rows, columns)) @ image.reshape(-1)).reshape(2, -1)
     u = torch.hypot(across, down) / (2 * edge)
     edges = sparseness * edge * (u * torch.sqrt(u**2 + 1) + torch.asinh(u) - u**2)
+
     total: torch.Tensor = misfit + edges.sum() + 0.5 * level * (image**2).sum()
     return total
 
 
 def difference_matrix(shape: tuple[int, int]) -> torch.Tensor:
-    """D, (2 R C, R C): each pixel's right neighbour minus it, then its lower neighbour minus it, on
-    a torus."""
-    rows, columns = (torch.eye(n, dtype=torch.float64) for n in shape)
-    across, down = (torch.roll(one, 1, dims=1) - one for one in (columns, rows))
+    """D, (2 R C, R C): the differences of neighbouring pixels on a torus.
+
+    First each pixel's right neighbour minus the pixel, then its lower neighbour minus the pixel.
+    """
+    rows = torch.eye(shape[0], dtype=torch.float64)
+    columns = torch.eye(shape[1], dtype=torch.float64)
+    across = torch.roll(columns, 1, dims=1) - columns
+    down = torch.roll(rows, 1, dims=1) - rows
     return torch.cat([torch.kron(rows, across), torch.kron(down, columns)])
 
 
 def _log_density(c: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
-    """Of a Gaussian with mean 0, up to the constant that all share."""
+    """The log density of a Gaussian with mean 0, up to the constant that all share."""
     factor = torch.linalg.cholesky(covariance)
     white = torch.linalg.solve_triangular(factor, c[:, None], upper=False)[:, 0]
     likelihood: torch.Tensor = -0.5 * (white**2).sum() - torch.log(factor.diagonal()).sum()

@@ -1,8 +1,7 @@
-"""The pixel of an event camera, written out: log luminance in, events out. Pure Python, pixel by
-pixel.
+"""The pixel of an event camera: log luminance in, events out.
 
-Between two frames the log luminance L of a pixel runs in a straight line. With the reference level
-R:
+It is written out in pure Python, pixel by pixel. Between two frames the log luminance L of a pixel
+runs in a straight line. With the reference level R:
 
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
@@ -32,8 +31,7 @@ def simulate_events(
     reference: np.ndarray,
     refractory_us: float,
 ) -> list[tuple[int, int, int, int]]:
-    """Events (t, x, y, p) of every pixel, sorted by (t, y, x); p = 1 for ON; t in microseconds,
-    rounded.
+    """Events of every pixel, sorted by (t, y, x).
 
     Parameters
     ----------
@@ -42,6 +40,10 @@ def simulate_events(
     threshold_on, threshold_off : shape (H, W), positive.
     reference : shape (H, W), level R at the first frame.
     refractory_us : 0 for none.
+
+    Returns
+    -------
+    list of (t, x, y, p) : t in microseconds, rounded; p = 1 for ON, 0 for OFF.
     """
     _, height, width = np.shape(log_frames)
     times = [float(t) for t in frame_times_us]
@@ -49,19 +51,23 @@ def simulate_events(
     for y in range(height):
         for x in range(width):
             light = [float(frame[y][x]) for frame in log_frames]
-            c_on, c_off = float(threshold_on[y][x]), float(threshold_off[y][x])
+            c_on = float(threshold_on[y][x])
+            c_off = float(threshold_off[y][x])
             for t, p in pixel(light, times, c_on, c_off, float(reference[y][x]), refractory_us):
                 events.append((math.floor(t + 0.5), x, y, p))
-    # Python's sort is stable: events of one pixel in one microsecond stay in the order they
-    # happened.
+    # Python's sort is stable: events of one pixel in one microsecond stay in the order in which
+    # they happened.
     return sorted(events, key=lambda event: (event[0], event[2], event[1]))
 
 
 def low_pass(
     light: Sequence[float], times_us: Sequence[float], brightest_hz: float, darkest: float
 ) -> list[float]:
-    """What a pixel follows of its log luminance: y' = 2 pi f (L - y), by backward differences from
-    frame to frame; f is in proportion to the luminance, down to `darkest`."""
+    """What a pixel follows of its log luminance: y' = 2 pi f (L - y).
+
+    By backward differences from frame to frame. The corner frequency f is in proportion to the
+    luminance, down to the luminance `darkest`.
+    """
     followed = [float(light[0])]
     for (t0, _), (t1, now) in pairwise(zip(times_us, light, strict=True)):
         f = brightest_hz * max(math.exp(now), darkest)
@@ -83,11 +89,15 @@ def pixel(
     blind_until = times[0]
     waking = False
     for (t0, t1), (l0, l1) in zip(pairwise(times), pairwise(light), strict=True):
-        now, light_now = t0, l0
+        now = t0
+        light_now = l0
         while blind_until < t1:
             if waking:
-                now, waking = blind_until, False
-                level = light_now = l0 + (l1 - l0) * ((now - t0) / (t1 - t0))
+                now = blind_until
+                light_now = l0 + (l1 - l0) * ((now - t0) / (t1 - t0))
+                level = light_now
+                waking = False
+
             crossing = _next_crossing(now, light_now, t0, t1, l0, l1, level + c_on, level - c_off)
             if crossing is None:
                 break
@@ -95,7 +105,8 @@ def pixel(
             level = level + c_on if p == 1 else level - c_off
             events.append((now, p))
             if refractory_us > 0:
-                blind_until, waking = now + refractory_us, True
+                blind_until = now + refractory_us
+                waking = True
     return events
 
 
@@ -109,13 +120,16 @@ def _next_crossing(
     upper: float,
     lower: float,
 ) -> tuple[float, float, int] | None:
-    """Time, log luminance and polarity where the light first reaches `upper` or `lower` up to t1,
-    or None."""
-    # here and below: already past it, as only a start far from the light can be
+    """Time, log luminance and polarity where the light first reaches `upper` or `lower`.
+
+    None if it does not until t1.
+    """
+    # The light may be past a level already, but only if the level started far from the light.
     if light_now >= upper:
         return now, light_now, 1
     if light_now <= lower:
         return now, light_now, 0
+
     if l1 >= upper:
         return t0 + (t1 - t0) * ((upper - l0) / (l1 - l0)), upper, 1
     if l1 <= lower:

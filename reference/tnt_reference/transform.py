@@ -12,7 +12,8 @@ from . import landmarks
 from .coordinates import image_centre, tnt_time, to_grid, window_fraction
 from .window import Column, check_size, window_events
 
-BORDER_TOLERANCE = 1e-9  # pixels
+BORDER_TOLERANCE = 1e-9
+"""Pixels beyond the border that count as on it."""
 
 
 class TNTCoordinates(NamedTuple):
@@ -83,7 +84,8 @@ def tnt_coordinates(
         )
     grid = check_size("grid", grid)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
-    n_events, device = len(events.dt), events.dt.device
+    n_events = len(events.dt)
+    device = events.dt.device
 
     if isinstance(landmark, str):
         centred_on = landmarks.landmark(

@@ -43,7 +43,7 @@ def event_volume(
     bins : B.
     polarity : "signed" (s = -1 or +1, the thesis), "unsigned" (s = 1), "split" (ON bins, then OFF
         bins, s = 1).
-    dtype : of the result. All arithmetic and all sums are float64; the cast is the last step.
+    dtype : the result's type. All arithmetic and all sums are float64; the cast is the last step.
 
     Returns
     -------
@@ -68,7 +68,8 @@ def event_volume(
     sign = signs(p, len(events.dt))
     b = bin_position(events.dt, window_us, check_bins(bins))  # (N,)
     u, v = to_grid(events.pixels, sensor, grid).unbind(1)  # (N,), (N,)
-    return volume_of(b, v, u, sign, events.inside, bins, grid, polarity, dtype)
+    shape = (bins, grid[1], grid[0])
+    return volume_of(b, v, u, sign, events.inside, shape, polarity, dtype)
 
 
 def tnt_volume(
@@ -121,7 +122,7 @@ def tnt_volume(
         landmark=landmark,
         remove_flow=remove_flow,
     )
-    return volume_of(b, v, u, sign, kept, bins, grid, polarity, dtype)
+    return volume_of(b, v, u, sign, kept, (bins, grid[1], grid[0]), polarity, dtype)
 
 
 def volume_of(
@@ -130,23 +131,31 @@ def volume_of(
     u: torch.Tensor,
     sign: torch.Tensor,
     kept: torch.Tensor,
-    bins: int,
-    grid: tuple[int, int],
+    shape: tuple[int, int, int],
     polarity: str,
     dtype: torch.dtype,
 ) -> torch.Tensor:
-    """Splat the kept events with the weights that `polarity` asks for. All columns (N,)."""
+    """The volume of the kept events, with the weights that `polarity` asks for.
+
+    Parameters
+    ----------
+    b, v, u, sign, kept : (N,) each.
+    shape : (B, H, W), of one polarity.
+    """
     check_polarity(polarity)
     if not dtype.is_floating_point:
         raise TypeError(f"`dtype` must be a floating-point type, got {dtype}")
-    b, v, u, sign = b[kept], v[kept], u[kept], sign[kept]
-    shape = (bins, grid[1], grid[0])
+    b = b[kept]  # (M,)
+    v = v[kept]  # (M,)
+    u = u[kept]  # (M,)
+    sign = sign[kept]  # (M,)
     if polarity == "signed":
         volume = splat(b, v, u, sign, shape)
     elif polarity == "unsigned":
         volume = splat(b, v, u, torch.ones_like(sign), shape)
     else:
-        on, off = (sign > 0).double(), (sign < 0).double()
+        on = (sign > 0).double()
+        off = (sign < 0).double()
         volume = torch.cat([splat(b, v, u, on, shape), splat(b, v, u, off, shape)])  # (2B, H, W)
     return volume.to(dtype)
 
@@ -154,17 +163,20 @@ def volume_of(
 def splat(
     b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, s: torch.Tensor, shape: tuple[int, int, int]
 ) -> torch.Tensor:
-    """Add M events to the eight cells around each:  V[b, y, x] += s k(b - b_i) k(y - v_i) k(x -
-                                                     u_i).
+    """The volume of M events, each added to the eight cells around it.
 
-    b, v, u, s : (M,) float64, with 0 <= b <= B - 1, 0 <= v <= H - 1, 0 <= u <= W - 1.  shape : (B,
-                                                                                        H, W).
+        V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)
+
+    Parameters
+    ----------
+    b, v, u, s : (M,) float64, with 0 <= b <= B - 1, 0 <= v <= H - 1, 0 <= u <= W - 1.
+    shape : (B, H, W).
     """
     points = torch.stack([b, v, u], dim=1)  # (M, 3)
     lower = points.detach().floor()  # (M, 3); floor, since int() would round a negative up
     k_upper = points - lower  # (M, 3), k of the upper neighbour
-    # (M, 3); so written, each pair's derivatives sum to 0 on whole numbers too
-    k_lower = 1 - k_upper
+    # Written as a difference, so that each pair's derivatives sum to 0 on whole numbers too.
+    k_lower = 1 - k_upper  # (M, 3)
     # One cell more on each upper side: the last pixel has an upper neighbour as well, of weight 0.
     volume = torch.zeros([n + 1 for n in shape], dtype=torch.float64, device=points.device)
     for corner in product((0, 1), repeat=3):
@@ -176,6 +188,7 @@ def splat(
 
 
 def check_bins(bins: int) -> int:
+    """`bins`, a whole number of at least 1."""
     if whole_number("bins", bins) < 1:
         raise ValueError(f"`bins` must be at least 1, got {bins}")
     return bins

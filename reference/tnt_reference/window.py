@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import torch
 
-Column = Any  # a torch tensor, or anything torch.as_tensor takes: numpy array, list, ...
+Column = Any
+"""A torch tensor, or anything torch.as_tensor takes: a numpy array, a list, ..."""
 
 POLARITIES = ("signed", "unsigned", "split")
 
@@ -16,10 +17,12 @@ POLARITIES = ("signed", "unsigned", "split")
 class WindowEvents(NamedTuple):
     """All N events given, in their order, and which of them belong to the window."""
 
-    # (N,)   float64 microseconds since the window's start, from an exact difference
     dt: torch.Tensor
-    pixels: torch.Tensor  # (N, 2) sensor pixels (x, y): int64, or float64 if they came as floats
-    inside: torch.Tensor  # (N,)   bool: start_us <= t <= start_us + window_us
+    """(N,) float64: microseconds since the window's start, from an exact difference."""
+    pixels: torch.Tensor
+    """(N, 2): sensor pixels (x, y), int64, or float64 if they came as floats."""
+    inside: torch.Tensor
+    """(N,) bool: start_us <= t <= start_us + window_us."""
 
 
 def window_events(
@@ -28,9 +31,9 @@ def window_events(
     """Check the columns and subtract the window's start.
 
     Integer times are subtracted as int64 *before* any float appears: float32 loses microseconds
-    after 16.8 s. The window is closed at its right end, so that `start_us = t_1`, `window_us = t_N
-    - t_1`, the thesis' own form, keeps its last event. Float64 columns are used as they are, so
-      that gradients pass.
+    after 16.8 s. The window is closed at its right end, so that the thesis' own form, with
+    start_us = t_1 and window_us = t_N - t_1, keeps its last event. Float64 columns are used as they
+    are, so that gradients pass.
     """
     start = whole_number("start_us", start_us)
     length = whole_number("window_us", window_us)
@@ -39,7 +42,9 @@ def window_events(
             f"`window_us` must be positive, got {length}; for events at a single instant, pass at "
             "least 1"
         )
-    times, xs, ys = as_column("t", t), as_column("x", x), as_column("y", y)
+    times = as_column("t", t)
+    xs = as_column("x", x)
+    ys = as_column("y", y)
     check_same_length(t=times, x=xs, y=ys)
     if times.is_floating_point() and times.dtype != torch.float64 and len(times):
         raise TypeError(
@@ -54,16 +59,14 @@ def window_events(
     times = times.double() if times.is_floating_point() else times.long()
     dt = times - start  # (N,), exact for integers
     inside = (dt >= 0) & (dt <= length)  # (N,)
-    exact = not (xs.is_floating_point() or ys.is_floating_point())
-    pixels = (
-        torch.stack([xs, ys], dim=1) if exact else torch.stack([xs.double(), ys.double()], dim=1)
-    )
-    return WindowEvents(dt.double(), pixels, inside)
+    if xs.is_floating_point() or ys.is_floating_point():
+        xs = xs.double()
+        ys = ys.double()
+    return WindowEvents(dt.double(), torch.stack([xs, ys], dim=1), inside)
 
 
 def whole_pixels(events: WindowEvents) -> torch.Tensor:
-    """(N, 2) int64, for what counts events per pixel and does not splat them; floats are
-    refused."""
+    """(N, 2) int64 pixels, for what counts events per pixel. Floats are refused."""
     if len(events.dt) and events.pixels.is_floating_point():
         raise TypeError(
             "`x` and `y` must be whole pixels: events are counted per pixel, and not splatted"
@@ -74,9 +77,9 @@ def whole_pixels(events: WindowEvents) -> torch.Tensor:
 def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[torch.Tensor]:
     """A stream in windows of n events.
 
-    In order of arrival: a window begins with an event, and ends with its n-th, or before an event
-    `window_us` or more after its first. An event older than the first one of its window belongs to
-    no window.
+    In order of arrival, a window begins with an event. It ends with its n-th event, or before an
+    event that is `window_us` or more after its first. An event older than the first one of its
+    window belongs to no window.
 
     Parameters
     ----------
@@ -99,17 +102,19 @@ def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[t
     times = as_column("t", t).tolist()
     windows: list[list[int]] = []
     for i, time in enumerate(times):
-        past = windows and window_us is not None and time >= times[windows[-1][0]] + window_us
-        if not windows or len(windows[-1]) == n or past:
+        if not windows or len(windows[-1]) == n:
             windows.append([i])
-        elif time >= times[windows[-1][0]]:
+            continue
+        first_time = times[windows[-1][0]]
+        if window_us is not None and time >= first_time + window_us:
+            windows.append([i])
+        elif time >= first_time:
             windows[-1].append(i)
     return [torch.as_tensor(events) for events in windows]
 
 
 def until_newest(t: Column, start_us: int) -> int:
-    """The length of a window of times `t` from `start_us` to its newest event: t_N - start_us, and
-    at least 1.
+    """The length of a window from `start_us` to its newest time: max(t) - start_us, at least 1.
 
     Example
     -------
@@ -154,12 +159,14 @@ def as_column(name: str, values: Column) -> torch.Tensor:
 
 
 def check_same_length(**columns: torch.Tensor) -> None:
+    """Raise a ValueError if the columns, by their names, differ in length."""
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"event columns must have one length, got {lengths}")
 
 
 def check_range(name: str, column: torch.Tensor, low: float, high: float) -> None:
+    """Raise a ValueError if a number is not finite and in [low, high]."""
     right = (column >= low) & (column <= high) & column.isfinite()
     if not right.all():
         i = int((~right).nonzero()[0])
@@ -168,9 +175,9 @@ def check_range(name: str, column: torch.Tensor, low: float, high: float) -> Non
 
 
 def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int, int]:
-    """(width, height) as two ints."""
+    """(width, height) as two ints, each at least `smallest`."""
     try:
-        width, height = (operator.index(side) for side in size)
+        width, height = map(operator.index, size)
     except (TypeError, ValueError):
         raise TypeError(
             f"`{name}` must be (width, height), two whole numbers, got {size!r}"
@@ -183,11 +190,13 @@ def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int
 
 
 def check_polarity(polarity: str) -> None:
+    """Raise a ValueError if there is no such polarity."""
     if polarity not in POLARITIES:
         raise ValueError(f"`polarity` must be one of {', '.join(POLARITIES)}, got {polarity!r}")
 
 
 def whole_number(name: str, value: int) -> int:
+    """The value as an int. A TypeError if it is not a whole number."""
     try:
         return operator.index(value)
     except TypeError:

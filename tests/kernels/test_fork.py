@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-# A thread compiles until the main thread, which forks, waits for it; a fork that does not wait ends
-# the test at once.
+# A thread compiles until the main thread, which forks, waits for it. If the fork does not wait, the
+# test ends at once.
 FORK = """
 import contextlib, os, signal, sys, threading, time, traceback
 import numba
@@ -33,7 +33,8 @@ def compile_another():
 
 def is_waited_for():
     frame = sys._current_frames()[threading.main_thread().ident]
-    return any(call.f_code.co_filename == jit.__file__ for call, line in traceback.walk_stack(frame))
+    files = [call.f_code.co_filename for call, line in traceback.walk_stack(frame)]
+    return jit.__file__ in files
 
 def end_when_waited_for():
     while not (is_waited_for() or forked.is_set()):

@@ -1,25 +1,53 @@
 """Python's lock: other threads run while much is computed; for little it is kept."""
 
+import ast
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 from made import random_events, random_model
 
-from async_tnt import CompiledClassifier, Processor, TNTVolume
+from async_tnt import CompiledClassifier, Processor, TNTVolume, kernels
 from async_tnt.kernels.jit import BOUNDS_CHECKED
 from async_tnt.kernels.lock import LARGE
 from async_tnt.volume.events import EventDecoder
 
 
+def calls(statement: ast.stmt, name: str) -> bool:
+    """Whether a function of this name is called within a statement."""
+    nodes = [node for node in ast.walk(statement) if isinstance(node, ast.Call)]
+    return name in [ast.unparse(node.func) for node in nodes]
+
+
+def test_what_releases_the_lock_takes_it_back():
+    """Between the two stands no return, and no statement that raises."""
+    n_found = 0
+    for path in Path(kernels.__file__).parent.rglob("*.py"):
+        for function in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            released = [i for i, line in enumerate(function.body) if calls(line, "release_gil")]
+            taken = [i for i, line in enumerate(function.body) if calls(line, "take_gil")]
+            assert len(released) == len(taken) <= 1, function.name
+            if released:
+                n_found += 1
+                assert released[0] < taken[0], function.name
+                for line in function.body[released[0] : taken[0] + 1]:
+                    assert isinstance(line, (ast.Assign, ast.Expr, ast.For, ast.While))
+                    for node in ast.walk(line):
+                        assert not isinstance(node, (ast.Return, ast.Raise, ast.Assert))
+    assert n_found == 3
+
+
 def others_run_during(compute) -> bool:
-    """Whether another thread, which waits for the lock, gets it while something is computed again
-    and again."""
-    ready, ran = threading.Event(), []
+    """Whether another thread gets the lock while something is computed again and again."""
+    ready = threading.Event()
+    ran = []
     other = threading.Thread(target=lambda: ran.append(ready.wait()))
-    compute()  # compiled
+    compute()  # It is compiled by now.
     interval = sys.getswitchinterval()
-    sys.setswitchinterval(1000)  # seconds: nothing but a release lets the other go on
+    sys.setswitchinterval(1000)  # seconds: only a release of the lock lets the other go on
     try:
         other.start()
         ready.set()
@@ -38,14 +66,16 @@ def others_run_during(compute) -> bool:
 def test_others_run_while_large_packets_are_added_and_whole_windows_classified(n):
     model = random_model()
     events = random_events(n, seed=1, duration_us=9_000, sensor=model.config.sensor)
-    decoder, classifier, volumes = EventDecoder(model.config.sensor), CompiledClassifier(model), []
-    for _ in range(2):
-        volumes.append(TNTVolume(model.config))
-        volumes[-1].update(events)
-    columns, is_large = EventDecoder(model.config.sensor).decode(events), n >= LARGE
+    decoder = EventDecoder(model.config.sensor)
+    classifier = CompiledClassifier(model)
+    volumes = [TNTVolume(model.config), TNTVolume(model.config)]
+    for volume in volumes:
+        volume.update(events)
+    columns = EventDecoder(model.config.sensor).decode(events)
+    is_large = n >= LARGE
     assert others_run_during(lambda: decoder.decode(events)) == is_large
     assert others_run_during(lambda: [classifier.answer(volume) for volume in volumes]) == is_large
     assert others_run_during(lambda: volumes[0].absorb(columns, 0, n)) == is_large
-    # whose kernel has released it before it calls the others
+    # The processor's kernel releases the lock before it calls the others.
     processor = Processor(model, every_events=LARGE)
     assert others_run_during(lambda: processor.push(events))

@@ -1,11 +1,12 @@
-"""Translation: a landmark that moves along takes it away altogether (Proposition 3 of Wang 2019,
-arXiv:1911.12801).
+"""Translation: a landmark that moves along takes it away altogether.
+
+Proposition 3 of Wang 2019, arXiv:1911.12801.
 
     TNT(e + a, l + a) = TNT(e, l)        since u_i = (x_i + a - (l + a)) / tau_i + c
 
-A landmark l(e) that events define must be equivariant for it: l(e + a) = l(e) + a. Centroids and
-fitted lines are; so is the centroid of what a convolution draws, as far as its heatmap has nothing
-outside the object.
+For it, a landmark l(e) that events define must be equivariant: l(e + a) = l(e) + a. Centroids and
+fitted lines are. So is the centroid of a heatmap that a convolution draws, as far as the heatmap
+has nothing outside the object.
 """
 
 import numpy as np
@@ -19,7 +20,8 @@ from tnt_reference import LandmarkRegressor, event_volume, tnt_coordinates, tnt_
 from async_tnt import TNTConfig
 from async_tnt.kernels.volume import state as S
 
-WINDOW_US, SENSOR = 800, (34, 34)
+WINDOW_US = 800
+SENSOR = (34, 34)
 
 
 def cells(volume):
@@ -28,6 +30,7 @@ def cells(volume):
 
 
 def shifted(events, a):
+    """A copy of the events, moved by (x, y)."""
     moved = events.copy()
     moved["x"] += a[0]
     moved["y"] += a[1]
@@ -36,10 +39,10 @@ def shifted(events, a):
 
 @given(st.data())
 def test_proposition_3_in_the_stream_to_the_last_bit(data):
-    """`running` and `line`, whole pixels: n x - S_x, of which all else is made, is the same integer
-    for x + a.
+    """With `running` and `line`, for whole pixels.
 
-    On a grid of another size than the sensor's as well.
+    n x - S_x, of which all else is made, is the same integer for x + a. It is so on a grid of
+    another size than the sensor's as well.
     """
     config = TNTConfig(
         window_us=WINDOW_US,
@@ -52,7 +55,8 @@ def test_proposition_3_in_the_stream_to_the_last_bit(data):
         config = config.replace(remove_flow=data.draw(st.booleans()))
     events = data.draw(nasty_streams((20, 14), WINDOW_US, 0))
     a = data.draw(st.integers(0, 14)), data.draw(st.integers(0, 20))
-    here, there = opened(config, events), opened(config, shifted(events, a))
+    here = opened(config, events)
+    there = opened(config, shifted(events, a))
     assert cells(there).tobytes() == cells(here).tobytes()
     assert there.array.tobytes() == here.array.tobytes()
     assert there.counts == here.counts
@@ -78,35 +82,44 @@ def real_valued(n=500):
     "landmark", ["running", "line", "window", "line, flow removed", "a point", "a point an event"]
 )
 def test_proposition_3_for_any_translation(landmark):
-    """Coordinates and volumes to 1e-12; a given landmark is translated with the stream, the others
-    go by themselves."""
-    a = 1 / 3, 21.7
+    """Coordinates and volumes are the same to 1e-12.
+
+    A given landmark is translated with the stream. The others move by themselves.
+    """
+    a = (1 / 3, 21.7)
     t, x, y, p = real_valued()
-    options = dict(AT, t_max=2.0, remove_flow=landmark == "line, flow removed")
-    here = there = landmark.removesuffix(", flow removed")
     if landmark.startswith("a point"):
-        rows = torch.stack([x.roll(3) + 0.7, y.flip(0)], 1)
-        here = (
-            rows
-            if landmark == "a point an event"
-            else torch.tensor([16.2, 17.0], dtype=torch.float64)
-        )
+        here = torch.tensor([16.2, 17.0], dtype=torch.float64)
+        if landmark == "a point an event":
+            here = torch.stack([x.roll(3) + 0.7, y.flip(0)], 1)
         there = here + torch.tensor(a, dtype=torch.float64)
-    sides = [((t, x, y), here), ((t, x + a[0], y + a[1]), there)]
-    one, other = (tnt_coordinates(*columns, **options, landmark=about) for columns, about in sides)
-    assert one.kept.sum() > 300 and torch.equal(one.kept, other.kept)
-    assert max((other.u - one.u).abs().max(), (other.v - one.v).abs().max()) < 1e-12
+    else:
+        here = landmark.removesuffix(", flow removed")
+        there = here
+    options = dict(AT, t_max=2.0, remove_flow=landmark == "line, flow removed")
+    columns = (t, x, y)
+    moved_columns = (t, x + a[0], y + a[1])
+
+    one = tnt_coordinates(*columns, **options, landmark=here)
+    other = tnt_coordinates(*moved_columns, **options, landmark=there)
+    assert one.kept.sum() > 300
+    assert torch.equal(one.kept, other.kept)
+    assert (other.u - one.u).abs().max() < 1e-12
+    assert (other.v - one.v).abs().max() < 1e-12
+
     options["dtype"] = torch.float64
-    one, other = (tnt_volume(*columns, p, **options, landmark=about) for columns, about in sides)
-    assert one.abs().max() > 1 and (other - one).abs().max() < 1e-12
+    volume = tnt_volume(*columns, p, **options, landmark=here)
+    moved_volume = tnt_volume(*moved_columns, p, **options, landmark=there)
+    assert volume.abs().max() > 1
+    assert (moved_volume - volume).abs().max() < 1e-12
 
 
 def test_the_softmax_of_the_regressor_follows_as_far_as_its_mass_lies_on_the_object():
-    """`LandmarkRegressor` takes h = exp(...) > 0 everywhere: empty cells hold mass that stays where
-    it is.
+    """In `LandmarkRegressor`, h = exp(...) > 0 everywhere: empty cells hold mass, which stays.
 
-    It follows a translation by 16 px not at all with its starting weights, by a part with small
-    ones, and by all of it, to 1e-6 px, where the object's cells outweigh the 57 x 57 others.
+    With its starting weights, the regressor does not follow a translation by 16 px at all. With
+    small ones it follows by a part. Where the object's cells outweigh the 57 x 57 others, it
+    follows by all of it, to 1e-6 px.
     """
     torch.manual_seed(0)
     network = LandmarkRegressor(9, (57, 57), n_filters=4).double().requires_grad_(False)
@@ -121,7 +134,8 @@ def test_the_softmax_of_the_regressor_follows_as_far_as_its_mass_lies_on_the_obj
     follows = []
     for weight in (0.0, 0.05, 10.0):
         network.heatmap.weight.fill_(weight)
-        here, there = (network(volume) for volume in volumes)
+        here = network(volumes[0])
+        there = network(volumes[1])
         follows.append((there - here)[0].item() / 16)
     assert follows[0] == 0
     assert 0.05 < follows[1] < 0.95

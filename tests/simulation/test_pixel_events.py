@@ -1,5 +1,4 @@
-"""The event camera's pixel: numbers by hand, and the kernel against the plain reference, event for
-event."""
+"""The event camera's pixel: numbers by hand, and the kernel against the reference, by event."""
 
 import numpy as np
 import pytest
@@ -43,7 +42,8 @@ BY_HAND = {
         {},
         [(1_000, 1)],
     ),
-    # L(t) = t / 1000. Event at 1,000 us; blind to 2,500; level 2.5; next at 3,500; blind to 5,000; 6,000
+    # L(t) = t / 1000. An event at 1,000 us, blind to 2,500, level 2.5. The next at 3,500, blind to
+    # 5,000, level 5. The last at 6,000.
     "the level follows the light in reset": (
         [0, 7],
         [0, 7_000],
@@ -76,24 +76,20 @@ BY_HAND = {
 }
 
 
-def of_kernel(*arguments):
+def kernel_events(*arguments):
+    """The kernel's events, as those of the reference."""
     return noiseless_events(*arguments).tolist()
 
 
-@pytest.mark.parametrize("events_of", [of_kernel, reference_events])
+@pytest.mark.parametrize("events_of", [kernel_events, reference_events])
 @pytest.mark.parametrize(("light", "times", "settings", "expected"), BY_HAND.values(), ids=BY_HAND)
 def test_one_pixel_by_hand(light, times, settings, expected, events_of):
     frames = np.array(light, float).reshape(-1, 1, 1)
-    known = {
-        "threshold_on": 1.0,
-        "threshold_off": 1.0,
-        "reference": light[0],
-        "refractory_us": 0.0,
-    } | settings
-    of_pixel = (
-        np.full((1, 1), known[name]) for name in ("threshold_on", "threshold_off", "reference")
-    )
-    events = events_of(frames, times, *of_pixel, known["refractory_us"])
+    threshold_on = np.full((1, 1), settings.get("threshold_on", 1.0))
+    threshold_off = np.full((1, 1), settings.get("threshold_off", 1.0))
+    reference = np.full((1, 1), settings.get("reference", light[0]), float)
+    refractory_us = settings.get("refractory_us", 0.0)
+    events = events_of(frames, times, threshold_on, threshold_off, reference, refractory_us)
     assert [(t, p) for t, x, y, p in events] == expected
 
 
@@ -124,7 +120,8 @@ def test_kernel_equals_reference_event_for_event(seed, refractory_us, mismatch, 
 
 
 def test_background_events_of_still_light_have_the_stated_rate_and_polarity():
-    # 5 Hz x 600 pixels x 10 s = 30,000 events; four standard deviations are 693, and 0.0106 of the ON share
+    # 5 Hz x 600 pixels x 10 s = 30,000 events. Four standard deviations are 693 events, and 0.0106
+    # of the ON share.
     model = PixelModel(noise_hz=5.0, noise_on_share=0.7)
     still = np.zeros((2, 20, 30))
     events = simulate(still, np.array([0, 10_000_000]), np.random.default_rng(0), model)
@@ -132,22 +129,18 @@ def test_background_events_of_still_light_have_the_stated_rate_and_polarity():
     assert abs(events["p"].mean() - 0.7) < 0.0106
     counts = np.zeros((20, 30))
     np.add.at(counts, (events["y"], events["x"]), 1)
-    assert (
-        counts.min() > 15 and (np.diff(events["t"]) >= 0).all() and events["t"].max() < 10_000_000
-    )
-    assert (
-        len(
-            simulate(
-                still, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0)
-            )
-        )
-        == 0
-    )
+    assert counts.min() > 15
+    assert (np.diff(events["t"]) >= 0).all()
+    assert events["t"].max() < 10_000_000
+
+    quiet = PixelModel(noise_hz=0.0)
+    assert len(simulate(still, np.array([0, 10_000]), np.random.default_rng(0), quiet)) == 0
 
 
 def test_bandwidth_equals_reference():
     rng = np.random.default_rng(0)
-    frames, times = np.log(rng.uniform(0.02, 1, (9, 3, 2))), np.cumsum(rng.uniform(1, 4_000, 9))
+    frames = np.log(rng.uniform(0.02, 1, (9, 3, 2)))
+    times = np.cumsum(rng.uniform(1, 4_000, 9))
     found = low_pass(frames, times, 300.0, 0.1)
     for y, x in np.ndindex(3, 2):
         expected = reference_low_pass(frames[:, y, x], times, 300.0, 0.1)
@@ -155,40 +148,44 @@ def test_bandwidth_equals_reference():
 
 
 def test_a_dark_pixel_answers_later():
-    """A step of 2.5 thresholds, 100 Hz in full light, a tenth where it is dark. Behind a low-pass a
-    share s of it is reached after ln(1 / (1 - s)) / (2 pi f). A level begins within a threshold of
+    """After a step of 2.5 thresholds, its last event comes ten times as late.
+
+    The bandwidth is 100 Hz in full light, and a tenth of it in the dark. Behind a low-pass a share
+    s of the step is reached after ln(1 / (1 - s)) / (2 pi f). A level begins within a threshold of
     its light, so that the last event comes when 1.5 to 2.5 thresholds are reached: after 1.5 ms or
-    later, and 15 ms."""
+    later, and in the dark after 15 ms or later.
+    """
+    pixels = PixelModel(0.2, 0.2, 0.0, 0.0, 0.0, bandwidth_hz=100.0)
     times = np.arange(0, 300_000, 10.0)
     for light, earliest_us in ((0.0, 1_458), (-5.0, 14_583)):
         frames = np.where(times > 0, light, light - 0.5).reshape(-1, 1, 1) + np.zeros((1, 6, 6))
-        events = simulate(
-            frames,
-            times,
-            np.random.default_rng(0),
-            PixelModel(0.2, 0.2, 0.0, 0.0, 0.0, bandwidth_hz=100.0),
-        )
+        events = simulate(frames, times, np.random.default_rng(0), pixels)
         last = np.zeros((6, 6))
         np.maximum.at(last, (events["y"], events["x"]), events["t"])
         assert 0.98 * earliest_us < last.min() < 1.4 * earliest_us
 
 
 def test_leak_hot_pixels_and_after_pulses_by_their_rates():
-    """Of still light for 10 s: 3 leaked ON events of each pixel a second, the first after half an
-    interval; a tenth of the pixels hot; then a fifth of the events followed by one of the other
-    sign within a millisecond."""
-    still, times = np.zeros((2, 20, 30)), np.array([0, 10_000_000])
-    quiet = {"mismatch": 0.0, "refractory_us": 0.0, "noise_hz": 0.0}
-    leaked = simulate(still, times, np.random.default_rng(0), PixelModel(**quiet, leak_hz=3.0))
-    assert (leaked["p"] == 1).all() and len(leaked) == pytest.approx(600 * 29.5, rel=0.01)
-    hot = simulate(
-        still, times, np.random.default_rng(0), PixelModel(**quiet, hot_share=0.1, hot_hz=20.0)
-    )
+    """In 10 s of still light, pixels give as many events of each kind as their rates say."""
+
+    def simulated(**rates):
+        pixels = PixelModel(mismatch=0.0, refractory_us=0.0, noise_hz=0.0, **rates)
+        still = np.zeros((2, 20, 30))
+        return simulate(still, np.array([0, 10_000_000]), np.random.default_rng(0), pixels)
+
+    # Each pixel leaks 3 ON events a second, the first after half an interval.
+    leaked = simulated(leak_hz=3.0)
+    assert (leaked["p"] == 1).all()
+    assert len(leaked) == pytest.approx(600 * 29.5, rel=0.01)
+
+    # A tenth of the pixels are hot.
+    hot = simulated(hot_share=0.1, hot_hz=20.0)
     n_hot = len(np.unique(hot["y"].astype(int) * 30 + hot["x"]))
-    assert 40 < n_hot < 80 and len(hot) == pytest.approx(200 * n_hot, rel=0.5)
-    after = simulate(
-        still, times, np.random.default_rng(0), PixelModel(**quiet, leak_hz=3.0, after_share=0.2)
-    )
+    assert 40 < n_hot < 80
+    assert len(hot) == pytest.approx(200 * n_hot, rel=0.5)
+
+    # A fifth of the events are followed by one of the other sign within a millisecond.
+    after = simulated(leak_hz=3.0, after_share=0.2)
     later = after[after["p"] == 0]
     assert len(later) == pytest.approx(600 * 30 * 0.2, rel=0.06)
     for event in later[:50]:
@@ -233,16 +230,17 @@ def test_invalid_frames_and_pixels_are_refused(frames, times, message):
 
 @pytest.mark.parametrize("start_us", [1, 1 << 24, 1 << 40])
 def test_events_do_not_depend_on_when_the_frames_begin(start_us):
-    """Of pixels that leak, follow slowly, fire for themselves and again; within the rounding of a
-    microsecond."""
+    """They are the same within the rounding of a microsecond.
+
+    The pixels leak, follow slowly, give events by themselves, and give after-pulses.
+    """
     frames = np.cumsum(np.random.default_rng(1).normal(0.0, 0.3, (30, 6, 7)), axis=0)
     times = 1_000.0 * np.arange(30)
     pixels = PixelModel(
         leak_hz=40.0, bandwidth_hz=300.0, noise_hz=30.0, hot_share=0.1, after_share=0.3
     )
-    first, later = (
-        simulate(frames, times + t, np.random.default_rng(2), pixels=pixels) for t in (0, start_us)
-    )
+    first = simulate(frames, times, np.random.default_rng(2), pixels=pixels)
+    later = simulate(frames, times + start_us, np.random.default_rng(2), pixels=pixels)
     assert len(first) == len(later) > 200
     for one in (first, later):
         one.sort(order=("x", "y", "p", "t"))

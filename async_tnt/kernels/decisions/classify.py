@@ -1,4 +1,8 @@
-"""From a window to its class, in one call; from a packet to all its decisions, in one call."""
+"""From a window to its class, in one call; from a packet to all its decisions, in one call.
+
+Each array of the network, of the columns and of the answers is an argument of its own, so the
+kernels here have more than eight: to unpack a tuple of arrays takes Numba longer than to take them.
+"""
 
 import numpy as np
 
@@ -12,14 +16,29 @@ from async_tnt.kernels.network.sync_input import sync_input
 from async_tnt.kernels.volume import state as S
 from async_tnt.kernels.volume.absorb import absorb
 
-DONE, FULL, CLOSE, NOT_FINITE = range(4)  # why absorb_and_decide returned
-DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, class
+# why `absorb_and_decide` returned
+DONE = 0  # all events up to `last`, or to the window's end, have been absorbed
+FULL = 1  # there is no room for more decisions
+CLOSE = 2  # the last decision reached the confidence
+NOT_FINITE = 3  # the logits in row n are not all finite
+
+# what `notes` says of a decision
+NOTED_EVENTS = 0  # events of the window
+NOTED_NEWEST_US = 1
+NOTED_TRIGGER = 2  # why it was due, see `trigger`
+NOTED_CLASS = 3
+DECISION_FIELDS = 4  # numbers in a row
 
 
 @compiled
 def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
-    """Logits and probabilities of a volume's `state`; only what has changed since the last call is
-    computed.
+    """Logits and probabilities of a volume. Only what has changed since the last call is computed.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Only read.
+    program, weights, maps, places : the classifier's, see `program`. Updated in place.
+    logits, probabilities : float32 and float64, shape (n_classes,). Overwritten.
 
     Returns
     -------
@@ -65,25 +84,27 @@ def absorb_and_decide(
     t, x, y, p, first, last : as for `absorb`.
     trigger : float64, see `trigger`. Updated in place.
     program, weights, maps, places : the classifier's, see `program`. Updated in place.
-    logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, DECISION_FIELDS).
-        Overwritten, one row per decision.
+    logits, probabilities, notes : float32 (m, n_classes), float64 (m, n_classes), and int64
+        (m, DECISION_FIELDS). Overwritten, one row per decision.
 
     Returns
     -------
     first : int. The first event not absorbed.
     n : int. Decisions.
-    end : DONE, up to `last` or to the window's end; FULL: no room for more decisions; CLOSE: the
-        last decision reached the confidence level; NOT_FINITE: the logits in row n are not all
-        finite.
+    end : int. DONE, FULL, CLOSE or NOT_FINITE.
     """
-    n, end = 0, DONE
-    ints, times = buffer.view(np.int64), trigger.view(np.int64)
+    n = 0
+    end = DONE
+    ints = buffer.view(np.int64)
+    times = trigger.view(np.int64)
     end_us = ints[S.START_US] + np.int64(buffer[S.WINDOW_US])
     ints[S.WITHOUT_GIL] = 1
     while first < last:
         if n == len(notes):
             end = FULL
             break
+
+        # Absorb up to the next test of a decision, or find that a moment of EVERY_US has come.
         n_before = ints[S.N]
         by_time = t[first] >= ints[S.LIMIT_US]
         if by_time:
@@ -94,6 +115,7 @@ def absorb_and_decide(
             stop = T.until_due(trigger, n_before, first, last)
             first = absorb(buffer, t, x, y, p, first, stop)
             why = T.why_due(trigger, n_before, ints[S.N])
+
         if why != T.NOT_DUE:
             best = classify_cells(
                 buffer, program, weights, maps, places, logits[n], probabilities[n]
@@ -104,14 +126,16 @@ def absorb_and_decide(
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:
                 why = T.BY_CONFIDENCE
             if why != T.ONLY_IF_SURE:
-                notes[n, 0] = times[T.N_AT_DECISION] = ints[S.N]
-                notes[n, 1] = ints[S.NEWEST_US]
-                notes[n, 2] = why
-                notes[n, 3] = best
+                times[T.N_AT_DECISION] = ints[S.N]
+                notes[n, NOTED_EVENTS] = ints[S.N]
+                notes[n, NOTED_NEWEST_US] = ints[S.NEWEST_US]
+                notes[n, NOTED_TRIGGER] = why
+                notes[n, NOTED_CLASS] = best
                 n += 1
                 if why == T.BY_CONFIDENCE:
                     end = CLOSE
                     break
+
         if by_time:
             T.schedule(trigger, min(t[first], end_us), ints[S.START_US])
             ints[S.LIMIT_US] = min(times[T.DUE_US], end_us)
@@ -125,7 +149,7 @@ def softmax(logits, probabilities):
 
     Returns
     -------
-    int : the first class of the largest logit; -1, and nothing written, if a logit is not finite.
+    int : the first class of the largest logit. -1, and nothing written, if a logit is not finite.
     """
     largest = 0
     for k in range(logits.size):

@@ -1,22 +1,25 @@
-"""Objects on a map of logits: the places where some class is likelier than nothing, by more than
-anywhere near.
+"""Objects on a map of logits: the peaks of how much likelier a class is than nothing.
 
     score[y, x] = max over classes k of map[k, y, x] - map[nothing, y, x]
-    peak[y, x]  = score[y, x] > 0, and no score within NEAR rows and columns is larger; of equal ones the first, by rows
+    peak[y, x]  = score[y, x] > 0, and no score within NEAR rows and columns is larger
 
-Nothing is the map's last channel. Scores and peaks are kept: scores are computed where the map has
-changed, peaks within NEAR of that. Each peak is an object, of the likeliest class there. Its
-position is the mean of the places within one row and column of the peak, weighted by their scores
-where these are positive. Objects are listed from the likeliest on.
+Nothing is the map's last channel. Of equal scores near each other, the first one by rows is the
+peak. Scores and peaks are kept: scores are computed where the map has changed, peaks within NEAR of
+that. Each peak is an object, of the likeliest class there. Its position is the mean of the places
+within one row and column of the peak, weighted by their scores where these are positive. Objects
+are listed from the likeliest on.
 
-An object has the number of an earlier one that is nearer than a given reach, or a new number: the
-likeliest object takes the nearest one, then the next object. Of equally near ones it takes the one
-seen last, and of those of one decision the likeliest.
+An object takes the number of an earlier object that is nearer than a given reach, or else a new
+number. The likeliest object chooses first, and takes the nearest one. Of equally near ones it takes
+the one seen last, and if both were seen in one decision, the likelier one.
 
 What is remembered has limited room. The objects of a decision are remembered first, then those that
-were seen before and are not found now: where there is no room for all, those that were seen longest
+were seen before and are not found now. Where there is no room for all, those that were seen longest
 ago are forgotten. However many false objects come and go, an object that is found in each decision
 keeps its number.
+
+Each array of the network and of the objects is an argument of its own, so the kernels here have
+more than eight: to unpack a tuple of arrays takes Numba longer than to take them.
 """
 
 import numpy as np
@@ -31,36 +34,55 @@ from async_tnt.kernels.simd import trailing_zeros
 from async_tnt.kernels.volume import state as S
 
 NEAR = 1
+"""Rows and columns around a peak within which no score is larger."""
 MOST_TRACKED = 256
-"""Objects, the likeliest, that may have the number of an earlier one."""
+"""How many objects of a decision, the likeliest ones, may take the number of an earlier one."""
 
 # `about`, int64: how the map lies in memory, and what is known of it
 FIRST = 0  # where its place (0, 0) begins
 DY = 1  # numbers from one row to the next
-DX = 2
-DK = 3  # from one channel to the next
+DX = 2  # numbers from one column to the next
+DK = 3  # numbers from one channel to the next
 ROWS = 4
 COLUMNS = 5
 CHANNELS = 6
 NOT_FINITE = 7  # places with a logit that is not finite
-# and behind it, of each step that writes the map: where in the program the record of its changes
-# begins
+# how many steps write the map. Behind the header, for each of them: where in the program the record
+# of its changes begins.
 N_SOURCES = 8
-ABOUT_SIZE = 9
+ABOUT_SIZE = 9  # numbers in the header
 
 # `found`, float64: a row for each object
-X, Y, PROBABILITY, CLASS, NUMBER = range(5)  # x, y in sensor pixels
-FOUND_SIZE = 5
+X = 0  # sensor pixels
+Y = 1
+PROBABILITY = 2
+CLASS = 3
+NUMBER = 4
+FOUND_SIZE = 5  # numbers in a row
 
-# `tracks`, float64: rows of four; the first ones are headers, the others objects of earlier
-# decisions
-# in the first row: how many, the next number, how long they are remembered
-N_KNOWN, NEXT_NUMBER, MEMORY_US = range(3)
-# in the second: where on the sensor places lie, (x0 + dx column, y0 + dy row)
-X0, DX_PX, Y0, DY_PX = range(4)
-REACH_X, REACH_Y = range(2)  # in the third, in pixels
-# the first of them: number, x, y, time. Those seen last come last; of one decision, the likeliest
+# `tracks`, float64: rows of four numbers. The first three rows are headers, the others objects of
+# earlier decisions.
+# the first header: how many objects are known, and for how long
+HEAD = 0
+N_KNOWN = 0
+NEXT_NUMBER = 1
+MEMORY_US = 2  # how long an object is remembered
+# the second header: where on the sensor places lie, (x0 + dx column, y0 + dy row), in pixels
+ON_SENSOR = 1
+X0 = 0
+DX_PX = 1
+Y0 = 2
+DY_PX = 3
+# the third header: how far an object may move from one decision to the next, in pixels
+REACH = 2
+REACH_X = 0
+REACH_Y = 1
+# the first object. Objects seen last come last; of those of one decision, the likeliest comes last.
 KNOWN = 3
+KNOWN_NUMBER = 0
+KNOWN_X = 1
+KNOWN_Y = 2
+KNOWN_US = 3  # when it was seen last
 
 
 @compiled_without_gil
@@ -79,7 +101,7 @@ def locate_cells(
     time_us,
     keep,
 ):
-    """The objects of a volume's `state`; only what has changed since the last call is computed.
+    """The objects of a volume. Only what has changed since the last call is computed.
 
     Parameters
     ----------
@@ -113,9 +135,9 @@ def locate_on_map(maps, about, scores, peaks, probabilities, found, tracks, time
     peaks : uint64, (rows, words): a bit for each place. Overwritten.
     probabilities : float64, (n, channels). Overwritten, a row for each object: softmax of the
         logits at its peak.
-    found : float64, (n, FOUND_SIZE). Overwritten, likewise.
-    tracks : float64, (KNOWN + m, 4). Updated in place if `keep`: the m objects seen last.
-    time_us : int. Of the decision.
+    found : float64, (n, FOUND_SIZE). Overwritten, a row for each object.
+    tracks : float64, (KNOWN + m, 4): the m objects seen last. Updated in place if `keep`.
+    time_us : int. The decision's time.
     keep : bool. Whether these objects, and their numbers, are remembered.
 
     Returns
@@ -139,11 +161,14 @@ def score_map(maps, about, scores, peaks):
 
 @compiled
 def _follow_changes(program, bits, maps, about, scores, peaks):
-    """Scores where the map has changed in the last `forward`, peaks where these reach."""
+    """Update the scores where the last `forward` has changed the map, and the peaks near them."""
     sources = about[ABOUT_SIZE : ABOUT_SIZE + about[N_SOURCES]]
-    top, bottom = np.int64(MAX_ROW), np.int64(-1)
+    top = np.int64(MAX_ROW)
+    bottom = np.int64(-1)
     for record in sources:
-        top, bottom = min(top, program[record + FIRST_ROW]), max(bottom, program[record + LAST_ROW])
+        top = min(top, program[record + FIRST_ROW])
+        bottom = max(bottom, program[record + LAST_ROW])
+
     n_words = peaks.shape[1]
     for y in range(top, bottom + 1):
         for word in range(n_words):
@@ -151,19 +176,22 @@ def _follow_changes(program, bits, maps, about, scores, peaks):
             while changed != 0:
                 _score(maps, about, scores, y, 64 * word + trailing_zeros(changed))
                 changed &= changed - np.uint64(1)
+
     for y in range(max(0, top - NEAR), min(about[ROWS], bottom + NEAR + 1)):
-        before, now = np.uint64(0), _changed(program, bits, sources, y - NEAR, y + NEAR, 0)
+        before = np.uint64(0)
+        now = _changed(program, bits, sources, y - NEAR, y + NEAR, 0)
         for word in range(n_words):
-            after = (
-                _changed(program, bits, sources, y - NEAR, y + NEAR, word + 1)
-                if word + 1 < n_words
-                else np.uint64(0)
-            )
+            after = np.uint64(0)
+            if word + 1 < n_words:
+                after = _changed(program, bits, sources, y - NEAR, y + NEAR, word + 1)
+            # A bit for each column within NEAR of one that has changed.
             reached = now
             for k in range(1, NEAR + 1):
-                n, rest = np.uint64(k), np.uint64(64 - k)
+                n = np.uint64(k)
+                rest = np.uint64(64 - k)
                 reached |= now << n | before >> rest | now >> n | after << rest
-            before, now = now, after
+            before = now
+            now = after
             _note_peaks(scores, peaks, y, word, reached)
 
 
@@ -172,7 +200,8 @@ def _changed(program, bits, sources, first, last, word):
     """A bit for each column of a word where one of the rows from `first` to `last` has changed."""
     changed = np.uint64(0)
     for record in sources:
-        begin, end = max(first, program[record + FIRST_ROW]), min(last, program[record + LAST_ROW])
+        begin = max(first, program[record + FIRST_ROW])
+        end = min(last, program[record + LAST_ROW])
         for y in range(begin, end + 1):
             changed |= bits[np.uint64(program[record] + y * program[record + WORDS] + word)]
     return changed
@@ -180,12 +209,15 @@ def _changed(program, bits, sources, first, last, word):
 
 @compiled
 def _score(maps, about, scores, y, x):
-    """The score of a place, nan where a logit is not finite. In float64, where no difference
-    overflows."""
+    """Write the score of a place: nan where a logit is not finite.
+
+    Scores are float64, in which no difference of logits overflows.
+    """
     n_classes = about[CHANNELS] - 1
     at = about[FIRST] + y * about[DY] + x * about[DX]
     nothing = maps[np.uint64(at + n_classes * about[DK])]
-    best, finite = maps[np.uint64(at)], np.isfinite(nothing)
+    best = maps[np.uint64(at)]
+    finite = np.isfinite(nothing)
     for k in range(n_classes):
         logit = maps[np.uint64(at + k * about[DK])]
         finite &= np.isfinite(logit)
@@ -197,8 +229,10 @@ def _score(maps, about, scores, y, x):
 
 @compiled
 def _note_peaks(scores, peaks, y, word, which):
-    """Which of these places, a bit each of a word, are peaks."""
-    columns, left, found = scores.shape[1], which, np.uint64(0)
+    """Note which places of a word of a row are peaks, among those whose bits are set in `which`."""
+    columns = scores.shape[1]
+    left = which
+    found = np.uint64(0)
     while left != 0:
         bit = trailing_zeros(left)
         x = 64 * word + bit
@@ -210,6 +244,7 @@ def _note_peaks(scores, peaks, y, word, which):
 
 @compiled
 def _is_peak(scores, y, x):
+    """Whether no score near a place is larger, nor equal and before it by rows."""
     rows, columns = scores.shape
     score = scores[y, x]
     for near_y in range(max(0, y - NEAR), min(rows, y + NEAR + 1)):
@@ -223,17 +258,19 @@ def _is_peak(scores, y, x):
 
 @compiled
 def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_us, keep):
+    """List the objects of a map whose scores and peaks are known; see `locate_on_map`."""
     if about[NOT_FINITE] > 0:
         return -1
-    n = np.int64(0)  # a literal 0 would have `_number` compiled twice
+    n = np.int64(0)  # With a literal 0, `_number` would be compiled twice.
     for y in range(peaks.shape[0]):
         for word in range(peaks.shape[1]):
             left = peaks[y, word]
             while left != 0:
                 x = 64 * word + trailing_zeros(left)
                 best = _softmax_at(maps, about, y, x, probabilities[n])
-                found[n, PROBABILITY], found[n, CLASS] = probabilities[n, best], best
-                _position_at(scores, y, x, tracks[1], found[n])
+                found[n, PROBABILITY] = probabilities[n, best]
+                found[n, CLASS] = best
+                _position_at(scores, y, x, tracks[ON_SENSOR], found[n])
                 left &= left - np.uint64(1)
                 n += 1
     _sort(probabilities, found, n)
@@ -243,12 +280,13 @@ def list_objects(maps, about, scores, peaks, probabilities, found, tracks, time_
 
 @compiled
 def _softmax_at(maps, about, y, x, probabilities):
-    """Returns the likeliest class, the first of several."""
+    """Write the softmax of a place's logits. Returns its likeliest class, the first of several."""
     at = about[FIRST] + y * about[DY] + x * about[DX]
     largest = maps[at]
     for k in range(about[CHANNELS]):
         largest = max(largest, maps[at + k * about[DK]])
-    best, total = 0, 0.0
+    best = 0
+    total = 0.0
     for k in range(about[CHANNELS]):
         probabilities[k] = np.exp(np.float64(maps[at + k * about[DK]]) - np.float64(largest))
         total += probabilities[k]
@@ -261,8 +299,10 @@ def _softmax_at(maps, about, y, x, probabilities):
 
 @compiled
 def _position_at(scores, y, x, on_sensor, row):
-    """Of a peak."""
-    total = sum_x = sum_y = 0.0
+    """Write the position of a peak, in sensor pixels, into its row of `found`."""
+    total = 0.0
+    sum_x = 0.0
+    sum_y = 0.0
     for near_y in range(max(0, y - 1), min(scores.shape[0], y + 2)):
         for near_x in range(max(0, x - 1), min(scores.shape[1], x + 2)):
             weight = max(scores[near_y, near_x], 0.0)
@@ -275,7 +315,7 @@ def _position_at(scores, y, x, on_sensor, row):
 
 @compiled
 def _sort(probabilities, found, n):
-    """The likeliest first. Shell's sort: a map of noise may have thousands."""
+    """Sort n objects, the likeliest first. By Shell's sort: a map of noise may have thousands."""
     step = 1
     while 3 * step + 1 < n:
         step = 3 * step + 1
@@ -291,63 +331,71 @@ def _sort(probabilities, found, n):
 
 @compiled
 def _swap(rows, i, k):
+    """Swap two rows."""
     for c in range(rows.shape[1]):
         rows[i, c], rows[k, c] = rows[k, c], rows[i, c]
 
 
 @compiled
 def _number(found, n, tracks, time_us, keep):
-    n_known = np.int64(tracks[0, N_KNOWN])
+    """Give each of n objects the number of an earlier one, or a new number."""
+    n_known = np.int64(tracks[HEAD, N_KNOWN])
     taken = np.zeros(n_known, np.bool_)
-    following = tracks[0, NEXT_NUMBER]
+    following = tracks[HEAD, NEXT_NUMBER]
     for i in range(n):
-        nearest, least = -1, 1.0
-        for j in range(n_known - 1 if i < MOST_TRACKED else -1, -1, -1):
-            across = (found[i, X] - tracks[KNOWN + j, 1]) / tracks[2, REACH_X]
-            down = (found[i, Y] - tracks[KNOWN + j, 2]) / tracks[2, REACH_Y]
+        nearest = -1
+        least = 1.0  # squared distance, in units of the reach
+        n_candidates = n_known if i < MOST_TRACKED else 0
+        for j in range(n_candidates - 1, -1, -1):
+            across = (found[i, X] - tracks[KNOWN + j, KNOWN_X]) / tracks[REACH, REACH_X]
+            down = (found[i, Y] - tracks[KNOWN + j, KNOWN_Y]) / tracks[REACH, REACH_Y]
             away = across * across + down * down
-            is_old = time_us - tracks[KNOWN + j, 3] > tracks[0, MEMORY_US]
+            is_old = time_us - tracks[KNOWN + j, KNOWN_US] > tracks[HEAD, MEMORY_US]
             if away < least and not taken[j] and not is_old:
-                nearest, least = j, away
+                nearest = j
+                least = away
         if nearest >= 0:
             taken[nearest] = True
-            found[i, NUMBER] = tracks[KNOWN + nearest, 0]
+            found[i, NUMBER] = tracks[KNOWN + nearest, KNOWN_NUMBER]
         else:
             found[i, NUMBER] = following
             following += 1
     if keep:
-        tracks[0, NEXT_NUMBER] = following
+        tracks[HEAD, NEXT_NUMBER] = following
         _remember(found, n, tracks, taken, time_us)
 
 
 @compiled
 def _remember(found, n, tracks, taken, time_us):
-    """Keep in `tracks` the objects of this decision, and as many of the stale ones as there is room
-    for.
+    """Keep in `tracks` the objects of this decision, and stale ones as far as there is room.
 
-    An object is stale if it was known and is not `taken` now. One that was last seen too long ago
-    is forgotten.
+    An object is stale if it was known and is not `taken` now. An object that was last seen too long
+    ago is forgotten: it is marked as taken.
     """
-    n_present = min(n, MOST_TRACKED, len(tracks) - KNOWN)
+    room = len(tracks) - KNOWN
+    n_present = min(n, MOST_TRACKED, room)
     n_stale = 0
     for j in range(len(taken)):
-        taken[j] |= time_us - tracks[KNOWN + j, 3] > tracks[0, MEMORY_US]
+        taken[j] |= time_us - tracks[KNOWN + j, KNOWN_US] > tracks[HEAD, MEMORY_US]
         n_stale += not taken[j]
-    # the oldest ones, which stand first
-    n_left_out = max(0, n_stale + n_present - (len(tracks) - KNOWN))
+
+    # Where there is no room for all, the oldest are left out, which stand first: those for which
+    # `kept` is negative.
+    n_left_out = max(0, n_stale + n_present - room)
     kept = -n_left_out
     for j in range(len(taken)):
         if not taken[j]:
             if kept >= 0:
-                # a slice would take seconds to compile: it may overlap
+                # A slice would take seconds to compile, because it may overlap.
                 for k in range(tracks.shape[1]):
                     tracks[KNOWN + kept, k] = tracks[KNOWN + j, k]
             kept += 1
+
     for i in range(n_present - 1, -1, -1):
         row = tracks[KNOWN + kept]
-        row[0] = found[i, NUMBER]
-        row[1] = found[i, X]
-        row[2] = found[i, Y]
-        row[3] = time_us
+        row[KNOWN_NUMBER] = found[i, NUMBER]
+        row[KNOWN_X] = found[i, X]
+        row[KNOWN_Y] = found[i, Y]
+        row[KNOWN_US] = time_us
         kept += 1
-    tracks[0, N_KNOWN] = kept
+    tracks[HEAD, N_KNOWN] = kept

@@ -10,23 +10,32 @@ from async_tnt.kernels.jit import compiled
 from async_tnt.kernels.volume import state as S
 
 # trigger
-CONFIDENCE = 0  # confidence: a class probability that closes the window; inf: none
+CONFIDENCE = 0  # a class probability that closes the window; inf: none does
 # ints
-EVERY_EVENTS = 1  # 0: not by number
+EVERY_EVENTS = 1  # a decision after each so many events of a window; 0: not by number
 # 1: classify at every event, as no other trigger determines when to test the confidence
 EACH_EVENT = 2
-EVERY_US = 3  # 0: not by time
-DUE_US = 4  # next moment of EVERY_US in the oldest window; NEVER_US: none
+EVERY_US = 3  # a decision after each so many microseconds of a window; 0: not by time
+DUE_US = 4  # the next moment of EVERY_US in the oldest window; NEVER_US: none
 N_AT_DECISION = 5  # events of the oldest window at its last triggered decision
-SIZE = 6
+SIZE = 6  # numbers in the buffer
 
-NOT_DUE, ONLY_IF_SURE, BY_EVENTS, BY_CONFIDENCE, BY_TIME = range(5)
+# why a decision is due
+NOT_DUE = 0
+ONLY_IF_SURE = 1  # it counts only if it reaches the confidence
+BY_EVENTS = 2
+BY_CONFIDENCE = 3
+BY_TIME = 4
 
 
 @compiled
 def until_due(trigger, n, first, last):
-    """Up to which of the events `first <= i < last` none before makes a decision due in a window of
-    `n` events.
+    """The first of the events `first <= i < last` that must wait until a decision has been tested.
+
+    Parameters
+    ----------
+    trigger : float64, see above.
+    n : int. Events that the window holds now.
 
     Returns
     -------
@@ -42,12 +51,12 @@ def until_due(trigger, n, first, last):
 
 @compiled
 def why_due(trigger, n_before, n):
-    """Why a decision is due now that a window holds `n` events and held `n_before` before: the one
-    rule for it.
+    """Why a decision is due: the one rule for it.
 
     Parameters
     ----------
     trigger : float64, see above.
+    n_before, n : int. Events that the window held at the last test, and holds now.
 
     Returns
     -------
@@ -63,8 +72,13 @@ def why_due(trigger, n_before, n):
 
 @compiled
 def schedule(trigger, now_us, start_us):
-    """Set the next moment of `every_us`: the first after `now_us` in a window that starts at
-    `start_us`."""
+    """Set DUE_US to the first moment of EVERY_US after `now_us`.
+
+    Parameters
+    ----------
+    trigger : float64, see above. Updated in place.
+    now_us, start_us : int. A time in the window, and the window's start.
+    """
     ints = trigger.view(np.int64)
     every_us = ints[EVERY_US]
     ints[DUE_US] = S.NEVER_US

@@ -5,14 +5,33 @@ For places, maps and programs see `program`. A row of places is a row of whole u
 `bits` they lie, the first and the last row that may have any, the words in a row.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.simd import trailing_zeros
 
-FIRST_ROW, LAST_ROW, WORDS = 1, 2, 3  # in the record
+# A record of a map's changes. Its first number says where in `bits` they lie.
+FIRST_ROW = 1
+LAST_ROW = 2
+WORDS = 3  # words of 64 places in a row
+
 MAX_ROW = 0xFFFF
+"""The largest number that a row can have: FIRST_ROW where nothing has changed."""
 EVERY_BIT = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
+
+
+class Taps(NamedTuple):
+    """What a place of a map sees along one axis of another map.
+
+    Place i sees the places i stride - padding + j dilation, for the taps j < n.
+    """
+
+    n: int
+    stride: int
+    padding: int
+    dilation: int
 
 
 @inlined
@@ -53,7 +72,9 @@ def mark_all(program, record, rows, columns, bits):
 @inlined
 def add_changes(program, record, more, bits):
     """Mark in one record what is marked in another one of the same map."""
-    first, last, words = program[more + FIRST_ROW], program[more + LAST_ROW], program[more + WORDS]
+    first = program[more + FIRST_ROW]
+    last = program[more + LAST_ROW]
+    words = program[more + WORDS]
     for word in range(first * words, (last + 1) * words):
         bits[np.uint64(program[record] + word)] |= bits[np.uint64(program[more] + word)]
     note_rows(program, record, first, last)
@@ -63,8 +84,10 @@ def add_changes(program, record, more, bits):
 def note_changes(bits, row, column, changed):
     """Mark places of a row, from `column` on: one for each bit of `changed` (uint64).
 
-    `row` is where in `bits` the row lies; all of these places must lie in it."""
-    word, shift = np.uint64(row + (column >> 6)), np.uint64(column & 63)
+    `row` is where in `bits` the row lies. All of these places must lie in it.
+    """
+    word = np.uint64(row + (column >> 6))
+    shift = np.uint64(column & 63)
     bits[word] |= changed << shift
     beyond = (changed >> np.uint64(1)) >> (np.uint64(63) - shift)
     if beyond != 0:
@@ -72,21 +95,24 @@ def note_changes(bits, row, column, changed):
 
 
 @inlined
-def seen_from(bits, row, word, n_taps, stride, padding, dilation):
-    """Of the 64 columns of a word, those that depend on a changed one: on x stride - padding + j
-    dilation for a tap j < n_taps.
+def seen_from(bits, row, word, taps):
+    """Find the columns of a word that see a changed column of a row.
 
     Parameters
     ----------
-    bits, row : where in `bits` the row that is seen lies, in a frame of zeros as wide as a tap can
-        see, and a word more.
+    bits, row : where in `bits` the row that is seen lies, in a frame of zeros. The frame is as wide
+        as a tap can see, and a word more.
+    word : int. Which 64 columns: those from 64 word on.
+    taps : Taps. What a column sees.
 
     Returns
     -------
-    uint64.
+    uint64 : a bit for each of the 64 columns.
     """
+    n_taps, stride, padding, dilation = taps
     seen = np.uint64(0)
-    for part in range(stride):  # 64 columns see 64 stride others, and the width of the kernel
+    # 64 columns see 64 * stride others, and the width of the kernel.
+    for part in range(stride):
         start = (word * stride + part) * 64 - padding
         if dilation == 1:
             changed = np.uint64(0)
@@ -102,26 +128,27 @@ def seen_from(bits, row, word, n_taps, stride, padding, dilation):
             seen |= _even_bits(changed) << np.uint64(32 * part)
         else:
             for bit in range(-64 * part % stride, 64, stride):
-                seen |= (changed >> np.uint64(bit) & np.uint64(1)) << np.uint64(
-                    (64 * part + bit) // stride
-                )
+                is_changed = changed >> np.uint64(bit) & np.uint64(1)
+                seen |= is_changed << np.uint64((64 * part + bit) // stride)
     return seen
 
 
 @inlined
 def _sixty_four(bits, row, start):
-    """The bits of the columns from `start` on."""
-    at, shift = np.uint64(row + (start >> 6)), np.uint64(start & 63)
+    """The bits of the 64 columns from `start` on."""
+    at = np.uint64(row + (start >> 6))
+    shift = np.uint64(start & 63)
     return _shifted(bits[at], bits[at + np.uint64(1)], shift)
 
 
 @inlined
 def _any_of_next(bits, row, start, n):
-    """Bit k: whether one of the n columns from start + k on has changed, 1 <= n <= 64."""
-    at, shift = np.uint64(row + (start >> 6)), np.uint64(start & 63)
+    """64 bits. Bit k: whether one of the n columns from start + k on has changed, 1 <= n <= 64."""
+    at = np.uint64(row + (start >> 6))
+    shift = np.uint64(start & 63)
     low = _shifted(bits[at], bits[at + np.uint64(1)], shift)
     high = _shifted(bits[at + np.uint64(1)], bits[at + np.uint64(2)], shift)
-    known = 1  # of so many columns
+    known = 1  # Bit k now says it of so many columns.
     while known < n:
         more = np.uint64(min(known, n - known))
         low |= _shifted(low, high, more)
@@ -149,12 +176,15 @@ def _even_bits(word):
 
 @inlined
 def list_places(seen, n_columns, row, word, places, end):
-    """Append to a list, row << 16 | column, the places of a word of a row whose bits are set in
-    `seen`.
+    """Append to a list the places of a word of a row whose bits are set in `seen`.
 
     Parameters
     ----------
-    n_columns : how many columns, from the word's first on, the map has.
+    seen : uint64. A bit for each of 64 columns.
+    n_columns : int. How many columns, from the word's first on, the map has.
+    row, word : int. The row of the map, and which 64 columns: those from 64 word on.
+    places : uint32. Places, row << 16 | column. Updated in place from `end` on.
+    end : int. The list's end in `places`.
 
     Returns
     -------

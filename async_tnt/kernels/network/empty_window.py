@@ -1,7 +1,7 @@
-"""What a network computes of an empty window: kept, and restored where a window has changed it.
+"""The maps of an empty window: kept, and restored where a window has changed them.
 
-A new window begins with it, so it costs a copy of what the last one changed, and is computed only
-where its own events reach. The copies lie `EMPTY` numbers behind the maps, see `program`.
+A new window begins with them. So it costs a copy of what the last window changed, and is computed
+only where its own events reach. The kept maps lie EMPTY numbers behind the maps, see `program`.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def begin_window(epoch, program, weights, maps, places):
     if program[P.EPOCH] == epoch:
         return
     bits = places.view(np.uint64)
-    if program[P.EPOCH] == 0:  # what the input shows is not known
+    if program[P.EPOCH] == 0:  # It is not known what the input shows.
         mark_all(program, P.INPUT_TOUCHED, program[P.HEIGHT], program[P.WIDTH], bits)
         for at in _steps(program):
             mark_all(program, at + P.TOUCHED, program[at + P.ROWS], program[at + P.COLUMNS], bits)
@@ -62,19 +62,26 @@ def _steps(program):
 
 @inlined
 def _empty_input(program, maps, bits):
-    """Zero in all pixels that may not be zero, in the planes, too."""
-    n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
-    touched, words = program[P.INPUT_TOUCHED], program[P.INPUT_TOUCHED + WORDS]
+    """Write zero to all pixels of the input that may not be zero, in the planes, too."""
+    n_channels = program[P.CHANNELS]
+    height = program[P.HEIGHT]
+    width = program[P.WIDTH]
+    touched = program[P.INPUT_TOUCHED]
+    words = program[P.INPUT_TOUCHED + WORDS]
     for y in range(program[P.INPUT_TOUCHED + FIRST_ROW], program[P.INPUT_TOUCHED + LAST_ROW] + 1):
-        row, plane = program[P.INPUT] + y * program[P.INPUT_DY], program[P.PLANES] + y * width
+        row = program[P.INPUT] + y * program[P.INPUT_DY]
+        plane = program[P.PLANES] + y * width
         n = 0
         for word in range(touched + y * words, touched + (y + 1) * words):
             n += count_bits(bits[np.uint64(word)])
-        if 4 * n > width:  # all of the row, which is faster than pixel by pixel
+
+        # Where many pixels have changed, all of the row is faster than pixel by pixel.
+        if 4 * n > width:
             maps[row : row + width * n_channels] = 0.0
             for c in range(n_channels):
                 maps[plane + c * height * width : plane + c * height * width + width] = 0.0
             continue
+
         for word in range(words):
             left = bits[np.uint64(touched + y * words + word)]
             while left != 0:
@@ -88,14 +95,13 @@ def _empty_input(program, maps, bits):
 
 @inlined
 def _restore(program, at, maps, bits):
-    """The empty window's numbers in all places of a step that may have others."""
-    touched, changed = at + P.TOUCHED, at + P.CHANGED
+    """Write the empty window's numbers to all places of a step that may have others."""
+    touched = at + P.TOUCHED
+    changed = at + P.CHANGED
     forget_changes(program, changed, bits)
-    first, last, words = (
-        program[touched + FIRST_ROW],
-        program[touched + LAST_ROW],
-        program[touched + WORDS],
-    )
+    first = program[touched + FIRST_ROW]
+    last = program[touched + LAST_ROW]
+    words = program[touched + WORDS]
     n_numbers = program[at + P.GROUPS] * program[at + P.OUT_CHANNELS]
     for y in range(first, last + 1):
         for word in range(words):
@@ -108,11 +114,13 @@ def _restore(program, at, maps, bits):
                 left &= left - np.uint64(1)
     if last >= first:
         note_rows(program, changed, first, last)
-    program[touched + FIRST_ROW], program[touched + LAST_ROW] = MAX_ROW, -1
+    program[touched + FIRST_ROW] = MAX_ROW
+    program[touched + LAST_ROW] = -1
 
 
 @inlined
 def _keep(program, at, maps):
+    """Keep a step's map, which is now that of an empty window."""
     n_numbers = program[at + P.GROUPS] * program[at + P.OUT_CHANNELS]
     for y in range(program[at + P.ROWS]):
         for x in range(program[at + P.COLUMNS]):
@@ -121,6 +129,7 @@ def _keep(program, at, maps):
 
 @inlined
 def _copy(program, at, maps, y, x, n_numbers, source, target):
+    """Copy the numbers of a place from `source` behind a step's map to `target` behind it."""
     first = program[at + P.OUT] + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
     for k in range(n_numbers):
         maps[np.uint64(first + target + k)] = maps[np.uint64(first + source + k)]

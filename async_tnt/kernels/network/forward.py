@@ -1,4 +1,4 @@
-"""A network, step by step, where it is out of date.
+"""Compute a network, step by step, where it is out of date.
 
 Each step lists the places that a change reaches, computes them, and notes, for the steps that read
 them, those whose bits differ. With everything out of date this is the plain forward pass. There is
@@ -15,6 +15,7 @@ from async_tnt.kernels.network.changes import (
     LAST_ROW,
     MAX_ROW,
     WORDS,
+    Taps,
     add_changes,
     forget_changes,
     list_places,
@@ -44,10 +45,9 @@ def forward(program, weights, maps, places):
         program[at + P.N_COMPUTED] = n
         if n == 0:
             continue
-        first, last = program[P.LIST], program[P.LIST] + n - 1
-        note_rows(
-            program, at + P.CHANGED, np.int64(places[first]) >> 16, np.int64(places[last]) >> 16
-        )
+        first_row = np.int64(places[program[P.LIST]]) >> 16
+        last_row = np.int64(places[program[P.LIST] + n - 1]) >> 16
+        note_rows(program, at + P.CHANGED, first_row, last_row)
         if program[at + P.KIND] == P.MIX:
             mix(program, at, n, weights, maps, places, bits)
         elif program[at + P.KIND] == P.SPREAD:
@@ -60,11 +60,13 @@ def forward(program, weights, maps, places):
 
 @compiled
 def mix(program, at, n, weights, maps, places, bits):
-    """A convolution at the n places of the list."""
-    first_group, n_groups = program[at + P.WEIGHTS], program[at + P.GROUPS]
-    channels, columns = program[at + P.OUT_CHANNELS], program[at + P.COLUMNS]
+    """Compute a convolution at the n places of the list, tile by tile."""
+    first_group = program[at + P.WEIGHTS]
+    n_groups = program[at + P.GROUPS]
+    channels = program[at + P.OUT_CHANNELS]
+    columns = program[at + P.COLUMNS]
     n_products = program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]
-    # a tile may have one too many
+    # The last tile may have one place too many: it computes the last one twice.
     places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]
     k = 0
     while k < n:
@@ -76,6 +78,7 @@ def mix(program, at, n, weights, maps, places, bits):
         else:
             place = np.int64(places[listed])
             block += ((place >> 16) * columns + (place & 0xFFFF)) * program[at + P.PLACE_WEIGHTS]
+
         changed = np.int64(0)
         for group in range(n_groups):
             inputs = program[at + P.IN] + group * program[at + P.GROUP_CHANNELS]
@@ -95,7 +98,9 @@ def mix(program, at, n, weights, maps, places, bits):
                     block,
                     n_filters,
                 )
-                block += (n_products + 2) * (2 * LANES if n_filters > LANES else LANES) + LANES
+                padded = 2 * LANES if n_filters > LANES else LANES
+                block += (n_products + 2) * padded + LANES
+
         _note_tile(program, at, places, bits, listed, min(n_places, n - k), changed)
         k += n_places
 
@@ -114,8 +119,9 @@ def _tile_size(n):
 
 @inlined
 def _by_channel(program, at, n, weights, maps, places, bits):
-    """A sum, maximum or function of each channel, at the n places of the list."""
-    noted, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
+    """Compute a sum, maximum or function of each channel at the n places of the list."""
+    noted = program[at + P.CHANGED]
+    words = program[at + P.CHANGED + WORDS]
     for listed in range(program[P.LIST], program[P.LIST] + n):
         place = np.int64(places[np.uint64(listed)])
         changed = channel_tile(program, at, places, listed, maps, weights)
@@ -124,24 +130,27 @@ def _by_channel(program, at, n, weights, maps, places, bits):
 
 @inlined
 def _spread(program, at, n, words_of_maps, places, bits):
-    """Numbers of one place side by side in a block of places, at the n places of the list."""
-    block, channels = program[at + P.BLOCK], program[at + P.OUT_CHANNELS]
+    """Spread the numbers of one place over a block of places, at the n places of the list."""
+    block = program[at + P.BLOCK]
+    channels = program[at + P.OUT_CHANNELS]
     for listed in range(program[P.LIST], program[P.LIST] + n):
         place = np.int64(places[np.uint64(listed)])
-        row, column = place >> 16, place & 0xFFFF
-        y, x = _quotient(row, block), _quotient(column, block)
-        source = (
-            program[program[at + P.RUNS]] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
-        )
+        row = place >> 16
+        column = place & 0xFFFF
+        y = _quotient(row, block)
+        x = _quotient(column, block)
+        source = program[program[at + P.RUNS]]
+        source += y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
         source += (row - y * block) * block + column - x * block
-        target = (
-            program[at + P.OUT] + row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
-        )
+        target = program[at + P.OUT]
+        target += row * program[at + P.OUT_DY] + column * program[at + P.OUT_DX]
+
         changed = np.uint32(0)
         for c in range(channels):
             number = words_of_maps[np.uint64(source + c * block * block)]
             changed |= number ^ words_of_maps[np.uint64(target + c)]
             words_of_maps[np.uint64(target + c)] = number
+
         row_of_bits = program[at + P.CHANGED] + row * program[at + P.CHANGED + WORDS]
         note_changes(bits, row_of_bits, column, np.uint64(changed != 0))
 
@@ -150,86 +159,102 @@ def _spread(program, at, n, words_of_maps, places, bits):
 def _note_tile(program, at, places, bits, listed, n_places, changed):
     """Note which places of a tile have changed, a bit of `changed` each."""
     changed = np.uint64(changed)
-    first, last = (
-        np.int64(places[np.uint64(listed)]),
-        np.int64(places[np.uint64(listed + n_places - 1)]),
-    )
-    base, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
-    if last - first == n_places - 1:  # side by side
+    first = np.int64(places[np.uint64(listed)])
+    last = np.int64(places[np.uint64(listed + n_places - 1)])
+    base = program[at + P.CHANGED]
+    words = program[at + P.CHANGED + WORDS]
+    if last - first == n_places - 1:  # The places lie side by side.
         changed &= EVERY_BIT >> np.uint64(64 - n_places)
         note_changes(bits, base + (first >> 16) * words, first & 0xFFFF, changed)
     else:
         for p in range(n_places):
             place = np.int64(places[np.uint64(listed + p)])
-            note_changes(
-                bits,
-                base + (place >> 16) * words,
-                place & 0xFFFF,
-                changed >> np.uint64(p) & np.uint64(1),
-            )
+            is_changed = changed >> np.uint64(p) & np.uint64(1)
+            note_changes(bits, base + (place >> 16) * words, place & 0xFFFF, is_changed)
 
 
 @compiled
-def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for each element would cost more than its work)
-    """List the places of a step that a change of its sources reaches, row by row; returns how many.
+def _list_dirty(program, at, places, bits):
+    """List the places of a step that see a change of its sources, row by row.
 
-    They are those with y stride - padding + i dilation = y of the change for a tap i, and with the
-    same in x.
+    Returns
+    -------
+    int : how many places the list has.
     """
     if program[P.STALE] != 0:
         return _list_all(program, at, places)
     if program[at + P.KIND] == P.SPREAD:
         return _list_blocks(program, at, places, bits)
-    first_source, n_sources = program[at + P.SOURCES], program[at + P.N_SOURCES]
-    top, bottom, n_words = np.int64(MAX_ROW), np.int64(-1), np.int64(0)
+
+    first_source = program[at + P.SOURCES]
+    n_sources = program[at + P.N_SOURCES]
+    top = np.int64(MAX_ROW)
+    bottom = np.int64(-1)
+    n_words = np.int64(0)
     for s in range(first_source, first_source + n_sources):
-        top, bottom = (
-            min(top, program[program[s] + FIRST_ROW]),
-            max(bottom, program[program[s] + LAST_ROW]),
-        )
+        top = min(top, program[program[s] + FIRST_ROW])
+        bottom = max(bottom, program[program[s] + LAST_ROW])
         n_words = max(n_words, program[program[s] + WORDS])
     if bottom < 0:
         return 0
-    kernel_y, kernel_x = program[at + P.KERNEL_Y], program[at + P.KERNEL_X]
-    stride_y, stride_x = program[at + P.STRIDE_Y], program[at + P.STRIDE_X]
-    padding_y, padding_x = program[at + P.PAD_Y], program[at + P.PAD_X]
-    dilation_y, dilation_x = program[at + P.DILATION_Y], program[at + P.DILATION_X]
-    first_row = _quotient(
-        max(0, top + padding_y - (kernel_y - 1) * dilation_y + stride_y - 1), stride_y
+
+    vertical = Taps(
+        program[at + P.KERNEL_Y],
+        program[at + P.STRIDE_Y],
+        program[at + P.PAD_Y],
+        program[at + P.DILATION_Y],
     )
-    last_row = min(program[at + P.ROWS] - 1, _quotient(bottom + padding_y, stride_y))
-    columns, scratch, end = program[at + P.COLUMNS], program[P.SCRATCH], program[P.LIST]
+    across = Taps(
+        program[at + P.KERNEL_X],
+        program[at + P.STRIDE_X],
+        program[at + P.PAD_X],
+        program[at + P.DILATION_X],
+    )
+    highest = top + vertical.padding - (vertical.n - 1) * vertical.dilation
+    first_row = _quotient(max(0, highest + vertical.stride - 1), vertical.stride)
+    last_row = min(program[at + P.ROWS] - 1, _quotient(bottom + vertical.padding, vertical.stride))
+
+    columns = program[at + P.COLUMNS]
+    scratch = program[P.SCRATCH]
+    end = program[P.LIST]
     for word in range(n_words, program[P.SCRATCH_WORDS]):
         bits[np.uint64(scratch + word)] = 0
     for row in range(first_row, last_row + 1):
         some = np.uint64(0)
         for word in range(n_words):
-            changed = np.uint64(0)
-            for s in range(first_source, first_source + n_sources):
-                record = program[s]
-                first, last, words = (
-                    program[record + FIRST_ROW],
-                    program[record + LAST_ROW],
-                    program[record + WORDS],
-                )
-                if word < words:
-                    for tap in range(kernel_y):
-                        y = row * stride_y - padding_y + tap * dilation_y
-                        if first <= y <= last:
-                            changed |= bits[np.uint64(program[record] + y * words + word)]
+            changed = _seen_in_word(program, bits, first_source, n_sources, vertical, row, word)
             bits[np.uint64(scratch + word)] = changed
             some |= changed
         if some != 0:
             for word in range(words_of(columns)):
-                seen = seen_from(bits, scratch, word, kernel_x, stride_x, padding_x, dilation_x)
+                seen = seen_from(bits, scratch, word, across)
                 end = list_places(seen, columns - 64 * word, row, word, places, end)
     return end - program[P.LIST]
 
 
 @inlined
+def _seen_in_word(program, bits, first_source, n_sources, vertical, row, word):
+    """A bit for each column of a word where a source has changed in a row that `row` sees."""
+    changed = np.uint64(0)
+    for s in range(first_source, first_source + n_sources):
+        record = program[s]
+        first = program[record + FIRST_ROW]
+        last = program[record + LAST_ROW]
+        words = program[record + WORDS]
+        if word < words:
+            for tap in range(vertical.n):
+                y = row * vertical.stride - vertical.padding + tap * vertical.dilation
+                if first <= y <= last:
+                    changed |= bits[np.uint64(program[record] + y * words + word)]
+    return changed
+
+
+@inlined
 def _list_blocks(program, at, places, bits):
     """`_list_dirty` of a SPREAD: the blocks of the places of its one source that have changed."""
-    record, block, end = program[program[at + P.SOURCES]], program[at + P.BLOCK], program[P.LIST]
+    record = program[program[at + P.SOURCES]]
+    block = program[at + P.BLOCK]
+    end = program[P.LIST]
     last_row = min((program[record + LAST_ROW] + 1) * block, program[at + P.ROWS])
     for row in range(program[record + FIRST_ROW] * block, last_row):
         first = program[record] + _quotient(row, block) * program[record + WORDS]
@@ -246,6 +271,7 @@ def _list_blocks(program, at, places, bits):
 
 @inlined
 def _list_all(program, at, places):
+    """`_list_dirty` where nothing has been computed: all places."""
     end = program[P.LIST]
     for y in range(program[at + P.ROWS]):
         for x in range(program[at + P.COLUMNS]):
@@ -256,7 +282,7 @@ def _list_all(program, at, places):
 
 @inlined
 def _quotient(n, stride):
-    """n // stride; a division takes longer than all else there."""
+    """n // stride. A division would take longer than all else where this is called."""
     if stride == 1:
         return n
     if stride == 2:

@@ -1,18 +1,19 @@
-"""Functions of one number that networks apply to each value, in float32: logarithm, sigmoid, GELU
-and their like.
+"""Functions of one float32 that networks apply to each value: logarithm, sigmoid, GELU and others.
 
-They are written here, of additions, products, divisions and comparisons alone, each of which IEEE
-754 rounds in one way: a library's own differ in their last bits from one machine to the next.
-Errors are at most a few units in the last place, but for results below 1e-37, and for Phi.
+They are written here with additions, products, divisions and comparisons alone, each of which IEEE
+754 rounds in one way. The functions of a library differ in their last bits from one machine to the
+next. Errors are at most a few units in the last place, but for results below 1e-37, and for Phi.
 
-    exp       e^x = 2^n e^r, n = round(x / log 2), |r| <= log 2 / 2; e^r by its series up to r^7 / 7!
-    log1p     1 + x = 2^k m, m in [sqrt 1/2, sqrt 2); log m = 2 artanh s, s = (m - 1) / (m + 1), by its series up to s^9
-    sigmoid   1 / (1 + e^-x)
-    tanh      1 - 2 / (1 + e^2x); below 0.4 by its series up to x^11
-    silu      x sigmoid(x)
-    gelu      x Phi(x), Phi by Abramowitz and Stegun 1964, 7.1.26 (absolute error 1.5e-7)
-    gelu_tanh x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3))) / 2 = x sigmoid(2 sqrt(2 / pi) (x + 0.044715 x^3))
-    hardswish x clip(x + 3, 0, 6) / 6
+    exp        e^x = 2^n e^r,  n = round(x / log 2),  |r| <= log 2 / 2
+               e^r by its series up to r^7 / 7!
+    log1p      1 + x = 2^k m,  m in [sqrt 1/2, sqrt 2)
+               log m = 2 artanh s,  s = (m - 1) / (m + 1), by its series up to s^9
+    sigmoid    1 / (1 + e^-x)
+    tanh       1 - 2 / (1 + e^2x); where |x| < 0.4, by its series up to x^11
+    silu       x sigmoid(x)
+    gelu       x Phi(x), with Phi by Abramowitz and Stegun 1964, 7.1.26 (absolute error 1.5e-7)
+    gelu_tanh  x (1 + tanh(u)) / 2 = x sigmoid(2 u),  u = sqrt(2 / pi) (x + 0.044715 x^3)
+    hardswish  x clip(x + 3, 0, 6) / 6
 """
 
 from __future__ import annotations
@@ -32,38 +33,44 @@ from async_tnt.kernels.arithmetic import Arithmetic
 ROUND = 1.5 * 2**23
 """x + ROUND - ROUND is x rounded to a whole number, which the lowest bits of x + ROUND hold."""
 LOG2 = math.log(2)
-# few enough bits for exact products with whole numbers
 LOG2_HIGH = float(np.floor(LOG2 * 2**12) / 2**12)
+"""The first bits of LOG2: few enough for exact products with whole numbers."""
 LOG2_LOW = LOG2 - LOG2_HIGH
 GELU_TANH = 2 * math.sqrt(2 / math.pi)
+"""The factor of x in 2 u of `gelu_tanh`."""
 
 
 def _exp(a: Arithmetic, x: ir.Value) -> ir.Value:
-    """Of x limited to [-87, 87], where neither the result nor its reciprocal is subnormal."""
+    """e^x, with x limited to [-87, 87]: there neither e^x nor e^-x is subnormal."""
     x = a.clip(x, -87.0, 87.0)
     shifted = a.fma(x, 1 / LOG2, ROUND)
     n = a.sub(shifted, ROUND)
     rest = a.fma(n, -LOG2_LOW, a.fma(n, -LOG2_HIGH, x))
-    power = a.of_bits(a.on_bits("add", a.on_bits("shl", a.bits(shifted), 23), 127 << 23))  # 2^n
+    exponent = a.on_bits("shl", a.bits(shifted), 23)
+    power = a.of_bits(a.on_bits("add", exponent, 127 << 23))  # 2^n
     return a.mul(a.polynomial(rest, [1 / math.factorial(k) for k in range(8)]), power)
 
 
 def _log1p(a: Arithmetic, x: ir.Value) -> ir.Value:
-    """-inf at -1, nan below."""
+    """log(1 + x): -inf at -1, nan below."""
     u = a.add(x, 1.0)
-    # of 1 + x, by the rounding
+    # What 1 + x has lost by being rounded.
     lost = a.where(x, ">", 1.0, a.sub(1.0, a.sub(u, x)), a.sub(x, a.sub(u, 1.0)))
+
+    # u = 2^k m. The bits of sqrt 1/2 are 0x3F3504F3.
     bits = a.bits(u)
-    k = a.on_bits("ashr", a.on_bits("sub", bits, 0x3F3504F3), 23)  # the bits of sqrt 1/2
+    k = a.on_bits("ashr", a.on_bits("sub", bits, 0x3F3504F3), 23)
     exponent = a.on_bits("shl", k, 23)
     m = a.of_bits(a.on_bits("sub", bits, exponent))
     inverse = a.of_bits(a.on_bits("sub", 127 << 23, exponent))  # 2^-k
+
     f = a.fma(lost, inverse, a.sub(m, 1.0))
     s = a.div(f, a.add(f, 2.0))
     z = a.mul(s, s)
     series = a.mul(z, a.polynomial(z, [2 / 3, 2 / 5, 2 / 7, 2 / 9]))
     whole = a.to_float(k)
     log = a.fma(whole, LOG2_HIGH, a.fma(whole, LOG2_LOW, a.fma(s, series, a.mul(s, 2.0))))
+
     log = a.where(u, "==", math.inf, u, log)
     log = a.where(u, "==", 0.0, -math.inf, log)
     return a.where(u, "<", 0.0, math.nan, log)
@@ -81,7 +88,7 @@ def _tanh(a: Arithmetic, x: ir.Value) -> ir.Value:
 
 
 def _times_sigmoid(a: Arithmetic, x: ir.Value, inner: ir.Value) -> ir.Value:
-    """x sigmoid(inner); 0 where the limit of `_exp` would count."""
+    """x sigmoid(inner); 0 times x where `_exp` would limit its argument."""
     return a.where(inner, "<", -87.0, a.mul(x, 0.0), a.mul(x, _sigmoid(a, inner)))
 
 
@@ -121,8 +128,13 @@ FUNCTIONS: dict[str, Callable[[Arithmetic, ir.Value], ir.Value]] = {
 def choose(
     builder: ir.IRBuilder, which: ir.Value, cases: Mapping[int, Callable[[], ir.Value]]
 ) -> ir.Value:
-    """The value of the case of this number, one of `cases`, each of which builds its
-    instructions."""
+    """The value of the case number `which`.
+
+    Parameters
+    ----------
+    which : a number that `cases` has.
+    cases : number -> what builds the instructions of that case, and returns their value.
+    """
     blocks = [builder.append_basic_block() for _ in cases]
     done = builder.append_basic_block()
     switch = builder.switch(which, blocks[0])
@@ -142,9 +154,8 @@ def choose(
 def applied(builder: ir.IRBuilder, which: ir.Value, x: ir.Value) -> ir.Value:
     """Function number `which` of x, a float32 or a vector of them."""
     arithmetic = Arithmetic(builder, x.type)
-    return choose(
-        builder, which, {k: partial(of, arithmetic, x) for k, of in enumerate(FUNCTIONS.values())}
-    )
+    cases = {k: partial(build, arithmetic, x) for k, build in enumerate(FUNCTIONS.values())}
+    return choose(builder, which, cases)
 
 
 @intrinsic
@@ -154,6 +165,6 @@ def apply_function(typingctx: Any, which: types.Type, x: types.Type) -> Any:
     def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
         return applied(builder, *args)
 
-    return (
-        (types.float32(which, x), codegen) if (which, x) == (types.int64, types.float32) else None
-    )
+    if which != types.int64 or x != types.float32:
+        return None
+    return types.float32(which, x), codegen

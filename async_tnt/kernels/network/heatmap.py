@@ -10,15 +10,19 @@ from async_tnt.kernels.jit import compiled
 
 @compiled
 def centroid(exponent, pitch, width, height):
-    """The expectation (x, y) under a softmax over the heatmap's places; nan if an exponent is inf
-    or nan.
+    """The expectation (x, y) under a softmax over the heatmap's places.
 
     A common factor does not move the centroid: cells are relative to the largest, so exp cannot
     overflow. Distances are taken from the middle: a uniform heatmap gives it exactly.
 
     Parameters
     ----------
-    exponent : float32, row after row, `pitch` numbers each, of which `width` count.
+    exponent : float32. Row after row; a row is the first `width` of `pitch` numbers.
+    pitch, width, height : int.
+
+    Returns
+    -------
+    x, y : float. nan if an exponent is inf or nan.
     """
     largest = exponent[0]
     for y in range(height):

@@ -36,7 +36,8 @@ def sync_input(buffer, program, maps, places):
     buffer : float64, the volume's `state`. Only read.
     program, maps, places : the network's, see `program`, after `begin_window`. Updated in place.
     """
-    ints, bits = buffer.view(np.int64), places.view(np.uint64)
+    ints = buffer.view(np.int64)
+    bits = places.view(np.uint64)
     forget_changes(program, P.INPUT_CHANGED, bits)
     n_new = ints[S.N_LOG] - program[P.N_SEEN]
     n_numbers = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
@@ -50,8 +51,13 @@ def sync_input(buffer, program, maps, places):
 
 @compiled
 def set_input(volume, program, maps):
-    """Copy an array (C, H, W) to the input and mark all of it as changed. The planes stay as they
-    were."""
+    """Copy an array to the input, and mark all of it as changed. The planes stay as they were.
+
+    Parameters
+    ----------
+    volume : float32, shape (C, H, W).
+    program, maps : the network's, see `program`. Updated in place.
+    """
     n_channels, height, width = volume.shape
     step = np.uint64(n_channels)
     for y in range(height):
@@ -67,13 +73,12 @@ def set_input(volume, program, maps):
 
 @inlined
 def _copy_pixel(program, maps, y, x):
-    """A pixel's channels, from the planes to the input."""
-    width, n_channels = program[P.WIDTH], program[P.CHANNELS]
+    """Copy a pixel's channels from the planes to the input."""
+    width = program[P.WIDTH]
+    n_channels = program[P.CHANNELS]
     at = np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels)
-    plane, source = (
-        np.uint64(program[P.HEIGHT] * width),
-        np.uint64(program[P.PLANES] + y * width + x),
-    )
+    plane = np.uint64(program[P.HEIGHT] * width)
+    source = np.uint64(program[P.PLANES] + y * width + x)
     for c in range(n_channels):
         u = np.uint64(c)
         maps[at + u] = maps[source + u * plane]
@@ -81,8 +86,9 @@ def _copy_pixel(program, maps, y, x):
 
 @inlined
 def _copy_row(program, maps, y):
-    """All pixels of a row: plane by plane, which is faster than pixel by pixel."""
-    width, n_channels = program[P.WIDTH], program[P.CHANNELS]
+    """Copy all pixels of a row: plane by plane, which is faster than pixel by pixel."""
+    width = program[P.WIDTH]
+    n_channels = program[P.CHANNELS]
     for c in range(n_channels):
         at = np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + c)
         source = np.uint64(program[P.PLANES] + (c * program[P.HEIGHT] + y) * width)
@@ -93,9 +99,12 @@ def _copy_row(program, maps, y):
 
 @inlined
 def _sync_corners(buffer, ints, program, maps, bits):
-    """The cells that the events since the last call changed."""
-    n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
-    changed, words = program[P.INPUT_CHANGED], program[P.INPUT_CHANGED + WORDS]
+    """Copy the cells that the events since the last call changed."""
+    n_channels = program[P.CHANNELS]
+    height = program[P.HEIGHT]
+    width = program[P.WIDTH]
+    changed = program[P.INPUT_CHANGED]
+    words = program[P.INPUT_CHANGED + WORDS]
     for k in range(program[P.N_SEEN], ints[S.N_LOG]):
         c0, y0, x0 = cell_at(ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))])
         for c in range(c0, min(c0 + 2, n_channels)):
@@ -106,20 +115,20 @@ def _sync_corners(buffer, ints, program, maps, bits):
                     value = np.float32(buffer[source + np.uint64(x)]) + np.float32(0)
                     if maps[np.uint64(plane + x)] != value:
                         maps[np.uint64(plane + x)] = value
-                        maps[
-                            np.uint64(
-                                program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels + c
-                            )
-                        ] = value
+                        pixel = program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels
+                        maps[np.uint64(pixel + c)] = value
                         note_changes(bits, changed + y * words, x, np.uint64(1))
                         note_rows(program, P.INPUT_CHANGED, y, y)
 
 
 @compiled
 def _sync_all(buffer, ints, program, maps, bits):
-    """All cells, row by row of the image."""
-    n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
-    changed, words = program[P.INPUT_CHANGED], program[P.INPUT_CHANGED + WORDS]
+    """Copy all cells, row by row of the image."""
+    n_channels = program[P.CHANNELS]
+    height = program[P.HEIGHT]
+    width = program[P.WIDTH]
+    changed = program[P.INPUT_CHANGED]
+    words = program[P.INPUT_CHANGED + WORDS]
     note_rows(program, P.INPUT_CHANGED, 0, height - 1)
     for y in range(height):
         row = changed + y * words
@@ -130,9 +139,10 @@ def _sync_all(buffer, ints, program, maps, bits):
                 note_changes(bits, row, 0, round_cells(buffer, cells, width, maps, at))
             else:
                 for k in range(0, width, 8):
-                    # the last eight overlap those before: they do not differ twice
+                    # The last eight may overlap those before. What is equal by now is not noted.
                     x = min(k, width - 8)
                     note_changes(bits, row, x, round_eight(buffer, cells + x, maps, at + x))
+
         n_changed = 0
         for word in range(words):
             n_changed += count_bits(bits[np.uint64(row + word)])
@@ -148,17 +158,18 @@ def _sync_all(buffer, ints, program, maps, bits):
 
 @inlined
 def round_cells(buffer, cells, n, maps, at):
-    """Neighbouring cells of a row, rounded to float32 and compared with the input.
+    """Round neighbouring cells of a row to float32, and write them to the input's planes.
 
     Parameters
     ----------
     buffer : float64, a volume's `state`.
-    cells : int. Where in it the first of them lies.
-    maps : float32. Values from `at` on are updated in place.
+    cells : int. Where in `buffer` the first cell lies.
+    n : int. How many cells, at most 64.
+    maps : float32. The n values from `at` on are updated in place.
 
     Returns
     -------
-    uint64 : a bit for each that differed.
+    uint64 : a bit for each value that differed.
     """
     changed = np.uint64(0)
     for x in range(n):
@@ -170,14 +181,15 @@ def round_cells(buffer, cells, n, maps, at):
 
 @inlined
 def round_eight_plain(buffer, cells, maps, at):
-    """`round_cells` of eight. LLVM's own code for it takes three times as long."""
+    """`round_cells` of eight cells. LLVM's own code for it takes three times as long."""
     return round_cells(buffer, cells, 8, maps, at)
 
 
 @vectorized(round_eight_plain, returns=types.uint64)
 def round_eight(simd, buffer, cells, maps, at):
     builder = simd.builder
-    singles, doubles = ir.VectorType(ir.FloatType(), 8), ir.VectorType(ir.DoubleType(), 8)
+    singles = ir.VectorType(ir.FloatType(), 8)
+    doubles = ir.VectorType(ir.DoubleType(), 8)
     value = builder.fptrunc(simd.load(buffer, cells, doubles), singles)
     value = builder.fadd(value, ir.Constant(singles, [0.0] * 8))
     differs = builder.fcmp_unordered("!=", simd.load(maps, at, singles), value)

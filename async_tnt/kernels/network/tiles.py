@@ -1,11 +1,12 @@
-"""The innermost steps of every network: a map at a handful of places, anywhere in it, with all sums
-in registers.
+"""The innermost steps of every network: a map at a handful of places, with all sums in registers.
 
 A register holds LANES channels of one place. A MIX keeps the sums of up to PLACES places and two
 registers of filters: each weight is read once for all places, each input once for all filters.
 Every sum is taken in one order, each product added with one rounding, so how places are put
 together changes no bit. A place's last register may hold more channels than the map has: what lies
 behind them in memory is written as it was.
+
+The tiles take more than eight arguments: those of a vectorized kernel are plain numbers and arrays.
 """
 
 from functools import partial
@@ -21,29 +22,34 @@ from async_tnt.kernels.network.functions import applied, apply_function, choose
 from async_tnt.kernels.simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
 
 SIZES = (1, 2, 4, 6, 8, 12) if LANES == 16 else (1, 2, 4, 6)
-"""How many places a tile of a MIX may have: as fit in the registers, 32 of 16 lanes or 16 of 8.
-Each number has code of its own, which takes time to compile."""
+"""How many places a tile of a MIX may have: as many as fit in the registers, which are 32 of 16
+lanes or 16 of 8. Each number has code of its own, which takes time to compile."""
 PLACES = SIZES[-1]
+"""The most places of a tile."""
 AT_ONCE = 4
-"""Registers of channels of a SUM or MAXIMUM: one alone would wait four cycles for each tap."""
+"""Registers of channels of a SUM or MAXIMUM that are computed together: one alone would wait four
+cycles for each tap."""
 WORDS = ir.VectorType(ir.IntType(32), LANES)
+"""A register as whole numbers of 32 bits."""
+CHANNEL_KINDS = (P.SUM, P.MAXIMUM, P.FUNCTION)
+"""The kinds of steps that treat each channel by itself, and compute something."""
 
 
 @inlined
 def mix_tile_plain(
     program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
 ):
-    """One block of a step's filters, of one or two registers, at some places of its list.
+    """Compute one block of a step's filters, of one or two registers, at some places of its list.
 
     Parameters
     ----------
-    program, at, places, maps, weights : see `program`; `at` is where the step's record begins.
-    listed, n_places : where in `places` they are listed, and how many, of SIZES. One may be listed
-        twice.
-    inputs, output : where in `maps` place (0, 0) reads and writes, for this group and block.
-    block : where in `weights` the block begins.
-    n_filters : how many of the block's filters exist and are written, at least 1; up to LANES lie
-        in one register.
+    program, at, places, maps, weights : see `program`. `at` is where the step's record begins.
+    listed, n_places : int. Where in `places` they are listed, and how many, one of SIZES. A place
+        may be listed twice.
+    inputs, output : int. Where in `maps` place (0, 0) reads and writes, for this group and block.
+    block : int. Where in `weights` the block begins.
+    n_filters : int. How many of the block's filters exist and are written, at least 1. Up to LANES
+        lie in one register.
 
     Returns
     -------
@@ -51,11 +57,13 @@ def mix_tile_plain(
     """
     words = maps.view(np.uint32)
     size = 2 * LANES if n_filters > LANES else LANES
-    n_runs, run_length = program[at + P.N_RUNS], program[at + P.RUN_LENGTH]
+    n_runs = program[at + P.N_RUNS]
+    run_length = program[at + P.RUN_LENGTH]
     bias = block + n_runs * run_length * size
     changed = np.int64(0)
     for p in range(n_places):
-        y, x = np.int64(places[listed + p]) >> 16, np.int64(places[listed + p]) & 0xFFFF
+        y = np.int64(places[listed + p]) >> 16
+        x = np.int64(places[listed + p]) & 0xFFFF
         start = inputs + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
         out = output + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
         for f in range(n_filters):
@@ -74,9 +82,13 @@ def mix_tile_plain(
 def activated(value, weights, slopes, f, size):
     """clip(value < 0 ? slope value : value, low, high); nan stays nan.
 
-    slopes, size : where in `weights` `size` slopes begin, then low and high.
+    Parameters
+    ----------
+    slopes, size : int. Where in `weights` `size` slopes begin, then low and high.
+    f : int. Which slope.
     """
-    low, high = weights[slopes + size], weights[slopes + size + 1]
+    low = weights[slopes + size]
+    high = weights[slopes + size + 1]
     value = value * weights[slopes + f] if value < 0 else value
     value = low if value < low else value
     return high if value > high else value
@@ -87,21 +99,25 @@ def mix_tile(
     simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters
 ):
     tile = _Tile(simd, program, at, places, listed, maps, inputs, output)
-    return tile.mix(n_places, weights, block, n_filters)
+    return _mixed(tile, n_places, weights, block, n_filters)
 
 
 @inlined
 def channel_tile_plain(program, at, places, listed, maps, weights):
-    """All channels of a SUM, MAXIMUM or FUNCTION at one place of its list; otherwise as
-    `mix_tile_plain`."""
+    """Compute all channels of a SUM, MAXIMUM or FUNCTION at one place of its list.
+
+    For parameters and the result see `mix_tile_plain`.
+    """
     words = maps.view(np.uint32)
-    kind, channels = program[at + P.KIND], program[at + P.OUT_CHANNELS]
-    n_taps, taps = program[at + P.N_RUNS], program[at + P.RUNS]
+    kind = program[at + P.KIND]
+    channels = program[at + P.OUT_CHANNELS]
+    n_taps = program[at + P.N_RUNS]
+    taps = program[at + P.RUNS]
     size = (channels + LANES - 1) // LANES * LANES
-    y, x = np.int64(places[listed]) >> 16, np.int64(places[listed]) & 0xFFFF
-    first = (
-        program[at + P.WEIGHTS] + (y * program[at + P.COLUMNS] + x) * program[at + P.PLACE_WEIGHTS]
-    )
+    y = np.int64(places[listed]) >> 16
+    x = np.int64(places[listed]) & 0xFFFF
+    place = y * program[at + P.COLUMNS] + x
+    first = program[at + P.WEIGHTS] + place * program[at + P.PLACE_WEIGHTS]
     bias = first + (n_taps * size if kind == P.SUM else 0)
     start = program[at + P.IN] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
     out = program[at + P.OUT] + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
@@ -110,9 +126,8 @@ def channel_tile_plain(program, at, places, listed, maps, weights):
         if kind == P.SUM:
             total = weights[bias + c]
             for r in range(n_taps):
-                total = fma(
-                    weights[first + r * size + c], maps[start + program[taps + r] + c], total
-                )
+                value = maps[start + program[taps + r] + c]
+                total = fma(weights[first + r * size + c], value, total)
         elif kind == P.FUNCTION:
             total = apply_function(program[at + P.APPLIED], maps[start + program[taps] + c])
         else:
@@ -129,197 +144,75 @@ def channel_tile_plain(program, at, places, listed, maps, weights):
 @vectorized(channel_tile_plain, returns=types.int64)
 def channel_tile(simd, program, at, places, listed, maps, weights):
     tile = _Tile(simd, program, at, places, listed, maps, None, None)
-    return tile.by_channel(weights)
+    # Each kind of step has its own instructions.
+    kinds = {kind: partial(_by_channel, tile, weights, kind) for kind in CHANNEL_KINDS}
+    return choose(simd.builder, tile.slot(P.KIND), kinds)
 
 
 class _Tile:
-    """Builds a tile's instructions."""
+    """Builds what the instructions of all tiles have in common.
+
+    Parameters are those of `mix_tile`. `inputs` and `output` are None where the step's record says
+    where the map is read and written.
+    """
 
     def __init__(self, simd, program, at, places, listed, maps, inputs, output):
-        self._simd, self._program, self._at = simd, program, at
-        self._places, self._listed, self._maps = places, listed, maps
-        self._inputs = self._slot(P.IN) if inputs is None else inputs
-        self._output = self._slot(P.OUT) if output is None else output
+        self.simd = simd
+        self.program = program
+        self._at = at
+        self._places = places
+        self._listed = listed
+        self._maps = maps
+        self._inputs = self.slot(P.IN) if inputs is None else inputs
+        self._output = self.slot(P.OUT) if output is None else output
 
-    def _slot(self, slot):
-        simd = self._simd
-        return simd.builder.load(simd.at(self._program, simd.add(self._at, slot)))
+    def slot(self, slot):
+        """A number of the step's record."""
+        simd = self.simd
+        return simd.builder.load(simd.at(self.program, simd.add(self._at, slot)))
 
-    def _place(self, p):
+    def place(self, p):
         """Row and column of the p-th listed place."""
-        simd, builder = self._simd, self._simd.builder
+        simd = self.simd
+        builder = simd.builder
         place = builder.zext(builder.load(simd.at(self._places, simd.add(self._listed, p))), INDEX)
         return builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
 
-    def _starts(self, n_places):
-        """Of each place, what it reads from and where it writes."""
-        simd = self._simd
-        slots = {slot: self._slot(slot) for slot in (P.IN_DY, P.IN_DX, P.OUT_DY, P.OUT_DX)}
+    def starts(self, n_places):
+        """For each place, the array it reads, from there on, and the index where it writes."""
+        simd = self.simd
+        slots = {slot: self.slot(slot) for slot in (P.IN_DY, P.IN_DX, P.OUT_DY, P.OUT_DX)}
         starts = []
         for p in range(n_places):
-            y, x = self._place(p)
+            y, x = self.place(p)
             start = simd.add(self._inputs, simd.mul(y, slots[P.IN_DY]), simd.mul(x, slots[P.IN_DX]))
             out = simd.add(self._output, simd.mul(y, slots[P.OUT_DY]), simd.mul(x, slots[P.OUT_DX]))
             starts.append((simd.at(self._maps, start), out))
         return starts
 
-    def mix(self, n_places, weights, block, n_filters):
-        """Each number of places, and of registers, has its own instructions."""
-
-        def of_registers(n_vectors):
-            build = partial(
-                self._mix, weights=weights, block=block, n_filters=n_filters, n_vectors=n_vectors
-            )
-            return choose(builder, n_places, {n: partial(build, n) for n in SIZES})
-
-        builder = self._simd.builder
-        n_vectors = builder.select(
-            builder.icmp_signed(">", n_filters, whole(LANES)), whole(2), whole(1)
-        )
-        return choose(builder, n_vectors, {n: partial(of_registers, n) for n in (1, 2)})
-
-    def _mix(self, n_places, weights, block, n_filters, n_vectors):
-        simd, builder = self._simd, self._simd.builder
-        size, vectors = n_vectors * LANES, range(n_vectors)
-        starts = self._starts(n_places)
-        runs, n_runs, run_length = (
-            self._slot(P.RUNS),
-            self._slot(P.N_RUNS),
-            self._slot(P.RUN_LENGTH),
-        )
-        n_weights = simd.mul(run_length, size)  # of a run
-        bias = simd.add(block, simd.mul(n_runs, n_weights))
-
-        def add_run(r, sums):
-            distance = builder.load(simd.at(self._program, simd.add(runs, r)))
-            inputs = [simd.at(start, distance) for start, _ in starts]
-            of_run = simd.at(weights, simd.add(block, simd.mul(r, n_weights)))
-
-            def add_input(k, sums):
-                w = [simd.load(of_run, simd.add(simd.mul(k, size), v * LANES)) for v in vectors]
-                totals, new = iter(sums), []
-                for start in inputs:
-                    value = simd.spread(builder.load(simd.at(start, k)))
-                    new += [simd.fma(each, value, next(totals)) for each in w]
-                return new
-
-            return simd.loop(run_length, sums, add_input)
-
-        biases = [simd.load(weights, simd.add(bias, v * LANES)) for v in vectors]
-        sums = iter(simd.loop(n_runs, biases * n_places, add_run))
-        slopes = simd.add(bias, size)
-        slope = [simd.load(weights, simd.add(slopes, v * LANES)) for v in vectors]
-        limits = self._limits(weights, simd.add(slopes, size))
-        changed = whole(0)
-        for p, (_, out) in enumerate(starts):
-            differs = ir.Constant(WORDS, None)
-            for v in vectors:
-                value = self._activated(next(sums), slope[v], limits)
-                is_last = v == n_vectors - 1
-                left = simd.add(n_filters, -v * LANES) if is_last else None
-                differs = builder.or_(differs, self._replace(value, simd.add(out, v * LANES), left))
-            changed = builder.or_(changed, builder.shl(self._any(differs), whole(p)))
-        return changed
-
-    def by_channel(self, weights):
-        """Each kind of step has its own instructions."""
-        kinds = {
-            kind: partial(self._by_channel, weights, kind)
-            for kind in (P.SUM, P.MAXIMUM, P.FUNCTION)
-        }
-        return choose(self._simd.builder, self._slot(P.KIND), kinds)
-
-    def _by_channel(self, weights, kind):
-        simd, builder = self._simd, self._simd.builder
-        ((start, out),) = self._starts(1)
-        channels, taps, n_taps = (
-            self._slot(P.OUT_CHANNELS),
-            self._slot(P.RUNS),
-            self._slot(P.N_RUNS),
-        )
-        n_vectors = builder.udiv(simd.add(channels, LANES - 1), whole(LANES))
-        size = simd.mul(n_vectors, LANES)
-        y, x = self._place(0)
-        number = simd.add(simd.mul(y, self._slot(P.COLUMNS)), x)
-        first = simd.add(self._slot(P.WEIGHTS), simd.mul(number, self._slot(P.PLACE_WEIGHTS)))
-        bias = simd.add(first, simd.mul(n_taps, size)) if kind == P.SUM else first
-        slopes = simd.add(bias, size)
-        limits = self._limits(weights, simd.add(slopes, size))
-
-        def input_of(tap, c):
-            distance = builder.load(simd.at(self._program, simd.add(taps, tap)))
-            return simd.load(start, simd.add(distance, c))
-
-        def registers(n):
-            """n side by side, in turn; the last ones may have been computed before."""
-            last = builder.sub(n_vectors, whole(n))
-
-            def compute(k, carried):
-                v0 = simd.mul(k, n)
-                v0 = builder.select(builder.icmp_signed("<", v0, last), v0, last)
-                at = [simd.mul(simd.add(v0, v), LANES) for v in range(n)]
-
-                def add_tap(tap, sums):
-                    of_tap = simd.add(first, simd.mul(tap, size))
-                    return [
-                        simd.fma(simd.load(weights, simd.add(of_tap, c)), input_of(tap, c), total)
-                        for c, total in zip(at, sums, strict=True)
-                    ]
-
-                def compare_tap(tap, largest):
-                    return [
-                        self._larger(input_of(tap, c), value)
-                        for c, value in zip(at, largest, strict=True)
-                    ]
-
-                if kind == P.SUM:
-                    values = simd.loop(
-                        n_taps, [simd.load(weights, simd.add(bias, c)) for c in at], add_tap
-                    )
-                elif kind == P.FUNCTION:
-                    values = [
-                        applied(builder, self._slot(P.APPLIED), input_of(whole(0), c)) for c in at
-                    ]
-                else:
-                    values = simd.loop(n_taps, [input_of(whole(0), c) for c in at], compare_tap)
-                differs = builder.bitcast(carried[0], WORDS)
-                for c, value in zip(at, values, strict=True):
-                    value = self._activated(value, simd.load(weights, simd.add(slopes, c)), limits)
-                    new = self._replace(value, simd.add(out, c), builder.sub(channels, c))
-                    differs = builder.or_(differs, new)
-                return [builder.bitcast(differs, VECTOR)]
-
-            differs = simd.loop(builder.udiv(simd.add(n_vectors, n - 1), whole(n)), [ZERO], compute)
-            return builder.bitcast(differs[0], WORDS)
-
-        if kind == P.FUNCTION:  # whose instructions are many
-            return self._any(registers(1))
-        at_once = builder.select(
-            builder.icmp_signed("<", n_vectors, whole(AT_ONCE)), whole(1), whole(AT_ONCE)
-        )
-        return self._any(choose(builder, at_once, {n: partial(registers, n) for n in (1, AT_ONCE)}))
-
-    def _larger(self, value, largest):
-        builder = self._simd.builder
-        larger = builder.or_(
-            builder.fcmp_ordered(">", value, largest), builder.fcmp_unordered("uno", value, value)
-        )
-        return builder.select(larger, value, largest)
-
-    def _limits(self, weights, at):
-        simd = self._simd
-        low, high = (simd.builder.load(simd.at(weights, simd.add(at, k))) for k in range(2))
+    def limits(self, weights, at):
+        """The two limits of an activation, each in every lane."""
+        simd = self.simd
+        low = simd.builder.load(simd.at(weights, simd.add(at, 0)))
+        high = simd.builder.load(simd.at(weights, simd.add(at, 1)))
         return simd.spread(low), simd.spread(high)
 
-    def _activated(self, value, slope, limits):
-        a = Arithmetic(self._simd.builder, VECTOR)
+    def activated(self, value, slope, limits):
+        """clip(value < 0 ? slope value : value, low, high), in every lane."""
+        a = Arithmetic(self.simd.builder, VECTOR)
         return a.clip(a.where(value, "<", 0.0, a.mul(value, slope), value), *limits)
 
-    def _replace(self, value, at, left):
-        """Write a register of channels, of which `left` belong to the place (None: all); the bits
-        that differ."""
-        simd, builder = self._simd, self._simd.builder
-        before, new = simd.load(self._maps, at, WORDS), builder.bitcast(value, WORDS)
+    def replace(self, value, at, left):
+        """Write a register of channels. Returns the bits that differ from what was there.
+
+        Parameters
+        ----------
+        left : how many of the channels belong to the place; None: all.
+        """
+        simd = self.simd
+        builder = simd.builder
+        before = simd.load(self._maps, at, WORDS)
+        new = builder.bitcast(value, WORDS)
         if left is not None:
             numbers = ir.Constant(WORDS, list(range(LANES)))
             limits = simd.spread(builder.trunc(left, ir.IntType(32)))
@@ -327,10 +220,186 @@ class _Tile:
         simd.store(builder.bitcast(new, VECTOR), self._maps, at)
         return builder.xor(new, before)
 
-    def _any(self, words):
-        """1 if a bit is set, else 0."""
-        builder = self._simd.builder
-        lanes = builder.bitcast(
-            builder.icmp_unsigned("!=", words, ir.Constant(WORDS, None)), ir.IntType(LANES)
-        )
+    def any_bit(self, words):
+        """1 if a bit of a register is set, else 0."""
+        builder = self.simd.builder
+        is_set = builder.icmp_unsigned("!=", words, ir.Constant(WORDS, None))
+        lanes = builder.bitcast(is_set, ir.IntType(LANES))
         return builder.zext(builder.icmp_unsigned("!=", lanes, ir.Constant(lanes.type, 0)), INDEX)
+
+
+def _mixed(tile, n_places, weights, block, n_filters):
+    """Build a tile of a MIX. Each number of places, and of registers, has its own instructions."""
+    builder = tile.simd.builder
+
+    def of_registers(n_vectors):
+        build = partial(
+            _mixed_places,
+            tile,
+            weights=weights,
+            block=block,
+            n_filters=n_filters,
+            n_vectors=n_vectors,
+        )
+        return choose(builder, n_places, {n: partial(build, n) for n in SIZES})
+
+    needs_two = builder.icmp_signed(">", n_filters, whole(LANES))
+    n_vectors = builder.select(needs_two, whole(2), whole(1))
+    return choose(builder, n_vectors, {n: partial(of_registers, n) for n in (1, 2)})
+
+
+def _mixed_places(tile, n_places, weights, block, n_filters, n_vectors):
+    """Build a tile of a MIX with this number of places, and of registers of filters."""
+    simd = tile.simd
+    builder = simd.builder
+    size = n_vectors * LANES
+    starts = tile.starts(n_places)
+    runs = tile.slot(P.RUNS)
+    n_runs = tile.slot(P.N_RUNS)
+    run_length = tile.slot(P.RUN_LENGTH)
+    n_weights = simd.mul(run_length, size)  # of a run
+    bias = simd.add(block, simd.mul(n_runs, n_weights))
+
+    def registers_at(array, index):
+        return [simd.load(array, simd.add(index, v * LANES)) for v in range(n_vectors)]
+
+    def add_run(r, sums):
+        distance = builder.load(simd.at(tile.program, simd.add(runs, r)))
+        inputs = [simd.at(start, distance) for start, _ in starts]
+        of_run = simd.at(weights, simd.add(block, simd.mul(r, n_weights)))
+
+        def add_input(k, sums):
+            filters = registers_at(of_run, simd.mul(k, size))
+            new = []
+            for p, start in enumerate(inputs):
+                value = simd.spread(builder.load(simd.at(start, k)))
+                for v, each in enumerate(filters):
+                    new.append(simd.fma(each, value, sums[p * n_vectors + v]))
+            return new
+
+        return simd.loop(run_length, sums, add_input)
+
+    biases = registers_at(weights, bias)
+    sums = simd.loop(n_runs, biases * n_places, add_run)
+
+    slopes = simd.add(bias, size)
+    slope = registers_at(weights, slopes)
+    limits = tile.limits(weights, simd.add(slopes, size))
+    changed = whole(0)
+    for p, (_, out) in enumerate(starts):
+        differs = ir.Constant(WORDS, None)
+        for v in range(n_vectors):
+            value = tile.activated(sums[p * n_vectors + v], slope[v], limits)
+            is_last = v == n_vectors - 1
+            left = simd.add(n_filters, -v * LANES) if is_last else None
+            differs = builder.or_(differs, tile.replace(value, simd.add(out, v * LANES), left))
+        changed = builder.or_(changed, builder.shl(tile.any_bit(differs), whole(p)))
+    return changed
+
+
+def _by_channel(tile, weights, kind):
+    """Build a tile of a step of this kind, which treats each channel by itself."""
+    channels = _Channels(tile, weights, kind)
+    if kind == P.FUNCTION:  # Its instructions are too many to have them twice.
+        return tile.any_bit(channels.compute(1))
+
+    builder = tile.simd.builder
+    is_small = builder.icmp_signed("<", channels.n_vectors, whole(AT_ONCE))
+    at_once = builder.select(is_small, whole(1), whole(AT_ONCE))
+    cases = {n: partial(channels.compute, n) for n in (1, AT_ONCE)}
+    return tile.any_bit(choose(builder, at_once, cases))
+
+
+class _Channels:
+    """Builds the instructions of all channels of one place.
+
+    Attributes
+    ----------
+    n_vectors : registers of channels.
+    """
+
+    def __init__(self, tile, weights, kind):
+        simd = tile.simd
+        builder = simd.builder
+        self._tile = tile
+        self._weights = weights
+        self._kind = kind
+        ((self._start, self._out),) = tile.starts(1)
+        self._channels = tile.slot(P.OUT_CHANNELS)
+        self._taps = tile.slot(P.RUNS)
+        self._n_taps = tile.slot(P.N_RUNS)
+        self.n_vectors = builder.udiv(simd.add(self._channels, LANES - 1), whole(LANES))
+        self._size = simd.mul(self.n_vectors, LANES)
+
+        y, x = tile.place(0)
+        number = simd.add(simd.mul(y, tile.slot(P.COLUMNS)), x)
+        self._first = simd.add(tile.slot(P.WEIGHTS), simd.mul(number, tile.slot(P.PLACE_WEIGHTS)))
+        self._bias = self._first
+        if kind == P.SUM:
+            self._bias = simd.add(self._first, simd.mul(self._n_taps, self._size))
+        self._slopes = simd.add(self._bias, self._size)
+        self._limits = tile.limits(weights, simd.add(self._slopes, self._size))
+
+    def compute(self, n):
+        """Compute all registers, n side by side in turn. Returns the bits that differ.
+
+        The last n may overlap the n before them, and compute some registers again.
+        """
+        tile = self._tile
+        simd = tile.simd
+        builder = simd.builder
+        last = builder.sub(self.n_vectors, whole(n))
+
+        def compute_next(k, carried):
+            v0 = simd.mul(k, n)
+            v0 = builder.select(builder.icmp_signed("<", v0, last), v0, last)
+            at = [simd.mul(simd.add(v0, v), LANES) for v in range(n)]
+            differs = builder.bitcast(carried[0], WORDS)
+            for c, value in zip(at, self._values(at), strict=True):
+                slope = simd.load(self._weights, simd.add(self._slopes, c))
+                value = tile.activated(value, slope, self._limits)
+                left = builder.sub(self._channels, c)
+                differs = builder.or_(differs, tile.replace(value, simd.add(self._out, c), left))
+            return [builder.bitcast(differs, VECTOR)]
+
+        n_turns = builder.udiv(simd.add(self.n_vectors, n - 1), whole(n))
+        differs = simd.loop(n_turns, [ZERO], compute_next)
+        return builder.bitcast(differs[0], WORDS)
+
+    def _values(self, at):
+        """The sum, maximum or function of the registers at these channels."""
+        simd = self._tile.simd
+        if self._kind == P.SUM:
+            biases = [simd.load(self._weights, simd.add(self._bias, c)) for c in at]
+            return simd.loop(self._n_taps, biases, partial(self._add_tap, at))
+        inputs = [self._input(whole(0), c) for c in at]
+        if self._kind == P.MAXIMUM:
+            return simd.loop(self._n_taps, inputs, partial(self._compare_tap, at))
+        return [applied(simd.builder, self._tile.slot(P.APPLIED), value) for value in inputs]
+
+    def _input(self, tap, c):
+        """The register that a tap reads for the channels from c on."""
+        simd = self._tile.simd
+        distance = simd.builder.load(simd.at(self._tile.program, simd.add(self._taps, tap)))
+        return simd.load(self._start, simd.add(distance, c))
+
+    def _add_tap(self, at, tap, sums):
+        simd = self._tile.simd
+        of_tap = simd.add(self._first, simd.mul(tap, self._size))
+        new = []
+        for c, total in zip(at, sums, strict=True):
+            weight = simd.load(self._weights, simd.add(of_tap, c))
+            new.append(simd.fma(weight, self._input(tap, c), total))
+        return new
+
+    def _compare_tap(self, at, tap, largest):
+        return [
+            self._larger(self._input(tap, c), value) for c, value in zip(at, largest, strict=True)
+        ]
+
+    def _larger(self, value, largest):
+        """The larger number in every lane; nan where `value` is nan."""
+        builder = self._tile.simd.builder
+        is_larger = builder.fcmp_ordered(">", value, largest)
+        is_nan = builder.fcmp_unordered("uno", value, value)
+        return builder.select(builder.or_(is_larger, is_nan), value, largest)

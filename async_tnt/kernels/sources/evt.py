@@ -1,11 +1,10 @@
 """Prophesee's EVT words to columns of events.
 
 Each kernel reads words from place `start` on for as long as there is room for all events of one
-more word, and returns (events written, words read). What later words depend on is in `state`;
-`INITIAL` is a file's start. Events before the first word with a time (in EVT3 also with their row),
-as at the start of a part cut from a longer file, have no known time or place: they are counted and
-skipped. A damaged vector of events may reach beyond the 2,048 columns that the formats can say, and
-so beyond every sensor.
+more word, and returns (events written, words read). What later words depend on is in `state`.
+Events before the first word with a time (in EVT3 also with their row), as at the start of a part
+cut from a longer file, have no known time or place: they are counted and skipped. A damaged vector
+of events may reach beyond the 2,048 columns that the formats can say, and so beyond every sensor.
 
 References
 ----------
@@ -16,23 +15,43 @@ import numpy as np
 
 from async_tnt.kernels.jit import compiled
 
-HIGH, LOW, ROW, BASE, POLARITY, UNPLACED = range(6)
+# `state`, int64
+HIGH = 0  # the unwrapped high part of the time; -1: not known yet
+LOW = 1  # EVT3: the low part of the time
+ROW = 2  # EVT3: the row of the events that follow; -1: not known yet
+BASE = 3  # EVT3: the first column of the vector that follows; -1: not known yet
+POLARITY = 4  # EVT3: the polarity of vectors
+UNPLACED = 5  # events, or vectors of them, that were skipped
 INITIAL = (-1, 0, -1, -1, 0, 0)
-LAST_COLUMN = (1 << 16) - 1  # what a column of uint16 holds
+"""The state at a file's start."""
+LAST_COLUMN = (1 << 16) - 1
+"""The largest column that uint16 holds."""
+
+# the types of words of EVT 2.0 and 2.1; an event's type is its polarity
+CD_ON = 1
+EVT_TIME_HIGH = 8
+# the types of words of EVT 3.0
+EVT_ADDR_Y = 0
+EVT_ADDR_X = 2
+VECT_BASE_X = 3
+VECT_12 = 4
+VECT_8 = 5
+EVT_TIME_LOW = 6
+EVT3_TIME_HIGH = 8
 
 
 @compiled
 def next_time(time, raw, period):
-    """The unwrapped time of a clock with this period that shows `raw`: the one nearest to the time
-    before.
+    """The unwrapped time of a clock that shows `raw`: the one nearest to the time before.
 
     A step of up to half a period back is disorder or a flipped bit, and does not shift later times.
     A larger one is a wrap. No time is negative: there was a long gap instead.
 
     Parameters
     ----------
-    time : the unwrapped time before, or -1 at the start.
-    raw : what the clock shows, in [0, period).
+    time : int. The unwrapped time before, or -1 at the start.
+    raw : int. What the clock shows, in [0, period).
+    period : int.
     """
     if time < 0:
         return raw
@@ -44,7 +63,13 @@ def next_time(time, raw, period):
 
 @compiled
 def unwrap_times(t, time, period):
-    """`next_time` for each of t: int64, updated in place. Returns the last one."""
+    """Replace each of t by its `next_time`. Returns the last one.
+
+    Parameters
+    ----------
+    t : int64. Updated in place.
+    time, period : as for `next_time`.
+    """
     for i in range(t.size):
         time = next_time(time, t[i], period)
         t[i] = time
@@ -59,14 +84,16 @@ def decode_evt2(words, start, state, t, x, y, p):
     while i < words.size and n < t.size:
         word = np.int64(words[i])
         kind = word >> 28
-        if kind <= 1:
+        if kind <= CD_ON:
             if state[HIGH] < 0:
                 state[UNPLACED] += 1
             else:
                 t[n] = state[HIGH] << 6 | word >> 22 & 63
-                x[n], y[n], p[n] = word >> 11 & 2047, word & 2047, kind
+                x[n] = word >> 11 & 2047
+                y[n] = word & 2047
+                p[n] = kind
                 n += 1
-        elif kind == 8:
+        elif kind == EVT_TIME_HIGH:
             state[HIGH] = next_time(state[HIGH], word & 0xFFFFFFF, np.int64(1) << 28)
         i += 1
     return n, i
@@ -74,14 +101,17 @@ def decode_evt2(words, start, state, t, x, y, p):
 
 @compiled
 def decode_evt21(words, start, state, t, x, y, p):
-    """Pairs of 32-bit words, upper half first: as EVT2's word, x in steps of 32; then a mask of 32
-    pixels."""
+    """Pairs of 32-bit words, upper half first.
+
+    The first word is as in EVT 2.0, with x in steps of 32. The second is a mask of 32 pixels.
+    """
     n = 0
     i = start
     while i + 1 < words.size and n + 32 <= t.size:
-        word, mask = np.int64(words[i]), np.int64(words[i + 1])
+        word = np.int64(words[i])
+        mask = np.int64(words[i + 1])
         kind = word >> 28
-        if kind <= 1:
+        if kind <= CD_ON:
             if state[HIGH] < 0:
                 state[UNPLACED] += 1
                 mask = 0
@@ -89,36 +119,46 @@ def decode_evt21(words, start, state, t, x, y, p):
             base = word >> 11 & 2047
             for bit in range(32):
                 if mask >> bit & 1:
-                    t[n], x[n], y[n], p[n] = time, base + bit, word & 2047, kind
+                    t[n] = time
+                    x[n] = base + bit
+                    y[n] = word & 2047
+                    p[n] = kind
                     n += 1
-        elif kind == 8:
+        elif kind == EVT_TIME_HIGH:
             state[HIGH] = next_time(state[HIGH], word & 0xFFFFFFF, np.int64(1) << 28)
         i += 2
     return n, i
 
 
+# One function: a part of its own for vectors, even if inlined, made it 10% slower.
 @compiled
-def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901 (one loop: a call for each element would cost more than its work)
-    """16-bit words: type (4 bits) and what changed (12): the row, half of the time, one pixel, or a
-    vector."""
+def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901
+    """16-bit words: the type (4 bits), and what changed (12 bits).
+
+    That is the row, half of the time, one pixel, or a vector of pixels.
+    """
     n = 0
     i = start
     while i < words.size and n + 12 <= t.size:
         word = np.int64(words[i])
-        kind, value = word >> 12, word & 4095
-        if kind == 0:
+        kind = word >> 12
+        value = word & 4095
+        if kind == EVT_ADDR_Y:
             state[ROW] = value & 2047
-        elif kind == 3:
-            state[BASE], state[POLARITY] = value & 2047, value >> 11
-        elif kind == 2:
+        elif kind == VECT_BASE_X:
+            state[BASE] = value & 2047
+            state[POLARITY] = value >> 11
+        elif kind == EVT_ADDR_X:
             if state[HIGH] < 0 or state[ROW] < 0:
                 state[UNPLACED] += 1
             else:
-                t[n], x[n] = state[HIGH] << 12 | state[LOW], value & 2047
-                y[n], p[n] = state[ROW], value >> 11
+                t[n] = state[HIGH] << 12 | state[LOW]
+                x[n] = value & 2047
+                y[n] = state[ROW]
+                p[n] = value >> 11
                 n += 1
-        elif kind == 4 or kind == 5:
-            length = 12 if kind == 4 else 8
+        elif kind in (VECT_12, VECT_8):
+            length = 12 if kind == VECT_12 else 8
             if state[HIGH] < 0 or state[ROW] < 0 or state[BASE] < 0:
                 state[UNPLACED] += 1
             else:
@@ -126,16 +166,18 @@ def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901 (one loop: a cal
                     if value >> bit & 1:
                         t[n] = state[HIGH] << 12 | state[LOW]
                         x[n] = min(state[BASE] + bit, LAST_COLUMN)
-                        y[n], p[n] = state[ROW], state[POLARITY]
+                        y[n] = state[ROW]
+                        p[n] = state[POLARITY]
                         n += 1
             if state[BASE] >= 0:
                 state[BASE] += length
-        elif kind == 6:
+        elif kind == EVT_TIME_LOW:
             state[LOW] = value
-        elif kind == 8:
+        elif kind == EVT3_TIME_HIGH:
             high = next_time(state[HIGH], value, np.int64(4096))
+            # The new low half comes next. The old one would be up to 4 ms ahead.
             if high != state[HIGH]:
-                state[LOW] = 0  # the new low half comes next; the old one would be up to 4 ms ahead
+                state[LOW] = 0
             state[HIGH] = high
         i += 1
     return n, i

@@ -1,6 +1,6 @@
-"""Events by their pixels: filter them and count them.
+"""Filter events by their pixels, and count the events of each pixel.
 
-Columns are checked (int64, uint16, uint16, uint8) and on the sensor; their first n events are read.
+Columns are checked (int64, uint16, uint16, uint8) and on the sensor. Their first n events are read.
 Another thread may change them meanwhile, so a pixel is read once, and never leads beyond an array.
 """
 
@@ -9,19 +9,29 @@ import numpy as np
 from async_tnt.kernels.jit import compiled_without_gil
 from async_tnt.kernels.volume.records import store
 
-KEEP, MASKED, OUTSIDE = 0, 1, 2
+# What happens to the events of a pixel. They are kept;
+KEEP = 0
+# dropped, because the pixel is in a mask;
+MASKED = 1
+# or dropped, because it is outside the region.
+OUTSIDE = 2
+
+RECORD_BYTES = 13
+"""Bytes of a packed record: t int64, x uint16, y uint16, p uint8."""
 
 
+# Nine parameters: Numba takes columns faster one by one than in a tuple.
 @compiled_without_gil
 def keep_events(t, x, y, p, n, verdicts, left, top, records):
     """Write the events whose pixel is kept as packed records, in their order.
 
     Parameters
     ----------
+    t, x, y, p : columns, see above.
+    n : int. Events.
     verdicts : uint8, shape (H, W). KEEP, MASKED or OUTSIDE.
-    left, top : int. Subtracted from x and y; not more than those of any kept pixel.
-    records : uint8, shape (13 n,). Overwritten: t int64, x uint16, y uint16, p uint8 of each kept
-        event.
+    left, top : int. Subtracted from x and y. No kept pixel has a smaller x or y.
+    records : uint8, shape (RECORD_BYTES n,). Overwritten with a record of each kept event.
 
     Returns
     -------
@@ -34,7 +44,8 @@ def keep_events(t, x, y, p, n, verdicts, left, top, records):
         column = min(np.int64(x[i]), width - 1)
         row = min(np.int64(y[i]), height - 1)
         verdict = verdicts[row, column]
-        at = 13 * kept  # without a branch: an event that is not kept is overwritten by the next one
+        # There is no branch: an event that is not kept is overwritten by the next one.
+        at = RECORD_BYTES * kept
         store(records, at, t[i], np.int64)
         store(records, at + 8, column - left, np.uint16)
         store(records, at + 10, row - top, np.uint16)
@@ -46,7 +57,14 @@ def keep_events(t, x, y, p, n, verdicts, left, top, records):
 
 @compiled_without_gil
 def count_events(x, y, n, counts):
-    """counts[y_i, x_i] += 1; int64, shape (H, W), updated in place."""
+    """Count the first n events by their pixels: counts[y_i, x_i] += 1.
+
+    Parameters
+    ----------
+    counts : int64, shape (H, W). Updated in place.
+    """
     height, width = counts.shape
     for i in range(n):
-        counts[min(np.int64(y[i]), height - 1), min(np.int64(x[i]), width - 1)] += 1
+        row = min(np.int64(y[i]), height - 1)
+        column = min(np.int64(x[i]), width - 1)
+        counts[row, column] += 1

@@ -1,28 +1,30 @@
-"""An event camera in front of a moving image: what its pixels follow, and the threshold crossings
-of its pixels."""
+"""An event camera in front of a moving image: what its pixels follow, and their events."""
 
 import numpy as np
 
-from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.jit import compiled, inlined
 
 
 @compiled
 def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
-    """Each pixel's light behind a low-pass of first order, the slower the darker it is, by backward
-    differences.
+    """Each pixel's light behind a low-pass of first order, which is slower in the dark.
 
-    y[0] = L[0];  y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1]),
-    a = 2 pi brightest_hz max(exp(L[k]), darkest) (t[k] - t[k - 1])
+    By backward differences:
+
+        y[0] = L[0]
+        y[k] = y[k - 1] + a / (1 + a) (L[k] - y[k - 1])
+        a    = 2 pi brightest_hz max(exp(L[k]), darkest) (t[k] - t[k - 1])
 
     Parameters
     ----------
-    log_frames : float64, (K, H, W), L. frame_times_us : float64, (K,), strictly increasing.
-    brightest_hz : float64, the corner where L is 0. darkest : float64, luminance below which it
-        falls no further.
+    log_frames : float64, (K, H, W). L, the logarithm of luminance.
+    frame_times_us : float64, (K,), strictly increasing.
+    brightest_hz : float. The corner frequency where L is 0.
+    darkest : float. The luminance below which the corner frequency falls no further.
 
     Returns
     -------
-    float64, (K, H, W), y.
+    float64, (K, H, W) : y.
     """
     followed = np.empty_like(log_frames)
     followed[0] = log_frames[0]
@@ -30,14 +32,15 @@ def low_pass(log_frames, frame_times_us, brightest_hz, darkest):
         scale = 2e-6 * np.pi * brightest_hz * (frame_times_us[k] - frame_times_us[k - 1])
         for y in range(log_frames.shape[1]):
             for x in range(log_frames.shape[2]):
-                light, before = log_frames[k, y, x], followed[k - 1, y, x]
+                light = log_frames[k, y, x]
+                before = followed[k - 1, y, x]
                 turns = scale * max(np.exp(light), darkest)
                 followed[k, y, x] = before + turns / (1.0 + turns) * (light - before)
     return followed
 
 
 @compiled
-def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, reference, refractory_us):  # noqa: C901 (one loop: a call for each element would cost more than its work)
+def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, reference, refractory_us):
     """Threshold crossings of every pixel, pixel after pixel, each pixel's in order of time.
 
     Parameters
@@ -45,12 +48,14 @@ def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, refere
     log_frames : float64, shape (K, H, W), finite.
     frame_times_us : float64, shape (K,), strictly increasing.
     threshold_on, threshold_off : float64, shape (H, W), above 0. Not checked here.
-    reference : float64, shape (H, W), level R at the first frame.
-    refractory_us : at least 0.
+    reference : float64, shape (H, W). Level R at the first frame.
+    refractory_us : float, at least 0.
 
     Returns
     -------
-    t : int64, microseconds, rounded. x, y : uint16. p : uint8, 1 = ON.
+    t : int64, microseconds, rounded.
+    x, y : uint16.
+    p : uint8, 1 = ON.
     """
     n_frames, n_rows, n_columns = log_frames.shape
     capacity = 4096
@@ -61,14 +66,18 @@ def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, refere
     n = 0
     for y in range(n_rows):
         for x in range(n_columns):
-            c_on, c_off = threshold_on[y, x], threshold_off[y, x]
+            c_on = threshold_on[y, x]
+            c_off = threshold_off[y, x]
             level = reference[y, x]
             in_reset = False
             reset_end = 0.0
             for k in range(n_frames - 1):
-                t0, t1 = frame_times_us[k], frame_times_us[k + 1]
-                l0, l1 = log_frames[k, y, x], log_frames[k + 1, y, x]
-                t_now, l_now = t0, l0
+                t0 = frame_times_us[k]
+                t1 = frame_times_us[k + 1]
+                l0 = log_frames[k, y, x]
+                l1 = log_frames[k + 1, y, x]
+                t_now = t0
+                l_now = l0
                 while True:
                     if in_reset:
                         if reset_end >= t1:
@@ -77,18 +86,21 @@ def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, refere
                         l_now = l0 + (l1 - l0) * ((t_now - t0) / (t1 - t0))
                         level = l_now
                         in_reset = False
-                    if l_now >= level + c_on:  # only at the start, from a far-off reference
-                        p, level = 1, level + c_on
-                    elif l_now <= level - c_off:
-                        p, level = 0, level - c_off
-                    elif l1 >= level + c_on:
-                        p, level = 1, level + c_on
-                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
-                    elif l1 <= level - c_off:
-                        p, level = 0, level - c_off
-                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
-                    else:
+
+                    # The light is beyond a threshold now (only at the start, from a far-off
+                    # reference), or crosses one before the next frame, or does not.
+                    is_beyond_now = _beyond(l_now, level, c_on, c_off)
+                    direction = is_beyond_now
+                    if direction == 0:
+                        direction = _beyond(l1, level, c_on, c_off)
+                    if direction == 0:
                         break
+                    p = 1 if direction > 0 else 0
+                    level = level + c_on if direction > 0 else level - c_off
+                    if is_beyond_now == 0:
+                        t_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0))
+                        l_now = level
+
                     if n == capacity:
                         capacity *= 2
                         t_out = np.concatenate((t_out, np.empty(n, np.int64)))
@@ -100,7 +112,18 @@ def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, refere
                     y_out[n] = y
                     p_out[n] = p
                     n += 1
+
                     if refractory_us > 0.0:
                         in_reset = True
                         reset_end = t_now + refractory_us
     return t_out[:n].copy(), x_out[:n].copy(), y_out[:n].copy(), p_out[:n].copy()
+
+
+@inlined
+def _beyond(light, level, c_on, c_off):
+    """1 if the light is at or above the ON threshold, -1 at or below the OFF threshold, else 0."""
+    if light >= level + c_on:
+        return 1
+    if light <= level - c_off:
+        return -1
+    return 0

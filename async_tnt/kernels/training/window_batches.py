@@ -1,13 +1,13 @@
-"""The volumes of many windows, and the gradient of a loss on them with respect to each window's
-landmark.
+"""The volumes of many windows, and the gradients of a loss on them by the windows' landmarks.
 
 Arguments that both kernels take:
 
     buffer   float64, the volume's `state`. Updated in place.
     scratch  columns t, x, y, p as long as the longest recording. Overwritten.
-    columns  t, x, y, p of all recordings, end to end.
-    windows  first, last : int64, (N,). Each window's recording: its events `first <= i < last`.
-             start_us, limit_us : int64, (N,). Each window.
+    columns  columns t, x, y, p of all recordings, end to end.
+    windows  nine arrays of N:
+             first, last : int64. Each window's recording: its events `first <= i < last`.
+             start_us, limit_us : int64. Each window's time.
              matrix, keep, seed, nothing, place : how its events are moved and thinned, see
                  `augment.Draws`.
 """
@@ -21,15 +21,23 @@ from async_tnt.kernels.volume.landmark import displace_fixed
 from async_tnt.kernels.volume.readout import cell_at, cells_to_float32, empty_volume, mark_unread
 from async_tnt.kernels.volume.splat import grid_of, place_event
 
-SHOWN, SCATTERED, ONE_POLARITY, HOT_PIXELS, PATCH, EDGE = range(6)
-"""What is in a window: its recording, or one of the kinds of nothing of `_of_nothing`."""
-OWN, MEAN, GIVEN = 0, 1, 2
-"""Landmark: by the volume's mode; the centroid of the window's events; given for each window."""
+# What is in a window: its recording, or one of the kinds of nothing of `_of_nothing`.
+SHOWN = 0
+SCATTERED = 1
+ONE_POLARITY = 2
+HOT_PIXELS = 3
+PATCH = 4
+EDGE = 5
+
+# A window's landmark: by the volume's mode, the centroid of the window's events, or given.
+OWN = 0
+MEAN = 1
+GIVEN = 2
 
 
 @compiled
 def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
-    """The volume of each window into `out`.
+    """Write the volume of each window into `out`.
 
     Parameters
     ----------
@@ -40,11 +48,14 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
     """
     ints = buffer.view(np.int64)
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
-    start_us, limit_us = windows[2], windows[3]
+    start_us = windows[2]
+    limit_us = windows[3]
     for i in range(out.shape[0]):
         n = _select_events(ints, scratch, columns, windows, i)
-        mark_unread(ints)  # every volume goes to another array
-        empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # the epoch is not read
+        # Every volume goes to another array. The epoch, 0, is not read.
+        mark_unread(ints)
+        empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)
+
         if about == GIVEN:
             buffer[S.FIXED_X] = landmarks[i, 0]
             buffer[S.FIXED_Y] = landmarks[i, 1]
@@ -56,21 +67,23 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, out):
                 sum_y += np.int64(scratch_y[k])
             buffer[S.FIXED_X] = sum_x / n
             buffer[S.FIXED_Y] = sum_y / n
+
         absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n)
         cells_to_float32(buffer, out[i])
 
 
 @compiled
 def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, out):
-    """dL/dl of each window into `out`, from dL/dV: the chain rule through
+    """Write dL/dl of each window into `out`, from dL/dV: the chain rule through the volume.
 
-        V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)        u_i = (x_i - l_x) / tau_i + c_x
+        V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)
+        u_i = (x_i - l_x) / tau_i + c_x
 
         dL/dl_x = sum_i dL/du_i du_i/dl_x
                 = sum_i -1/tau_i sum_b,y,x dL/dV[b, y, x] s_i k(b - b_i) k(y - v_i) k'(x - u_i)
 
     with k' = -1 at the left and +1 at the right neighbour. Landmark and u are both in grid pixels,
-    so that 1/tau_i = window_us / (t_max dt).
+    so 1/tau_i = window_us / (t_max dt).
 
     Parameters
     ----------
@@ -98,12 +111,13 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
             )
             if not kept:
                 continue
+
             b, y, x = cell_at(ints, np.int64(corner))
             d_u = 0.0
             d_v = 0.0
             for is_upper in range(2):
                 weight = upper if is_upper else lower
-                if weight == 0.0:  # also at the last bin, which has none above it
+                if weight == 0.0:  # As at the last bin, which has none above it.
                     continue
                 g00 = _cell(gradient, i, b + is_upper, y, x)
                 g01 = _cell(gradient, i, b + is_upper, y, x + 1)
@@ -126,12 +140,17 @@ def _cell(gradient, i, b, y, x):
 
 @compiled
 def _select_events(ints, scratch, columns, windows, window):
-    """One window's events, moved and thinned, into the scratch columns; returns how many."""
+    """Write one window's events, moved and thinned, into the scratch columns. Returns how many."""
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
     t, x, y, p = columns
     firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, nothings, places = windows
-    last, limit_us = lasts[window], limits_us[window]
-    matrix, keep, seed, nothing = matrices[window], keeps[window], seeds[window], nothings[window]
+    last = lasts[window]
+    limit_us = limits_us[window]
+    matrix = matrices[window]
+    keep = keeps[window]
+    seed = seeds[window]
+    nothing = nothings[window]
+
     first = firsts[window] + np.searchsorted(t[firsts[window] : last], starts_us[window])
     n = 0
     i = first
@@ -158,17 +177,22 @@ def _select_events(ints, scratch, columns, windows, window):
 
 @compiled
 def _of_nothing(nothing, place, seed, i, share):
-    """Where event i of a window that shows nothing is, and whether it is ON.
+    """The place (x, y) of event i of a window that shows nothing, and whether it is ON.
 
-    place : float64, (8,), in sensor pixels.
-        SCATTERED, ONE_POLARITY, PATCH : left, top, width, height of where events are; and the share
-            of ON events.
-        HOT_PIXELS : x and y of three pixels; the share of ON events.
-        EDGE : a point of a straight line, its normal (cosine, sine), how far it moves along that in
-            the window, its thickness and length; the share of ON events.
-    share : of the window, from 0 to 1, that has passed.
+    Parameters
+    ----------
+    nothing : int. What the window shows.
+    place : float64, (8,), in sensor pixels. Its last number is the share of ON events. The others:
+        SCATTERED, ONE_POLARITY, PATCH : left, top, width, height of where events are.
+        HOT_PIXELS : x and y of three pixels.
+        EDGE : a point of a straight line, its normal (cosine, sine), how far it moves along the
+            normal in the window, its thickness and its length.
+    seed : uint64.
+    i : int. The event's number.
+    share : float. How much of the window has passed, from 0 to 1.
     """
-    u, v = _uniform(~seed, 2 * i), _uniform(~seed, 2 * i + 1)
+    u = _uniform(~seed, 2 * i)
+    v = _uniform(~seed, 2 * i + 1)
     is_on = _uniform(seed ^ np.uint64(0x5555555555555555), i) < place[7]
     if nothing == HOT_PIXELS:
         k = 2 * np.int64(3 * u)
@@ -186,8 +210,12 @@ def _of_nothing(nothing, place, seed, i, share):
 def _uniform(seed, i):
     """The i-th number in [0, 1) of the generator SplitMix64 with this seed.
 
-    Steele, Lea, Flood 2014, Fast Splittable Pseudorandom Number Generators, with their constants.
-    Each event gets the same number whichever others are drawn, and in whatever order.
+    Each event gets the same number whichever others are drawn, and in whatever order. The constants
+    are those of the reference.
+
+    References
+    ----------
+    Steele, Lea, Flood 2014, Fast Splittable Pseudorandom Number Generators.
     """
     z = seed + np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

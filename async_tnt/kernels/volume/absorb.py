@@ -10,6 +10,9 @@ contraction), so how a stream is cut cannot matter.
 
 Where the landmark or the duration is known only when the volume is read, events are stored, and
 replayed at that time.
+
+Events are four columns, each an argument of its own, so some functions here have more than eight
+parameters: to unpack a tuple of arrays takes Numba longer than to take the arrays.
 """
 
 import numpy as np
@@ -28,8 +31,14 @@ from async_tnt.kernels.volume.landmark import (
 from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.kernels.volume.splat import add_event, combine_time, grid_of, place_event
 
-# what absorb_one returns; up to LATE, the event has been counted
-ABSORBED, LATE, AT_LIMIT, REFUSED = range(4)
+# What `absorb_one` returns. Up to LATE, the event has been counted.
+ABSORBED = 0
+# The event is older than the open window.
+LATE = 1
+# The event is at or after LIMIT_US. Nothing has changed.
+AT_LIMIT = 2
+# The event breaks a rule. Nothing has changed.
+REFUSED = 3
 
 
 @compiled
@@ -39,9 +48,10 @@ def absorb(buffer, t, x, y, p, first, last):
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
-    t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not
-        checked here. Another thread may change them meanwhile: no number that was tested is read a
-        second time to find a cell.
+    t, x, y, p : int64, uint16, uint16, uint8, contiguous columns. x and y are on the sensor, and p
+        is 0 or 1; this is not checked here. Another thread may change the columns meanwhile, so no
+        number that was tested is read a second time to find a cell.
+    first, last : int. Places in the columns.
 
     Returns
     -------
@@ -53,6 +63,7 @@ def absorb(buffer, t, x, y, p, first, last):
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
         oldest_us, newest_us = _load_times(buffer, block_t, ints[S.START_US], m)
+
         if (oldest_us >= ints[S.START_US]) & (newest_us < ints[S.LIMIT_US]):
             _count_block(buffer, ints, block_t, m, oldest_us, newest_us)
             displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
@@ -62,16 +73,18 @@ def absorb(buffer, t, x, y, p, first, last):
             else:
                 _combine_times(buffer, ints, block_t, m)
             first += m
-        else:  # late events, or the limit: one by one
+        else:
+            # The block has late events, or reaches the limit: its events are added one by one.
             end = first + m
             while first < end:
                 time = t[first]
                 if time >= ints[S.LIMIT_US]:
                     last = first
                     break
-                _absorb_event(
-                    buffer, ints, time, np.int64(x[first]), np.int64(y[first]), np.int64(p[first])
-                )
+                column = np.int64(x[first])
+                row = np.int64(y[first])
+                polarity = np.int64(p[first])
+                _absorb_event(buffer, ints, time, column, row, polarity)
                 first += 1
     take_gil(lock)
     return first
@@ -79,8 +92,17 @@ def absorb(buffer, t, x, y, p, first, last):
 
 @compiled
 def absorb_one(buffer, t, x, y, p):
-    """Check and add one event: ABSORBED; LATE, counted alone; AT_LIMIT or REFUSED (it breaks a
-    rule), with nothing changed."""
+    """Check one event, and add it to the open window.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Updated in place.
+    t, x, y, p : int. Microseconds, pixel, and polarity: -1, 0 or 1.
+
+    Returns
+    -------
+    int : ABSORBED, LATE, AT_LIMIT or REFUSED.
+    """
     ints = buffer.view(np.int64)
     if (t < 0) | (t >= MAX_TIME_US) | (p < -1) | (p > 1):
         return REFUSED
@@ -93,16 +115,15 @@ def absorb_one(buffer, t, x, y, p):
 
 @compiled
 def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_most):
-    """`absorb` for a volume that can be made only when it is read: count, sum, and store the
-    events.
+    """Count, sum and store events, for a volume that can be computed only when it is read.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place, except for its cells.
     t, x, y, p, first, last : as for `absorb`.
-    stored_t, stored_x, stored_y, stored_p : columns, with room for them. Updated in place, behind
-        the window's events.
-    n_most : int. Events that the window holds at most.
+    stored_t, stored_x, stored_y, stored_p : columns with room for these events behind those that
+        the window has. Updated in place.
+    n_most : int. The largest number of events that the window may hold.
 
     Returns
     -------
@@ -129,13 +150,14 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
 
 @compiled
 def _absorb_event(buffer, ints, t, x, y, p):
-    """Add one event before LIMIT_US; False if it is late, and only counted."""
+    """Add one event before LIMIT_US. Returns False if it is late, and then only counts it."""
     ints[S.RECEIVED] += 1
     dt = t - ints[S.START_US]
     if dt < 0:
         _count_late(ints, t)
         return False
     _count_event(ints, t, x, y)
+
     mode = ints[S.MODE]
     if mode == S.MODE_RUNNING:
         num_x, num_y, den = displace_running(x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y])
@@ -149,6 +171,7 @@ def _absorb_event(buffer, ints, t, x, y, p):
         num_x, num_y, den = displace_line(
             buffer, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
         )
+
     grid = grid_of(buffer, ints)
     corner, y_frac, x_frac, lower, upper, keep = place_event(
         grid, np.float64(dt), p > 0, num_x, num_y, den
@@ -158,7 +181,9 @@ def _absorb_event(buffer, ints, t, x, y, p):
     _note_changed_bins(ints, grid, dt, dt)
     ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
     ints[S.N_LOG] += 1
-    row, second = np.uint64(ints[S.ROW]), np.uint64(ints[S.SECOND])
+
+    row = np.uint64(ints[S.ROW])
+    second = np.uint64(ints[S.SECOND])
     if ints[S.COMBINE] == S.COMBINE_SUM:
         add_event(buffer, np.uint64(corner), row, second, y_frac, x_frac, lower, upper)
     else:
@@ -178,15 +203,22 @@ def _count_event(ints, t, x, y):
 
 @inlined
 def _count_late(ints, t):
-    """Count an event before the open window: as DECIDED if all windows from its own on were closed
-    early."""
+    """Count an event before the open window.
+
+    It counts as DECIDED if its window and all windows after it were closed early, otherwise as
+    LATE.
+    """
     ints[S.DECIDED if t >= ints[S.DECIDED_FROM_US] else S.LATE] += 1
 
 
 @compiled
 def _load_times(buffer, t, start_us, m):
-    """The times of a block since the window's start into DT. Returns the oldest and the newest of
-    them."""
+    """Write the times of a block, since the window's start, into DT.
+
+    Returns
+    -------
+    oldest_us, newest_us : int. The least and the largest of the times `t`.
+    """
     dts = block_of(buffer, S.DT)
     oldest_us = t[0]
     newest_us = oldest_us
@@ -213,26 +245,30 @@ def _count_block(buffer, ints, t, m, oldest_us, newest_us):
 
 @compiled
 def _place(buffer, ints, p, m):
-    """Each event's place and weights (see `splat`) into CORNER, Y_FRAC, X_FRAC, LOWER, UPPER."""
-    num_x, num_y, den = (
-        block_of(buffer, S.NUM_X),
-        block_of(buffer, S.NUM_Y),
-        block_of(buffer, S.DEN),
-    )
-    y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
-    lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
+    """Write each event's place and weights (see `splat`) into CORNER, Y_FRAC, X_FRAC, LOWER, UPPER.
+
+    The corners go to the log, too.
+    """
+    num_x = block_of(buffer, S.NUM_X)
+    num_y = block_of(buffer, S.NUM_Y)
+    den = block_of(buffer, S.DEN)
+    y_fracs = block_of(buffer, S.Y_FRAC)
+    x_fracs = block_of(buffer, S.X_FRAC)
+    lowers = block_of(buffer, S.LOWER)
+    uppers = block_of(buffer, S.UPPER)
     corners = block_of(ints, S.CORNER)
     grid = grid_of(buffer, ints)
     n_kept = 0
     for i in range(m):
-        # DT, by the name under which it is overwritten: a second slice would prevent vectorization
+        # The row LOWER still holds DT. A second slice of that row would prevent vectorization.
         dt = lowers[i]
         corners[i], y_fracs[i], x_fracs[i], lowers[i], uppers[i], keep = place_event(
             grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
         )
         n_kept += keep
     ints[S.KEPT] += n_kept
-    # the log is a ring, longer than a block: first up to its end, then from its beginning
+
+    # The log is a ring, longer than a block: write up to its end, then from its beginning.
     at = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
     m_to_end = min(m, ints[S.LOG_SIZE] - at)
     for i in range(m_to_end):
@@ -246,25 +282,32 @@ def _place(buffer, ints, p, m):
 def _splat(buffer, ints, m):
     """Add the placed events to the cells, in the order of their arrival."""
     corners = block_of(ints, S.CORNER)
-    y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
-    lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
-    row, second = np.uint64(ints[S.ROW]), np.uint64(ints[S.SECOND])
+    y_fracs = block_of(buffer, S.Y_FRAC)
+    x_fracs = block_of(buffer, S.X_FRAC)
+    lowers = block_of(buffer, S.LOWER)
+    uppers = block_of(buffer, S.UPPER)
+    row = np.uint64(ints[S.ROW])
+    second = np.uint64(ints[S.SECOND])
     for i in range(m):
-        add_event(
-            buffer, np.uint64(corners[i]), row, second, y_fracs[i], x_fracs[i], lowers[i], uppers[i]
-        )
+        corner = np.uint64(corners[i])
+        add_event(buffer, corner, row, second, y_fracs[i], x_fracs[i], lowers[i], uppers[i])
 
 
 @compiled
 def _combine_times(buffer, ints, t, m):
-    """`_splat` for images of times."""
+    """Combine the placed events with the cells of an image of times, in the order of arrival."""
     corners = block_of(ints, S.CORNER)
-    y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
-    row, second, combine = np.uint64(ints[S.ROW]), np.uint64(ints[S.SECOND]), ints[S.COMBINE]
-    start_us, window_us = ints[S.START_US], buffer[S.WINDOW_US]
+    y_fracs = block_of(buffer, S.Y_FRAC)
+    x_fracs = block_of(buffer, S.X_FRAC)
+    row = np.uint64(ints[S.ROW])
+    second = np.uint64(ints[S.SECOND])
+    combine = ints[S.COMBINE]
+    start_us = ints[S.START_US]
+    window_us = buffer[S.WINDOW_US]
     for i in range(m):
         f = np.float64(t[i] - start_us) / window_us
-        combine_time(buffer, np.uint64(corners[i]), row, second, y_fracs[i], x_fracs[i], f, combine)
+        corner = np.uint64(corners[i])
+        combine_time(buffer, corner, row, second, y_fracs[i], x_fracs[i], f, combine)
 
 
 @inlined

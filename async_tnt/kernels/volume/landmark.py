@@ -10,17 +10,18 @@ is evaluated with one division for both coordinates,
     u = numerator / denominator * SCALE_X + c       SCALE_X = (W - 1) / (Ws - 1) * window_us / t_max
 
     fixed      numerator = x - l          denominator = dt
-    running    numerator = n x - S_x      denominator = n dt        because x - S_x / n = (n x - S_x) / n
+    running    numerator = n x - S_x      denominator = n dt
     line       numerator = x - l_x,i      denominator = dt
 
-where n, S_x, S_t are count and sums over the events so far, this one included. `n x - S_x` is a
-whole number: the running centroid itself costs no rounding. The formulas return (numerator_x,
-numerator_y, denominator) of an event at x, y and dt >= 0 microseconds after the window's start; the
-denominator is 0 where tau is.
+where n, S_x, S_t are the count and the sums over the events so far, this one included. The running
+landmark is S_x / n, and x - S_x / n = (n x - S_x) / n. `n x - S_x` is a whole number: the running
+centroid itself costs no rounding. The formulas return (numerator_x, numerator_y, denominator) of an
+event at x, y and dt >= 0 microseconds after the window's start. The denominator is 0 where tau is
+0.
 
 `displace` applies them to a block of events. Each landmark has a loop of its own: Numba counts
 references to the slices unless a function is free of branches, and that would cost as much as the
-work.
+work. Formulas take plain numbers, which stay in registers: `displace_line` needs nine of them.
 """
 
 import numpy as np
@@ -60,19 +61,22 @@ def displace_running(x, y, dt, n, sum_x, sum_y):
 
 @inlined
 def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
-    """From the running line: ridge regression, with penalty 1, of x (and y) on the window fraction
-    f = dt / window_us, so that a few events give nearly their centroid. First adds the event to the
-    line's centred sums.
+    """From the running line, after adding the event to the line's centred sums.
+
+    The line is the ridge regression, with penalty 1, of x (and y) on the window fraction
+    f = dt / window_us. With the penalty, a few events give nearly their centroid.
 
         m_x = C_xf / (C_ff + 1)         l_x = mean_x - m_x mean_f
 
     By Welford's update, with d_x = n x - S_x and d_f = n f - S_f,
 
-        C_xf,n = C_xf,n-1 + (x_n - mean_x,n) (f_n - mean_f,n) n / (n - 1) = C_xf,n-1 + d_x d_f / (n (n - 1))
+        C_xf,n = C_xf,n-1 + (x_n - mean_x,n) (f_n - mean_f,n) n / (n - 1)
+               = C_xf,n-1 + d_x d_f / (n (n - 1))
 
     Plain sums of x f would be simpler, but lose nine digits to cancellation in a late burst. With
-    `remove_flow` the event is displaced from the line itself: x - l_x - m_x f = (d_x - m_x d_f) /
-    n.
+    `remove_flow` the event is displaced from the line itself:
+
+        x - l_x - m_x f = (d_x - m_x d_f) / n
     """
     window_us = buffer[S.WINDOW_US]
     count = np.float64(n)
@@ -94,12 +98,13 @@ def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
 
 @compiled
 def displace(buffer, ints, t, x, y, m):
-    """The displacement of each event of a block into NUM_X, NUM_Y, DEN.
+    """Write the displacement of each event of a block into NUM_X, NUM_Y, DEN.
 
     Parameters
     ----------
-    buffer, ints : the volume's `state`; its sums are updated, N counts these events already.
-    t, x, y : columns of m events, all in the window.
+    buffer, ints : the volume's `state`. Its sums are updated; N counts these events already.
+    t, x, y : columns of the block's events, all in the window.
+    m : int. Events in the block.
     """
     mode = ints[S.MODE]
     if mode == S.MODE_RUNNING:
@@ -115,18 +120,18 @@ def displace(buffer, ints, t, x, y, m):
 @compiled
 def _running_block(buffer, ints, t, x, y, m):
     sums = block_of(ints, S.PREFIX)
-    num_x, num_y, den = (
-        block_of(buffer, S.NUM_X),
-        block_of(buffer, S.NUM_Y),
-        block_of(buffer, S.DEN),
-    )
+    num_x = block_of(buffer, S.NUM_X)
+    num_y = block_of(buffer, S.NUM_Y)
+    den = block_of(buffer, S.DEN)
     start_us = ints[S.START_US]
     n = ints[S.N] - m
+
     # Both sums of a block, each far below 2**32, in one number: one addition and one store.
     both = np.int64(0)
     for i in range(m):
         both += np.int64(x[i]) | np.int64(y[i]) << 32
         sums[i] = both
+
     sum_x = ints[S.SUM_X]
     sum_y = ints[S.SUM_Y]
     for i in range(m):
@@ -144,11 +149,9 @@ def _running_block(buffer, ints, t, x, y, m):
 
 @compiled
 def _fixed_block(buffer, ints, t, x, y, m):
-    num_x, num_y, den = (
-        block_of(buffer, S.NUM_X),
-        block_of(buffer, S.NUM_Y),
-        block_of(buffer, S.DEN),
-    )
+    num_x = block_of(buffer, S.NUM_X)
+    num_y = block_of(buffer, S.NUM_Y)
+    den = block_of(buffer, S.DEN)
     start_us = ints[S.START_US]
     fixed_x = buffer[S.FIXED_X]
     fixed_y = buffer[S.FIXED_Y]
@@ -159,11 +162,9 @@ def _fixed_block(buffer, ints, t, x, y, m):
 
 @compiled
 def _raw_block(buffer, ints, x, y, m):
-    num_x, num_y, den = (
-        block_of(buffer, S.NUM_X),
-        block_of(buffer, S.NUM_Y),
-        block_of(buffer, S.DEN),
-    )
+    num_x = block_of(buffer, S.NUM_X)
+    num_y = block_of(buffer, S.NUM_Y)
+    den = block_of(buffer, S.DEN)
     for i in range(m):
         num_x[i], num_y[i], den[i] = displace_raw(x[i], y[i])
     _add_to_sums(ints, x, y, m)
@@ -171,11 +172,9 @@ def _raw_block(buffer, ints, x, y, m):
 
 @compiled
 def _line_block(buffer, ints, t, x, y, m, remove_flow):
-    num_x, num_y, den = (
-        block_of(buffer, S.NUM_X),
-        block_of(buffer, S.NUM_Y),
-        block_of(buffer, S.DEN),
-    )
+    num_x = block_of(buffer, S.NUM_X)
+    num_y = block_of(buffer, S.NUM_Y)
+    den = block_of(buffer, S.DEN)
     start_us = ints[S.START_US]
     n = ints[S.N] - m
     sum_x = ints[S.SUM_X]

@@ -1,5 +1,4 @@
-"""What happens to a volume's cells between events: emptied for a window, and rounded to the array
-that users read."""
+"""Empty a volume's cells for a new window, and round them to the array that users read."""
 
 import numpy as np
 
@@ -15,29 +14,36 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ----------
     buffer : float64, the volume's `state`. Updated in place.
     array : float32, shape (C, H, W). Updated in place, or left for the next read to update.
+    start_us, limit_us : int. START_US and LIMIT_US of the window.
     epoch : int. A number that no window had before.
     """
     ints = buffer.view(np.int64)
     first = ints[S.LOG]
     n_log = ints[S.N_LOG]
+
+    # Zero all cells, or only those in the log. `is_read`: the array then shows the empty window.
     if n_log * S.CELLS_PER_LOGGED > first - S.CELLS:
         for i in range(S.CELLS, first):
             buffer[i] = 0.0
         is_read = ints[S.N_READ] == 0
     else:
-        row, second = ints[S.ROW], ints[S.SECOND]
+        row = ints[S.ROW]
+        second = ints[S.SECOND]
         for k in range(first, first + n_log):
             for place in (ints[k], ints[k] + row, ints[k] + second, ints[k] + second + row):
                 buffer[place] = 0.0
                 buffer[place + 1] = 0.0
-        for k in range(first, first + ints[S.N_READ]):  # now that all cells are zero
+        # Now that all cells are zero, copy those that the array shows with other values.
+        for k in range(first, first + ints[S.N_READ]):
             _copy_around(buffer, ints, ints[k], array)
         is_read = ints[S.N_READ] >= 0
+
     ints[S.N_LOG] = 0
     ints[S.EPOCH] = epoch
     _note_read(ints)
     if not is_read:
         mark_unread(ints)
+
     buffer[S.C_XF] = 0.0
     buffer[S.C_YF] = 0.0
     buffer[S.C_FF] = 0.0
@@ -74,9 +80,14 @@ def cells_to_float32(buffer, array):
 
 @inlined
 def cell_at(ints, corner):
-    """Plane, row and column of the cell at this index, the `corner` of an event: the inverse of
-    `splat.place_event`."""
-    row, plane = ints[S.ROW], ints[S.PLANE]
+    """Plane, row and column of an event's corner, the inverse of `splat.place_event`.
+
+    Parameters
+    ----------
+    corner : int. Index of the cell in the volume's buffer.
+    """
+    row = ints[S.ROW]
+    plane = ints[S.PLANE]
     place = corner - S.CELLS
     b = place // plane
     y = (place - b * plane) // row
@@ -99,6 +110,7 @@ def mark_unread(ints):
 
 @inlined
 def _note_read(ints):
+    """Note that the array shows all events of the window."""
     ints[S.N_READ] = ints[S.N_LOG]
     ints[S.INTERVAL_LO] = S.NO_INTERVAL
     ints[S.INTERVAL_HI] = -1

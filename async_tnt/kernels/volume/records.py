@@ -1,7 +1,8 @@
 """Events from a packed record array into four checked columns, in one pass per column.
 
 Every camera library packs its records differently, often unaligned, and Numba would compile these
-loops again for each. So they read raw bytes: one compiled version serves every layout.
+loops again for each. So they read raw bytes: one compiled version serves every layout. The four
+columns and the two sides of the sensor are arguments of their own, as in `absorb`.
 """
 
 import numpy as np
@@ -11,8 +12,14 @@ from numba.extending import intrinsic
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.lock import LARGE, release_gil, take_gil
 
-# how a number is stored (rows of a layout: offset, kind for t, x, y, p)
-I8, U8, I16, U16, I32, U32, I64 = range(7)
+# How a number is stored: the kinds of a layout.
+I8 = 0
+U8 = 1
+I16 = 2
+U16 = 3
+I32 = 4
+U32 = 5
+I64 = 6
 KIND = {
     "i1": I8,
     "u1": U8,
@@ -24,24 +31,41 @@ KIND = {
     "i8": I64,
     "u8": I64,
 }
-MAX_TIME_US = 1 << 62  # so that start + window never overflows
-BAD = -1  # instead of a time
-RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)  # writeable ones pass for read-only
+"""A field's type in NumPy -> its kind."""
+
+# A layout, int64: byte offset and kind of each field of a record, then the record's size.
+T_AT = 0
+T_KIND = 1
+X_AT = 2
+X_KIND = 3
+Y_AT = 4
+Y_KIND = 5
+P_AT = 6
+P_KIND = 7
+RECORD_SIZE = 8  # bytes
+
+MAX_TIME_US = 1 << 62
+"""Times are below this many microseconds, so that start + window never overflows."""
+BAD = -1
+"""What is returned instead of a time if a number breaks its rule."""
+RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)
+"""Bytes. Arrays that can be written pass for read-only ones."""
 COLUMN_TYPES = (types.int64[::1], types.uint16[::1], types.uint16[::1], types.uint8[::1])
-# the arguments of `check_columns` and `load_records`
+"""Columns t, x, y, p."""
 CHECK_TYPES = (*COLUMN_TYPES, types.int64, types.int64)
+"""The arguments of `check_columns`."""
 LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES)
+"""The arguments of `load_records`."""
 
 
 @intrinsic
 def load(typingctx, raw, offset, number):
-    """The number of type `number` that starts at byte `offset` of `raw`, at any alignment,
-    little-endian."""
+    """The number of type `number`, little-endian, that begins at byte `offset` of `raw`."""
     value_type = number.instance_type
 
     def codegen(context, builder, signature, args):
         value = builder.load(_pointer(context, builder, signature, args, value_type))
-        value.align = 1
+        value.align = 1  # at any alignment
         return value
 
     if not isinstance(offset, types.Integer):
@@ -51,31 +75,31 @@ def load(typingctx, raw, offset, number):
 
 @intrinsic
 def store(typingctx, raw, offset, value, number):
-    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on, at any
-    alignment."""
+    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on."""
     value_type = number.instance_type
 
     def codegen(context, builder, signature, args):
         stored = context.cast(builder, args[2], signature.args[2], value_type)
-        builder.store(stored, _pointer(context, builder, signature, args, value_type)).align = 1
+        instruction = builder.store(stored, _pointer(context, builder, signature, args, value_type))
+        instruction.align = 1  # at any alignment
         return context.get_dummy_value()
 
     return types.void(raw, offset, value, number), codegen
 
 
 def _pointer(context, builder, signature, args, value_type):
-    """To the number of this type at byte args[1] of the array args[0]."""
+    """A pointer to the number of this type at byte args[1] of the array args[0]."""
     array = context.make_array(signature.args[0])(context, builder, args[0])
-    return builder.bitcast(
-        builder.gep(array.data, [args[1]]), context.get_value_type(value_type).as_pointer()
-    )
+    byte = builder.gep(array.data, [args[1]])
+    return builder.bitcast(byte, context.get_value_type(value_type).as_pointer())
 
 
 @inlined
 def _load_kind(raw, offset, kind):
+    """The number of this kind from byte `offset` on, as int64."""
     if kind == U16:
         return np.int64(load(raw, offset, np.uint16))
-    if kind == I64:  # a uint64 beyond int64 turns negative, which no field allows
+    if kind == I64:  # A uint64 beyond int64 turns negative, which no field allows.
         return load(raw, offset, np.int64)
     if kind == U8:
         return np.int64(load(raw, offset, np.uint8))
@@ -94,8 +118,10 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
     Parameters
     ----------
-    raw : uint8, shape (n * layout[8],). The records' bytes; only read.
-    layout : int64, shape (9,). Byte offset and kind of t, of x, of y, of p, then the record's size.
+    raw : uint8, shape (n * RECORD_SIZE,). The records' bytes; only read.
+    layout : int64, shape (9,), see above.
+    n : int. Records, at least 1.
+    sensor_w, sensor_h : int. Pixels.
     t, x, y, p : int64, uint16, uint16, uint8, shape (at least n,). Overwritten; p becomes 0 or 1.
 
     Returns
@@ -103,7 +129,7 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     int : the time of the first event, or BAD if any number breaks its rule (the caller finds out
         which).
     """
-    if raw.size != n * layout[8]:  # more than one dimension
+    if raw.size != n * layout[RECORD_SIZE]:  # The array has more than one dimension.
         return BAD
     lock = release_gil(n >= LARGE)
     is_loaded = _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p)
@@ -114,46 +140,59 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
 @inlined
 def _load(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
-    """The columns, unchecked; False if a number does not fit its column."""
-    size = layout[8]
-    kind_t, kind_x, kind_y, kind_p = layout[1], layout[3], layout[5], layout[7]
-    if (
-        kind_t == I64
-        and kind_x in (U16, I16)
-        and kind_y in (U16, I16)
-        and kind_p in (U8, I8, U16, I16)
-    ):
+    """Copy n records into the columns. Returns False if a number does not fit its column."""
+    p_kind = layout[P_KIND]
+    has_common_time = layout[T_KIND] == I64
+    has_common_place = layout[X_KIND] in (U16, I16) and layout[Y_KIND] in (U16, I16)
+    if has_common_time and has_common_place and p_kind in (U8, I8, U16, I16):
         # What most libraries deliver, without branches inside the loops. Read as unsigned, a
         # negative pixel is too large (sensors end at 2**15), and polarity -1 is 255.
-        at_t, at_x, at_y, at_p = layout[0], layout[2], layout[4], layout[6]
-        if kind_p in (U8, I8):
+        size = layout[RECORD_SIZE]
+        t_at = layout[T_AT]
+        x_at = layout[X_AT]
+        y_at = layout[Y_AT]
+        p_at = layout[P_AT]
+        # Time and place are loaded before either is stored: for all that the compiler knows, a
+        # store may change what is loaded after it.
+        if p_kind in (U8, I8):
             for i in range(n):
-                t[i], x[i], y[i] = _load_time_and_place(raw, i * size, at_t, at_x, at_y)
-                p[i] = load(raw, i * size + at_p, np.uint8)
+                time = load(raw, i * size + t_at, np.int64)
+                column = load(raw, i * size + x_at, np.uint16)
+                row = load(raw, i * size + y_at, np.uint16)
+                t[i] = time
+                x[i] = column
+                y[i] = row
+                p[i] = load(raw, i * size + p_at, np.uint8)
         else:
             for i in range(n):
-                t[i], x[i], y[i] = _load_time_and_place(raw, i * size, at_t, at_x, at_y)
-                polarity = load(raw, i * size + at_p, np.uint16)
-                p[i] = polarity if polarity <= 2 else (255 if polarity == 0xFFFF else 2)
-        return kind_p in (U8, U16) or _unsign(p, n)
+                time = load(raw, i * size + t_at, np.int64)
+                column = load(raw, i * size + x_at, np.uint16)
+                row = load(raw, i * size + y_at, np.uint16)
+                t[i] = time
+                x[i] = column
+                y[i] = row
+                p[i] = _in_one_byte(load(raw, i * size + p_at, np.uint16))
+        return p_kind in (U8, U16) or _unsign(p, n)
     return _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p) and _unsign(p, n)
 
 
 @inlined
-def _load_time_and_place(raw, record, at_t, at_x, at_y):
-    return (
-        load(raw, record + at_t, np.int64),
-        load(raw, record + at_x, np.uint16),
-        load(raw, record + at_y, np.uint16),
-    )
+def _in_one_byte(polarity):
+    """A polarity of two bytes in one: 0, 1, 255 for -1, and 2 for every other number."""
+    if polarity <= 2:
+        return polarity
+    return 255 if polarity == 0xFFFF else 2
 
 
 @compiled
 def _in_range(t, x, y, p, n, sensor_w, sensor_h):
-    """Whether all columns are within their limits. Smallest and largest stay in the column's type
-    and so in full vector registers, where counting offenders would widen every number to 64
-    bits."""
-    t_min = t_max = t[0]
+    """Whether all numbers of the columns are within their limits.
+
+    Smallest and largest stay in the column's type and so in full vector registers. To count the
+    offenders would widen every number to 64 bits.
+    """
+    t_min = t[0]
+    t_max = t[0]
     x_max = x[0]
     y_max = y[0]
     p_max = p[0]
@@ -176,13 +215,17 @@ def _in_range(t, x, y, p, n, sensor_w, sensor_h):
 
 @compiled
 def _unsign(p, n):
-    """Polarity -1 (here 255) and +1 become 0 and 1; False if there are also zeros, or other
-    numbers."""
+    """Write polarity -1 (here 255) and +1 as 0 and 1.
+
+    Returns False if both zeros and -1 occur, or any other number.
+    """
+    # Usually there is nothing to do. This loop finds it in the column's type, without widening.
     largest = p[0]
     for i in range(n):
         largest = max(largest, p[i])
-    if largest <= 1:  # nothing to do, found in the column's type, without widening
+    if largest <= 1:
         return True
+
     zeros = 0
     minuses = 0
     ones = 0
@@ -196,18 +239,19 @@ def _unsign(p, n):
 
 @compiled
 def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
-    """Records of any kinds of numbers; False if one does not fit its column, which narrowing would
-    hide."""
-    size = layout[8]
+    """Copy records of any kinds of numbers into the columns.
+
+    Returns False if a number does not fit its column, which narrowing it would hide.
+    """
+    size = layout[RECORD_SIZE]
     fits = True
     for i in range(n):
-        t[i] = _load_kind(raw, i * size + layout[0], layout[1])
-        x_i = _load_kind(raw, i * size + layout[2], layout[3])
-        y_i = _load_kind(raw, i * size + layout[4], layout[5])
-        p_i = _load_kind(raw, i * size + layout[6], layout[7])
-        fits &= (
-            (x_i >= 0) & (x_i < sensor_w) & (y_i >= 0) & (y_i < sensor_h) & (p_i >= -1) & (p_i <= 1)
-        )
+        t[i] = _load_kind(raw, i * size + layout[T_AT], layout[T_KIND])
+        x_i = _load_kind(raw, i * size + layout[X_AT], layout[X_KIND])
+        y_i = _load_kind(raw, i * size + layout[Y_AT], layout[Y_KIND])
+        p_i = _load_kind(raw, i * size + layout[P_AT], layout[P_KIND])
+        is_on_sensor = (x_i >= 0) & (x_i < sensor_w) & (y_i >= 0) & (y_i < sensor_h)
+        fits &= is_on_sensor & (p_i >= -1) & (p_i <= 1)
         x[i] = x_i
         y[i] = y_i
         p[i] = p_i & 255
@@ -216,9 +260,15 @@ def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
 @compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
-    """The time of the first event, MAX_TIME_US if there is none; BAD if any number breaks its rule,
-    lengths differ, or a column is not aligned (the one thing that Numba's check of its arguments
-    lets pass). Columns as `load_records` makes them."""
+    """Check columns such as `load_records` makes.
+
+    They must have one length, and each must be aligned, which is the one thing that Numba's check
+    of its arguments lets pass.
+
+    Returns
+    -------
+    int : the time of the first event; MAX_TIME_US if there is none; BAD if any rule is broken.
+    """
     if x.size != t.size or y.size != t.size or p.size != t.size:
         return BAD
     if (t.ctypes.data % 8 != 0) | (x.ctypes.data % 2 != 0) | (y.ctypes.data % 2 != 0):
@@ -231,13 +281,17 @@ def check_columns(t, x, y, p, sensor_w, sensor_h):
 
 @compiled
 def find_late(t, newest_us, late):
-    """Mark events older than the newest before them. Returns how many, and the newest time then.
+    """Mark each event that is older than the newest one before it.
 
     Parameters
     ----------
     t : int64, shape (n,).
     newest_us : int. Newest time before these events.
     late : bool, shape (n,). Overwritten.
+
+    Returns
+    -------
+    n_late, newest_us : int. How many are late, and the newest time after these events.
     """
     n_late = 0
     for i in range(t.size):

@@ -1,5 +1,4 @@
-"""From transformed coordinates to the volume: which eight of its numbers an event adds to, and how
-much.
+"""Splat: the eight numbers of a volume that an event adds to, and what it adds.
 
     V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i)        k(a) = max(0, 1 - |a|)
 
@@ -8,7 +7,7 @@ Images of times have the same cells and another rule for them, `combine_time`.
 Zhu, Yuan, Chaney, Daniilidis 2019 (arXiv 1812.08156): the discretized event volume, or voxel grid.
 """
 
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,20 +15,37 @@ from async_tnt.kernels.jit import inlined
 from async_tnt.kernels.simd import add_f64x2
 from async_tnt.kernels.volume import state as S
 
-Grid = namedtuple(
-    "Grid",
-    "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_on row plane off_shift",
-)
-Grid.__doc__ = """A volume's parameters as values, read once a block: the compiler then knows that no store changes them."""
-
 WEIGHT_TOLERANCE = 1e-9
-SURFACE_DECAY = 2.0  # time constants per window
-BORDER_TOLERANCE = 1e-9  # pixels; rounding must not drop an event that lies exactly on the border
+"""Smaller weights are the rounding error of a place that lies on the next cell."""
+SURFACE_DECAY = 2.0
+"""Time constants of a time surface per window."""
+BORDER_TOLERANCE = 1e-9
+"""Pixels beyond the border that count as on it: rounding must not drop an event that lies there."""
+
+
+class Grid(NamedTuple):
+    """A volume's parameters as float64 values, named as in `state`.
+
+    They are read once for each block: the compiler then knows that no store changes them.
+    """
+
+    scale_x: float
+    scale_y: float
+    center_x: float
+    center_y: float
+    max_u: float
+    max_v: float
+    bin_scale: float
+    sign_off: float
+    sign_on: float
+    row: float
+    plane: float
+    off_shift: float
 
 
 @inlined
 def on_grid(value, upper):
-    """0 <= value <= upper, up to rounding; False for nan and inf."""
+    """Whether 0 <= value <= upper, up to rounding. False for nan and inf."""
     return (value >= -BORDER_TOLERANCE) & (value <= upper + BORDER_TOLERANCE)
 
 
@@ -54,7 +70,7 @@ def grid_of(buffer, ints):
 
 @inlined
 def place_event(grid, dt, on, num_x, num_y, den):
-    """Which cells an event goes to, and with what weights.
+    """The cells that an event goes to, and its weights there.
 
     Parameters
     ----------
@@ -67,26 +83,28 @@ def place_event(grid, dt, on, num_x, num_y, den):
     -------
     corner : int. Index of the cell at (floor b, floor v, floor u) in the volume's buffer.
     y_frac, x_frac : float in [0, 1), but for the tolerance. Distance from the corner.
-    lower, upper : float. Weights of bin floor b and of the next one; they sum to the event's sign.
+    lower, upper : float. Weights of bin floor b and of the next one. They sum to the event's sign.
     keep : bool. Whether the event is on the grid. If not, its weights are 0 at a valid place, so
         that adding it needs no branch.
     """
-    # u = (x_g - l_g) / tau + c, see `landmark`; den = 0 gives inf or nan, which are not on the grid
+    # u = (x_g - l_g) / tau + c, see `landmark`. den = 0 gives inf or nan: not on the grid.
     inverse = 1.0 / den
     u = num_x * inverse * grid.scale_x + grid.center_x
     v = num_y * inverse * grid.scale_y + grid.center_y
     b = dt * grid.bin_scale
+
     keep = on_grid(u, grid.max_u) & on_grid(v, grid.max_v)
     u = u if keep else 0.0
     v = v if keep else 0.0
     u_floor = np.trunc(u)  # equals floor, as u >= 0 (-1e-9 counts as 0)
     v_floor = np.trunc(v)
     b_floor = np.trunc(b)
+
     sign = grid.sign_on if on else grid.sign_off
     sign = sign if keep else 0.0
     shift = 0.0 if on else grid.off_shift
     upper = sign * (b - b_floor)
-    # one conversion: all are whole numbers below 2**31, exact in float64
+    # One conversion is enough: all are whole numbers below 2**31, exact in float64.
     corner = S.CELLS + np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor + shift)
     return corner, v - v_floor, u - u_floor, sign - upper, upper, keep
 
@@ -98,7 +116,7 @@ def add_event(buffer, corner, row, second, y_frac, x_frac, lower, upper):
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
-    corner : uint64, which spares Numba's test for a negative index; not checked here.
+    corner : uint64, which spares Numba's test for a negative index. Not checked here.
     row, second : uint64. Distances to the next row and to the event's second bin.
     y_frac, x_frac, lower, upper : as `place_event` returns them.
     """
@@ -115,19 +133,27 @@ def add_event(buffer, corner, row, second, y_frac, x_frac, lower, upper):
 
 @inlined
 def combine_time(buffer, corner, row, second, y_frac, x_frac, f, combine):
-    """`add_event` for images of times, f in [0, 1] of the window. With the weight w of each of the
-    four cells:
+    """Combine one placed event with four cells of an image of times.
+
+    With the event's time f in [0, 1] of the window, and its weight w in each of the four cells:
 
         newest   count += w,  time = max(time, f)
         mean     count += w,  mean += (f - mean) w / count
         surface  count += w,  surface = max(surface, exp(SURFACE_DECAY (f - 1)))
 
-    The surface is that at the window's end. At an earlier time it is the same but for one factor
-    for all cells, which depends on nothing but the time; so no cell changes but where events come.
-    Lagorce, Orchard, Galluppi, Shi, Benosman 2017, doi:10.1109/TPAMI.2016.2574707, equation 3.
+    The surface is the one at the window's end. At an earlier time all its cells have one other
+    common factor, which depends on nothing but the time. So cells change only where events come.
+    Weights below WEIGHT_TOLERANCE are skipped.
 
-    A weight below WEIGHT_TOLERANCE is skipped: it is the rounding error of a place that lies on the
-    next cell.
+    Parameters
+    ----------
+    buffer, corner, row, second, y_frac, x_frac : as for `add_event`.
+    f : float. The event's time.
+    combine : int. One of the COMBINE_ numbers of `state`.
+
+    References
+    ----------
+    Lagorce, Orchard, Galluppi, Shi, Benosman 2017, doi:10.1109/TPAMI.2016.2574707, equation 3.
     """
     w11 = y_frac * x_frac
     w10 = y_frac - w11

@@ -11,21 +11,21 @@ Cells lie as the volume does, [bin, y, x], with `split` polarity the OFF bins be
 event between the bins b and b + 1, in interval b, adds to 2 x 2 cells of each. Time passes one
 interval after the other, so an interval's cells stay in the first-level cache while its events
 arrive. One row, one column and one bin more than the volume has spare every event a test at the
-border: its weight there is zero, as is that of an ON event at the end of the last bin in the first
-OFF bin. (Where there is one bin, as many as are read lie behind them: see COMBINE.) Cells are
-float64, because a volume is promised to 1e-6 of its largest number even after thousands of opposite
-events cancelled in it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32
-once, when the volume is read.
+border: its weight there is zero. So is the weight that an ON event at the end of the last bin has
+in the first OFF bin. Of an image of times, the second numbers of all pixels may lie behind the bins
+that are read: see COMBINE. Cells are float64, because a volume is promised to 1e-6 of its largest
+number even after thousands of opposite events cancelled in it, which float32 sums would lose.
+`readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that
 reading and emptying a large volume cost what changed in it and not its size. Beyond that length,
 following the log would cost more than reading all cells. A reader of the cells keeps the number of
-corners it has seen, and the EPOCH of the window it counted in: a number that is unique within the
+corners it has seen, and the EPOCH of the window it counted in. An EPOCH is unique within the
 process.
 """
 
 # buffer: parameters of the volume
-# length of the window; with `window_events`, the time from its start to its newest event
+# the length of the window; with `window_events`, the time from its start to its newest event
 WINDOW_US = 0
 BIN_SCALE = 1  # (B - 1) / window_us; of an image: 0
 SCALE_X = 2  # sensor pixels * microseconds -> grid pixels of the transform, see `landmark`
@@ -34,8 +34,8 @@ CENTER_X = 4  # added by the transform: the grid's centre (0 without the transfo
 CENTER_Y = 5
 MAX_U = 6  # W - 1
 MAX_V = 7  # H - 1
-SIGN_OFF = 8  # what an OFF and an ON event add to the volume
-SIGN_ON = 9
+SIGN_OFF = 8  # what an OFF event adds to the volume
+SIGN_ON = 9  # what an ON event adds to the volume
 # buffer: the landmark
 FIXED_X = 10  # a given landmark, in sensor pixels
 FIXED_Y = 11
@@ -65,15 +65,16 @@ KEPT = 32
 LATE = 33
 TAU_ZERO = 34
 # ints: what changed
-EPOCH = 35  # of the open window
+EPOCH = 35  # the number of the open window
 N_LOG = 36  # corners logged since the window opened
-N_READ = 37  # of them already in the array that users see
-INTERVAL_LO = 38  # intervals that changed since the array was read; INTERVAL_HI < INTERVAL_LO: none
+N_READ = 37  # how many of these corners the array that users see already shows
+# the intervals that changed since the array was read; none if INTERVAL_HI < INTERVAL_LO
+INTERVAL_LO = 38
 INTERVAL_HI = 39
 # ints: windows that were closed before their end
-# where the windows before the open one that were closed early begin; NEVER_US: there are none
+# where the windows begin that lie before the open one and were closed early; NEVER_US: none was
 DECIDED_FROM_US = 40
-DECIDED = 41  # dropped since the volume was made: late events at or after that time
+DECIDED = 41  # late events at or after that time, dropped since the volume was made
 # ints: more parameters
 COMBINE = 42  # one of the COMBINE_ numbers
 SECOND = 43  # from the first of an event's bins to its second one
@@ -84,7 +85,8 @@ CLOSED_KEPT = 45
 CLOSED_TAU_ZERO = 46
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
-# so that all rows together (24 kB) and an interval's cells fit in the first-level cache
+# the events of a block: all rows together (24 kB) and an interval's cells fit in the first-level
+# cache
 BLOCK = 336
 NUM_X = 48  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
@@ -101,9 +103,9 @@ CELLS = CORNER + BLOCK
 # how an event's coordinates are made (MODE)
 MODE_RAW = 0  # no transform
 MODE_FIXED = 1  # a given landmark: the centre, the window's mean, a regressor's answer
-MODE_RUNNING = 2
-MODE_LINE = 3
-MODE_LINE_FLOW_REMOVED = 4
+MODE_RUNNING = 2  # the centroid of the events so far
+MODE_LINE = 3  # the line fitted to the events so far, at the window's start
+MODE_LINE_FLOW_REMOVED = 4  # the same line, at the time of the event
 
 # what an event does to the cells of its two bins (COMBINE). An image has two numbers of each pixel:
 # the first is its bin 0; the second is bin 1 of `count_time`, and of other images lies behind all
@@ -113,8 +115,8 @@ COMBINE_NEWEST = 1  # (count, time of the newest event)
 COMBINE_MEAN = 2  # (mean time, count)
 COMBINE_SURFACE = 3  # (surface of the newest event, count)
 
-NO_INTERVAL = 1 << 30
-NEVER_US = 1 << 62
+NO_INTERVAL = 1 << 30  # beyond every interval
+NEVER_US = 1 << 62  # beyond every time, in microseconds
 UNREAD = -(1 << 40)  # N_READ of an array that must be read whole
-# one logged event's cells, scattered in memory, cost as much as this many cells in order
+# the cells of one logged event, scattered in memory, cost as much as this many cells in order
 CELLS_PER_LOGGED = 100
