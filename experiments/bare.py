@@ -19,9 +19,8 @@ from typing import Any
 
 from async_tnt.base.progress import progress
 from async_tnt.volume.sensor import format_size
-from experiments.bench_timing import machine
-from experiments.made_objects import SENSOR, write
-from experiments.script_options import (
+from experiments.objects.pairs import SENSOR, write
+from experiments.scripts.options import (
     add_count,
     add_folder,
     earlier_report,
@@ -30,7 +29,8 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
 
 SETS = {
     "nmnist": ("N-MNIST", "", "Test", ""),

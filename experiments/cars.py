@@ -28,10 +28,8 @@ from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline,
 from async_tnt.volume.config import LANDMARKS
 from async_tnt.volume.sensor import format_size
 from async_tnt.volume.volume import TNTVolume
-from experiments.bench_every_event import bench_every_event
-from experiments.bench_timing import interleave, machine, spread, work_clock
-from experiments.made_objects import SENSOR, write
-from experiments.script_options import (
+from experiments.objects.pairs import SENSOR, write
+from experiments.scripts.options import (
     add_count,
     earlier_report,
     exit_with,
@@ -39,7 +37,9 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.every_event import bench_every_event
+from experiments.speed.timing import interleave, machine, spread, work_clock
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
 EQUAL = "--mirror --epochs 6 --validation 0.05"

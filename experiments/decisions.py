@@ -20,14 +20,13 @@ if __name__ == "__main__":  # before any library reads them
 
 from async_tnt import load_model, warmup
 from async_tnt.base.progress import progress
-from experiments import bench_backends as backends
-from experiments import measure_end_to_end as end_to_end
-from experiments.bench_every_event import bench_every_event
-from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
-from experiments.bench_network import bench_network, fastest
-from experiments.bench_timing import is_installed, machine, one_thread
-from experiments.draw_decisions import draw_decisions
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends, end_to_end
+from experiments.speed.drawing import draw_decisions
+from experiments.speed.every_event import bench_every_event
+from experiments.speed.moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.speed.networks import bench_network, fastest
+from experiments.speed.timing import is_installed, machine, one_thread
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")

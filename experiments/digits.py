@@ -28,8 +28,8 @@ from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
 from async_tnt.volume.config import TNTConfig
-from experiments.digits_data import digits_data
-from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
+from experiments.digit_data.recordings import digits_data
+from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 
 CONFIG = TNTConfig(t_max=4.0)
 SIMULATED = 20_000

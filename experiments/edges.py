@@ -23,12 +23,18 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.sources.files.nmnist import read_nmnist
-from experiments.bench_timing import machine
-from experiments.comparison import recordings_by_image
-from experiments.digit_scene import render
-from experiments.mnist import load_mnist
-from experiments.script_options import add_folder, data_folder, exit_with, run_script, script_parser
-from experiments.trajectories import nmnist_saccades
+from experiments.digit_data.mnist import load_mnist
+from experiments.motions.scene import render
+from experiments.motions.trajectories import nmnist_saccades
+from experiments.moving_set.comparison import recordings_by_image
+from experiments.scripts.options import (
+    add_folder,
+    data_folder,
+    exit_with,
+    run_script,
+    script_parser,
+)
+from experiments.speed.timing import machine
 
 N_RECORDINGS = 1_000
 ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)

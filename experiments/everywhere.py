@@ -35,10 +35,8 @@ from async_tnt.base.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns, on_sensor
-from experiments.bench_timing import machine
-from experiments.drawn_pictures import write_mnist
-from experiments.script_options import (
+from experiments.pictures.symbols import write_mnist
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -46,6 +44,8 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
+from experiments.speed.moments import made_columns, on_sensor
+from experiments.speed.timing import machine
 
 EARLY_US, STARTS_US, NOISE_HZ = 30_000, 50_000, 0.3
 N_PICTURES = 10_000

@@ -20,9 +20,8 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.views.figure_style import OFF, ON, axes_at, headline, new_figure
-from experiments.bench_timing import machine
-from experiments.drawn_pictures import write_mnist
-from experiments.script_options import (
+from experiments.pictures.symbols import write_mnist
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -30,7 +29,8 @@ from experiments.script_options import (
     run_script,
     script_parser,
 )
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -27,7 +27,7 @@ from async_tnt.cli.bench import machine
 from async_tnt.networks.models.torch_modules import torch_classifier
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import TEXT, axes_at, headline, new_figure
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

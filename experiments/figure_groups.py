@@ -17,7 +17,7 @@ import torch.nn.functional as F
 
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import SMALL, TEXT, headline, new_figure, picture_at, write_at
-from experiments.script_options import draw_into, exit_with, picture_parser
+from experiments.scripts.options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,7 +18,7 @@ import torch
 
 import async_tnt
 from async_tnt.sources import open_recording, sample_recordings
-from experiments.script_options import exit_with, plain_parser
+from experiments.scripts.options import exit_with, plain_parser
 
 LANDMARKS = ("center", "running", "line", "window")
 CASES = (*((name, False) for name in LANDMARKS), ("line", True))  # landmark, remove_flow

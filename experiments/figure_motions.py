@@ -35,7 +35,7 @@ from async_tnt.views.figure_window import (
     transform_words,
 )
 from async_tnt.volume.volume import TNTVolume
-from experiments.script_options import draw_into, exit_with, picture_parser
+from experiments.scripts.options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,7 +20,7 @@ from async_tnt.base.checks import needs_extra
 from async_tnt.base.files import check_writable, replacing
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import OFF, ON
-from experiments.script_options import exit_with, plain_parser
+from experiments.scripts.options import exit_with, plain_parser
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -25,16 +25,16 @@ from async_tnt.resynthesis.moving_image import cell_for
 from async_tnt.resynthesis.reconstruction import SPAN
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels, part_of
 from async_tnt.sources.files.nmnist import read_nmnist
-from experiments import made_hands
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import machine
-from experiments.digits_data import SACCADE_US
-from experiments.script_options import add_count, add_folder, exit_with, run_script, script_parser
+from experiments.digit_data.recordings import SACCADE_US
+from experiments.objects import hands
+from experiments.scripts.options import add_count, add_folder, exit_with, run_script, script_parser
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import machine
 
 SIDE = 34
 RATES = 1.0, 0.2
 FEWEST, MOST = 50, 3_000
-FIRST, SECOND = made_hands.SESSIONS
+FIRST, SECOND = hands.SESSIONS
 HANDS = {
     "session 1": FIRST,
     "session 2": SECOND,
@@ -122,11 +122,11 @@ def swings(n: int) -> dict[str, Any]:
     for k, (title, session) in enumerate(HANDS.items()):
         windows, angles = [], 2 * np.pi * np.arange(n) / n
         for i, angle in enumerate(angles):
-            name = list(made_hands.SHAPES)[i % len(made_hands.SHAPES)]
-            made = made_hands.record(name, float(angle), np.random.default_rng((k, i)), session)
+            name = list(hands.SHAPES)[i % len(hands.SHAPES)]
+            made = hands.record(name, float(angle), np.random.default_rng((k, i)), session)
             windows.append(_columns(made[c] for c in "txyp"))
-        pixels = measure_pixels(windows, made_hands.SENSOR, made_hands.WINDOW_US)
-        paths = paths_of(windows, made_hands.SENSOR, made_hands.WINDOW_US, pixels)
+        pixels = measure_pixels(windows, hands.SENSOR, hands.WINDOW_US)
+        paths = paths_of(windows, hands.SENSOR, hands.WINDOW_US, pixels)
         rows[f"hand motion, {title}"] = judged(paths, angles)
     return rows
 

@@ -7,14 +7,14 @@ cameras.
 
 nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part
             (numbers above 60,000), and simulated motions, speeds and bright digits
-            (`moving_digits.py`); the first network, with its test in its record, becomes
+            (`pictures/moving_digits.py`); the first network, with its test in its record, becomes
             FOLDER/digits-from-pictures.safetensors
 poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that
             follow a pip
 characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
             `examples/hots_characters.py`
 made        ten pictures of each of six objects, with backgrounds, and recordings of others
-            (`made_pictures.py`)
+            (`pictures/made.py`)
 
 Each network is trained by `async-tnt train PICTURES` with the options that its row states, and
 reads the recordings once. Finished trainings in --out are kept, interrupted ones resume, and what
@@ -32,11 +32,10 @@ import numpy as np
 
 from async_tnt import load_model
 from async_tnt.base.progress import progress
-from experiments import made_pictures, moving_digits
-from experiments.bench_timing import machine
-from experiments.drawn_pictures import CHARACTERS, PIPS, write_glyphs, write_mnist
-from experiments.mnist import load_mnist
-from experiments.script_options import (
+from experiments.digit_data.mnist import load_mnist
+from experiments.pictures import made, moving_digits
+from experiments.pictures.symbols import CHARACTERS, PIPS, write_glyphs, write_mnist
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -46,8 +45,9 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.table_data import OFFICIAL
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
+from experiments.thesis.data import OFFICIAL
 
 TITLES = {
     "nmnist": "N-MNIST",
@@ -78,14 +78,14 @@ def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: P
     elif name == "poker":
         write_glyphs(folder, PIPS, fonts)
     elif name == "made":
-        made_pictures.write_pictures(folder, 10, 0)
+        made.write_pictures(folder, 10, 0)
     else:
         write_glyphs(folder, CHARACTERS, fonts)
 
 
 def link_official(nmnist: Path, out: Path) -> None:
     """`out/official/<digit>`: links to N-MNIST's recordings of the official test part, see
-    `table_data`."""
+    `thesis/data.py`."""
     for path in [*nmnist.glob("Test/*/*.bin"), *nmnist.glob("Train/*/*.bin")]:
         if path.parts[-3] == "Test" or int(path.stem) > OFFICIAL[0]:
             link = out / "official" / path.parent.name / path.name
@@ -167,7 +167,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.error(f"give one of --{', --'.join(TITLES)}")
     if args.made:
         folders["made"] = out / "recordings"
-        made_pictures.write_recordings(folders["made"] / "Test", 30, 1)
+        made.write_recordings(folders["made"] / "Test", 30, 1)
     report = earlier_report(args, {"sets": {}})
     for name, folder in folders.items():
         pictures = out / name

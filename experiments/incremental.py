@@ -26,15 +26,15 @@ from async_tnt import CompiledClassifier, Model, TNTConfig, warmup
 from async_tnt.base.progress import progress
 from async_tnt.training.networks import conv4, residual, thesis
 from async_tnt.views.figure_style import LARGE, SMALL, TEXT, axes_at, headline, new_figure, write_at
-from experiments import bench_backends as backends
-from experiments.bench_every_event import bench_every_event
-from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
-from experiments.bench_network import bench_network
-from experiments.bench_timing import machine, one_thread
-from experiments.draw_decisions import NETWORKS as LOOKS
-from experiments.draw_decisions import draw_lines, lay_axis
-from experiments.measure_touched import bench_touched
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends
+from experiments.speed.drawing import NETWORKS as LOOKS
+from experiments.speed.drawing import draw_lines, lay_axis
+from experiments.speed.every_event import bench_every_event
+from experiments.speed.moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.speed.networks import bench_network
+from experiments.speed.timing import machine, one_thread
+from experiments.speed.touched import bench_touched
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -39,10 +39,10 @@ from torch import nn
 from async_tnt import EVENT_DTYPE, Model, Processor, load_model
 from async_tnt.base.progress import progress
 from async_tnt.sources import open_recording, sample_recordings
-from experiments import bench_backends as backends
-from experiments.bench_interleaved import WorkDiffers
-from experiments.bench_timing import latency, machine, no_collector, one_thread
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends
+from experiments.speed.interleaved import WorkDiffers
+from experiments.speed.timing import latency, machine, no_collector, one_thread
 
 SENSORS = (128, 96), (304, 240), (640, 480)
 SIDE, OBJECTS, MOMENTS = 34, 3, 300

@@ -11,7 +11,6 @@ memory grew by more than the limit.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 
@@ -19,28 +18,16 @@ import numpy as np
 
 from async_tnt import Processor, load_model, warmup
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import machine
-from experiments.script_options import add_json, exit_with, plain_parser, write_outputs
+from experiments.scripts.options import add_json, exit_with, plain_parser, write_outputs
+from experiments.speed.memory import resident_mb
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import machine
 
 MODEL = "digits"
 FIRST = 1_000_000
 PACKET = 1300
 PACKETS_A_WINDOW = 13
 SINGLES = 50  # events of one packet in each window that come one by one
-
-
-def resident_mb() -> float:
-    """Resident memory of this process in MB (2^20 bytes); if the system does not report it, its
-    peak."""
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-    except OSError:
-        import resource
-
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:

@@ -15,13 +15,13 @@ from async_tnt.base.progress import progress
 from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.resynthesis.calibration import side_by_side
-from experiments.comparison import compare, recordings_by_image
-from experiments.digit_scene import Scene
-from experiments.motions import KINDS
-from experiments.moving_mnist_set import build
-from experiments.nmnist_files import write_nmnist
-from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
-from experiments.set_manifest import MANIFEST, MovingMnist
+from experiments.digit_data.nmnist_files import write_nmnist
+from experiments.motions.kinds import KINDS
+from experiments.motions.scene import Scene
+from experiments.moving_set.build import build
+from experiments.moving_set.comparison import compare, recordings_by_image
+from experiments.moving_set.manifest import MANIFEST, MovingMnist
+from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 
 DESCRIPTION = """\
 Simulate N-MOVING-MNIST: every digit of MNIST in front of an event camera of 34 x 34 pixels, under each of 30

@@ -36,9 +36,9 @@ from async_tnt.sources.files.playback import wait_until
 from async_tnt.sources.live.datagrams import encode
 from async_tnt.sources.live.udp import UdpSource
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import latency, machine
-from experiments.script_options import add_count, add_json, exit_with, plain_parser, write_outputs
+from experiments.scripts.options import add_count, add_json, exit_with, plain_parser, write_outputs
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import latency, machine
 
 EVERY_US = 5_000
 SILENCE_S = 2.0

@@ -25,9 +25,9 @@ from async_tnt.networks.loading import load_model
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.sources.files.labelled_recordings import recordings_under
 from async_tnt.streaming.processor import Processor
-from experiments.bench_moments import on_sensor
-from experiments.bench_timing import machine
-from experiments.script_options import add_folder, exit_with, run_script, script_parser
+from experiments.scripts.options import add_folder, exit_with, run_script, script_parser
+from experiments.speed.moments import on_sensor
+from experiments.speed.timing import machine
 
 SURE, SURER = 0.9, 0.99
 Place = tuple[np.ndarray, np.ndarray, np.ndarray]

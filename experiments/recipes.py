@@ -29,9 +29,8 @@ from async_tnt.sources.pixels.pixel_selection import PixelSelection
 from async_tnt.training.data import TrainingData, dataset_data
 from async_tnt.training.fitting import fit
 from async_tnt.training.settings import default_config, settings_for
-from experiments.bench_timing import machine
-from experiments.made_objects import SENSOR, WINDOW_US, Session, write
-from experiments.script_options import (
+from experiments.objects.pairs import SENSOR, WINDOW_US, Session, write
+from experiments.scripts.options import (
     add_count,
     add_folder,
     add_json,
@@ -41,6 +40,7 @@ from experiments.script_options import (
     print_tables,
     write_outputs,
 )
+from experiments.speed.timing import machine
 
 SPLIT = {"transform": "none", "polarity": "split"}
 

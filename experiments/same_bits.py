@@ -21,8 +21,8 @@ import numpy as np
 from async_tnt import Processor, TNTConfig, TNTVolume, bundled_models, load_model
 from async_tnt.cli.bench import machine
 from async_tnt.sources import open_recording, sample_recordings
-from experiments.page_parts import results
-from experiments.script_options import add_json, exit_with, plain_parser, write_outputs
+from experiments.scripts.options import add_json, exit_with, plain_parser, write_outputs
+from experiments.tables.parts import results
 
 PREFIXES = (1, 10, 100, 1_000, 100_000)
 WINDOW_US = 105_000

@@ -21,9 +21,9 @@ import numpy as np
 
 from async_tnt import Model, load_model, warmup
 from async_tnt.base.progress import progress
-from experiments import bench_backends as backends
-from experiments.bench_timing import machine, spread
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends
+from experiments.speed.timing import machine, spread
 
 MODEL, ROUNDS = "digits", 5
 PACKAGES = ("torch", "onnx", "onnxruntime")

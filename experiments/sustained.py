@@ -23,9 +23,9 @@ from async_tnt import Processor, load_model, warmup
 from async_tnt.cli.options import positive_int
 from async_tnt.sources import KeepUp, open_recording, sample_recordings
 from async_tnt.views.figure_style import HIGHLIGHTS, axes_at, headline, new_figure
-from experiments.bench_timing import machine
-from experiments.memory import resident_mb
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed.memory import resident_mb
+from experiments.speed.timing import machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

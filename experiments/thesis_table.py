@@ -16,16 +16,16 @@ from async_tnt.base.package import available_cores
 from async_tnt.cli.options import command_words, positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.training.settings import TrainSettings
-from experiments.bench_timing import machine
-from experiments.page_parts import read_json
-from experiments.script_options import (
+from experiments.scripts.options import (
     add_folder,
     data_folder,
     exit_with,
     plain_parser,
     writable_file,
 )
-from experiments.table_rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
+from experiments.speed.timing import machine
+from experiments.tables.parts import read_json
+from experiments.thesis.rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
 DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
 
@@ -154,11 +154,11 @@ def main(argv: list[str] | None = None) -> int:
         import scipy  # noqa: F401
         import torch
         from tnt_reference import Classifier  # noqa: F401
-    from experiments.table_data import RealFolder, make_set
-    from experiments.table_factors import effects
-    from experiments.table_merge import merged
-    from experiments.table_numbers import aggregate, differences, markdown_table
-    from experiments.table_runs import right_of, run_networks
+    from experiments.thesis.data import RealFolder, make_set
+    from experiments.thesis.factors import effects
+    from experiments.thesis.merge import merged
+    from experiments.thesis.numbers import aggregate, differences, markdown_table
+    from experiments.thesis.runs import right_of, run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
     check_folder(args.out, ("results.json", "table.md"))

@@ -20,9 +20,9 @@ import numpy as np
 
 from async_tnt import Processor, TNTVolume, load_model
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import interleave, machine, spread
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import interleave, machine, spread
 
 MODEL = "digits"
 PACKETS = 100, 1_000, 10_000, 400_000

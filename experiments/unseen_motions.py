@@ -5,9 +5,9 @@
                                          [--json FILE]
 
 hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128,
-           made by a renderer and pixels of their own (`made_hands.py`); also tested in a second
+           made by a renderer and pixels of their own (`objects/hands.py`); also tested in a second
            session
-saccades   N-MNIST's digits with a fifth of their events (`thinned_saccades.py`)
+saccades   N-MNIST's digits with a fifth of their events (`digit_data/thinned_saccades.py`)
 volumes    the same, re-synthesized, with different volumes
 whole      all recordings of N-MNIST with all of their events, the first saccade re-synthesized;
            also tested in the 30 constant motions of N-MOVING-MNIST (*sim*, 3,000 images that no
@@ -24,9 +24,6 @@ Finished trainings in --out are kept, and interrupted ones resume.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -42,10 +39,10 @@ from async_tnt.base.progress import progress
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.pipeline import pipeline_of
 from async_tnt.volume.sensor import format_size
-from experiments import made_hands, thinned_saccades
-from experiments.bench_timing import machine
-from experiments.digits_data import CLASSES, SACCADE_US
-from experiments.script_options import (
+from experiments.digit_data import thinned_saccades
+from experiments.digit_data.recordings import CLASSES, SACCADE_US
+from experiments.objects import hands
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -54,7 +51,9 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.table_data import RealFolder, make_set, simulated_windows
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
+from experiments.thesis.data import RealFolder, make_set, simulated_windows
 
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
 RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
@@ -62,7 +61,6 @@ OF_NMNIST = "saccades", "volumes", "whole"
 N_IMAGES = 3_000
 SETS = "hands", *OF_NMNIST
 MOVED = "--motions", "resynthesized"
-HARDLY = 0.03
 VOLUMES = {
     "counts": ("--volume", "representation=count,polarity=split,transform=none"),
     "5 bins": ("--volume", "representation=volume,bins=5,polarity=split,transform=none"),
@@ -105,14 +103,12 @@ class MadeSet:
 
 def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
     """The sets; those of saccades need the folder of N-MNIST, `whole` also that of MNIST."""
-    hand, other_hand = (
-        partial(made_hands.write, session=session) for session in made_hands.SESSIONS
-    )
+    hand, other_hand = (partial(hands.write, session=session) for session in hands.SESSIONS)
     made = {
         "hands": MadeSet(
-            tuple(made_hands.SHAPES),
-            made_hands.SENSOR,
-            made_hands.WINDOW_US,
+            tuple(hands.SHAPES),
+            hands.SENSOR,
+            hands.WINDOW_US,
             hand,
             160,
             40,
@@ -242,29 +238,6 @@ def _in_simulated_motions(
         for pipeline, found in zip(pipelines, right, strict=True):
             found.append(class_probabilities(pipeline, windows).argmax(1) == windows.labels)
     return [float(np.concatenate(found).mean()) for found in right]
-
-
-def command(*words: object) -> dict[str, Any]:
-    """What `async-tnt` prints as JSON."""
-    done = subprocess.run(
-        [sys.executable, "-m", "async_tnt", *map(str, words)], stdout=subprocess.PIPE, check=True
-    )
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
-
-
-def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
-    """In each test of other motions: the share of the gap between training on one and on all
-    directions that re-synthesis closes; none where there is no such comparison, or hardly a gap."""
-    if "all directions" not in accuracy:
-        return {}
-    means = {
-        mode: {test: found["mean"] for test, found in tests.items()}
-        for mode, tests in accuracy.items()
-    }
-    one, moved, every = (means[mode] for mode in ("recorded", "resynthesized", "all directions"))
-    gaps = {test: every[test] - one[test] for test in one if test != "recorded motion"}
-    return {test: (moved[test] - one[test]) / gap for test, gap in gaps.items() if gap > HARDLY}
 
 
 def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:

@@ -17,9 +17,9 @@ import numpy as np
 from async_tnt import TNTConfig, TNTVolume, warmup
 from async_tnt.base.progress import progress
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import interleave, machine, spread, work_clock
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import interleave, machine, spread, work_clock
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
 PACKETS = (10, 100, 1300)

@@ -8,11 +8,11 @@ from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
 from async_tnt.volume.events import structured
-from experiments import bench_network as network
-from experiments import measure_end_to_end as end_to_end
-from experiments.bench_interleaved import Timed, WorkDiffers, timed
-from experiments.bench_moments import Moments, made_columns
-from experiments.bench_timing import spread
+from experiments.speed import end_to_end
+from experiments.speed import networks as network
+from experiments.speed.interleaved import Timed, WorkDiffers, timed
+from experiments.speed.moments import Moments, made_columns
+from experiments.speed.timing import spread
 
 WINDOW_US = 1000
 SMALL = random_model(
@@ -128,7 +128,7 @@ def test_batch_processing_equals_the_reference(settings):
     """A figure beside a wrong batch computation would mean nothing."""
     torch = pytest.importorskip("torch")
     from async_tnt.checking.reference import reference_volume
-    from experiments.bench_torch_batch import TorchBatch, as_tensors
+    from experiments.speed.torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
     events = structured(

@@ -15,10 +15,10 @@ from small_sets import write_small_mnist
 import experiments
 from async_tnt.cli.options import volume_of
 from experiments import decisions, edges
-from experiments.mnist import load_mnist
-from experiments.nmnist_files import write_nmnist
-from experiments.page_parts import RESULTS
-from experiments.simulated_digits import simulate_digit
+from experiments.digit_data.mnist import load_mnist
+from experiments.digit_data.nmnist_files import write_nmnist
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.tables.parts import RESULTS
 
 COMMANDS = [
     path

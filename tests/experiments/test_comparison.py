@@ -7,9 +7,9 @@ import pytest
 from async_tnt.resynthesis.calibration import side_by_side
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import EVENT_DTYPE
-from experiments.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
-from experiments.mnist import load_mnist
-from experiments.simulated_digits import simulate_digit
+from experiments.digit_data.mnist import load_mnist
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.moving_set.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
 
 ALONG, ACROSS = "ON - OFF centroid, along the motion", "ON - OFF centroid, across the motion"
 

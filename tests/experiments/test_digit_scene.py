@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.digit_scene import Scene, render, translate
-from experiments.trajectories import Saccade
+from experiments.motions.scene import Scene, render, translate
+from experiments.motions.trajectories import Saccade
 
 SHARP = Scene(contrast=4.0, gamma=1.0, blur_px=0.0)
 POINT = np.zeros((3, 4))

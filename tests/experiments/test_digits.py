@@ -11,14 +11,14 @@ from small_sets import idx_bytes
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.base.progress import Bar
-from experiments.digits import CONFIG, STEPS, train_digits
-from experiments.digits_data import (
+from experiments.digit_data.recordings import (
     FIRST_INDEX,
     digits_data,
     read_nmnist_folder,
     recording_numbers,
     simulate_recordings,
 )
+from experiments.digits import CONFIG, STEPS, train_digits
 
 
 def test_a_folder_is_read_in_order_with_its_labels(nmnist):
@@ -63,7 +63,7 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
 def test_each_step_continues_the_one_before_and_the_last_is_tested(
     nmnist, mnist, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("experiments.digits_data.FIRST_INDEX", 10)
+    monkeypatch.setattr("experiments.digit_data.recordings.FIRST_INDEX", 10)
     monkeypatch.setattr("experiments.digits.available_cores", lambda: 1)
     monkeypatch.setattr("async_tnt.training.resynthesis.N_CALIBRATION", 12)
     data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=Bar)

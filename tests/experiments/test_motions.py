@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments.motions import KINDS, motions_of
-from experiments.simulated_digits import simulate_digit
-from experiments.trajectories import nmnist_saccades
+from experiments.motions.kinds import KINDS, motions_of
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.motions.trajectories import nmnist_saccades
 
 RNG = np.random.default_rng(0)
 STRAIGHT = {

@@ -7,12 +7,12 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments.mnist import load_mnist
-from experiments.motions import motions_of
-from experiments.moving_mnist_set import build, open_set
-from experiments.shards import open_shard
-from experiments.simulated_digits import simulate_digit
-from experiments.trajectories import ConstantVelocity
+from experiments.digit_data.mnist import load_mnist
+from experiments.motions.kinds import motions_of
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.motions.trajectories import ConstantVelocity
+from experiments.moving_set.build import build, open_set
+from experiments.moving_set.shards import open_shard
 
 QUICK = {"which": range(5), "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 

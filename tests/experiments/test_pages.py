@@ -6,12 +6,13 @@ import re
 
 import pytest
 
-from experiments import accuracy_tables as tables
-from experiments import pages, thesis_tables
-from experiments.page_parts import RESULTS
-from experiments.table_factors import FACTORS
-from experiments.table_numbers import signed
-from experiments.table_rows import IMAGES, INPUTS, QUESTIONS, ROWS, SETS
+from experiments import pages
+from experiments.tables import accuracy as tables
+from experiments.tables import thesis
+from experiments.tables.parts import RESULTS
+from experiments.thesis.factors import FACTORS
+from experiments.thesis.numbers import signed
+from experiments.thesis.rows import IMAGES, INPUTS, QUESTIONS, ROWS, SETS
 
 
 def test_the_pages_show_the_results(capsys):
@@ -64,11 +65,11 @@ def test_what_holds_is_said_and_nothing_else():
     found = [difference("thesis-tnt", 0.1654, 0.049), difference("thesis-tnt", 0.2, 0.05, "1/sim")]
     found += [difference("thesis-regress", -0.02, 0.001, "1/bell")]
     question = found[0]["question"]
-    assert thesis_tables.answer(question, found) == (
+    assert thesis.answer(question, found) == (
         f"**{question}**: 2 of 3 hold; *TNT* against *Baseline* +.165 in all/sim; "
         "*TNT+regress* against *Baseline* -.020 in 1/bell."
     )
-    assert thesis_tables.answer(question, found[1:2]) == f"**{question}**: 0 of 1 hold."
+    assert thesis.answer(question, found[1:2]) == f"**{question}**: 0 of 1 hold."
 
 
 def test_every_difference_that_a_page_claims_holds_and_none_that_holds_is_left_out():

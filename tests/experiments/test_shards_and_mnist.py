@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from made import random_events
 from small_sets import idx_bytes
 
-from experiments.mnist import load_mnist
-from experiments.shards import open_shard, write_shard
+from experiments.digit_data.mnist import load_mnist
+from experiments.moving_set.shards import open_shard, write_shard
 
 RECORDINGS = [random_events(n, seed=n, duration_us=1_000) for n in (5, 0, 9, 3)]
 FLOW = np.arange(8.0).reshape(4, 1, 2)

@@ -16,19 +16,19 @@ from async_tnt import Processor, TNTConfig, TNTVolume, load_model  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.volume.events import structured  # noqa: E402
 from experiments import thesis_table  # noqa: E402
-from experiments.moving_mnist_set import open_set  # noqa: E402
-from experiments.page_parts import results  # noqa: E402
-from experiments.table_data import (  # noqa: E402
+from experiments.moving_set.build import open_set  # noqa: E402
+from experiments.tables.parts import results  # noqa: E402
+from experiments.thesis.data import (  # noqa: E402
     RealFolder,
     saccade,
     shown_test_images,
     spanned,
     trained_on,
 )
-from experiments.table_factors import FACTORS, effects  # noqa: E402
-from experiments.table_merge import merged  # noqa: E402
-from experiments.table_numbers import aggregate, differences, holm, interval, markdown_table  # noqa: E402
-from experiments.table_rows import QUESTIONS, ROWS, SETS, Run  # noqa: E402
+from experiments.thesis.factors import FACTORS, effects  # noqa: E402
+from experiments.thesis.merge import merged  # noqa: E402
+from experiments.thesis.numbers import aggregate, differences, holm, interval, markdown_table  # noqa: E402
+from experiments.thesis.rows import QUESTIONS, ROWS, SETS, Run  # noqa: E402
 
 
 @pytest.fixture(scope="module")
