@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from async_tnt.base.files import write_text
 from experiments.scripts.options import exit_with, plain_parser
-from experiments.tables import accuracy, datasets, decisions, sections, thesis
+from experiments.tables import accuracy, datasets, decisions, differences, sections, thesis
 from experiments.tables.parts import ROOT
 
 SHORT = (
@@ -22,7 +22,7 @@ SHORT = (
     datasets.cars_in_short,
     decisions.speed,
     thesis.unseen_motion,
-    thesis.thesis_answers,
+    differences.thesis_answers,
 )
 """What README and the page of results have of other tables."""
 TABLES = {

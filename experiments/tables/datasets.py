@@ -13,8 +13,12 @@ from experiments.thesis.numbers import cell, summary, with_range
 from experiments.thesis.numbers import short as three_digits
 from experiments.thesis.rows import IMAGES
 
-CARS_MS = "10", "20", "30", "50", "100"
-EQUAL_MS = "10", "30", "50", "100"
+SHORT_MS = ("10", "30", "100")
+"""Times of `cars_in_short`, in milliseconds since a recording's first event."""
+
+EQUAL_MS = ("10", "30", "50", "100")
+"""Times of `representations`, in milliseconds."""
+
 REPRESENTATIONS = {
     "volume": ("event volume", "raw-translated"),
     **{name: (f"TNT, `{name}`", f"{name}-translated") for name in LANDMARKS},
@@ -74,17 +78,18 @@ def cars_confidence(report: dict[str, Any]) -> str:
 
 
 def cars_in_short() -> str:
+    """The short version for README: networks on images of counts, without the transform."""
     found = results("cars")["recipes"]["tuned"]
     tests = found["tests"]
-    at = {ms: _mean([test["against_time_ms"][ms] for test in tests]) for ms in CARS_MS}
-    rate = found["every_event"]["a_second"]
-    return (
-        f"On N-CARS' official test part, cars or background, networks on images of counts without "
-        "the transform are "
-        f"right in {at['10']} of the recordings after 10 ms, {at['30']} after 30 ms and "
-        f"{at['100']} after 100 ms (mean "
-        f"of {len(tests)}), at {rate:,.0f} decisions a second, one after every event."
+    shares = [_mean([test["against_time_ms"][ms] for test in tests]) for ms in SHORT_MS]
+    rate = f"{found['every_event']['a_second']:,.0f}"
+    head = [f"right after {ms} ms" for ms in SHORT_MS]
+    sentence = (
+        "On N-CARS' official test part, cars or background: networks on images of counts, without "
+        f"the transform, mean of {len(tests)}."
     )
+    one_row = table([*head, "decisions a second, one after every event"], [[*shares, rate]])
+    return f"{sentence}\n\n{one_row}"
 
 
 def _mean(accuracies: Sequence[float]) -> str:

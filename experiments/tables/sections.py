@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from experiments.tables import accuracy, datasets, decisions, streams, thesis
+from experiments.tables import accuracy, datasets, decisions, differences, streams, thesis
 from experiments.tables.texts import (
     CARS,
     DEFAULT,
@@ -187,11 +187,11 @@ SECTIONS = (
             thesis.thesis_rows: "The thesis' own rows; in brackets its numbers, from the official split and simulated "
             f"motions of its own, which were probably like {THESIS_SET!r}",
             thesis.curves: "60,000 steps: held-out windows right / their loss",
-            thesis.thesis_sets: "On nine sets of 30 simulated motions; bold: better or worse than the Baseline",
-            thesis.effects: "What the gain depends on",
+            differences.thesis_sets: "On nine sets of 30 simulated motions; bold: better or worse than the Baseline",
+            differences.effects: "What the gain depends on",
             thesis.comparison: "The comparison: 3,000 steps, t_max 2, five seeds",
-            thesis.differences: "Differences and their 95 % intervals; bold: holds among all of its question",
-            thesis.conclusions: "All that hold",
+            differences.differences: "Differences and their 95 % intervals; bold: holds among all of its question",
+            differences.conclusions: "All that hold",
             thesis.against_time: "Unseen motions, by the time since a window's start",
         },
         picture="directions",

@@ -8,7 +8,7 @@ import pytest
 
 from experiments import pages
 from experiments.tables import accuracy as tables
-from experiments.tables import thesis
+from experiments.tables import differences
 from experiments.tables.parts import RESULTS
 from experiments.thesis.factors import FACTORS
 from experiments.thesis.numbers import signed
@@ -23,7 +23,6 @@ def test_the_pages_show_the_results(capsys):
     shown = [name for name in re.findall(r"<!-- (\w+) -->", readme + results) if name != "end"]
     assert len(shown) == len(set(shown)) and {make.__name__ for make in pages.SHORT} <= set(shown)
     assert all(make() in everything for make in pages.TABLES.values() if make not in pages.SHORT)
-    assert len(re.findall(r"^\|---", results, re.MULTILINE)) <= 6
 
 
 def test_recorded_results_name_the_processor_and_no_path():
@@ -63,55 +62,71 @@ def difference(row, mean, holm, column="all/sim"):
 
 def test_what_holds_is_said_and_nothing_else():
     found = [difference("thesis-tnt", 0.1654, 0.049), difference("thesis-tnt", 0.2, 0.05, "1/sim")]
-    found += [difference("thesis-regress", -0.02, 0.001, "1/bell")]
+    found.append(difference("thesis-regress", -0.02, 0.001, "1/bell"))
     question = found[0]["question"]
-    assert thesis.answer(question, found) == (
-        f"**{question}**: 2 of 3 hold; *TNT* against *Baseline* +.165 in all/sim; "
-        "*TNT+regress* against *Baseline* -.020 in 1/bell."
-    )
-    assert thesis.answer(question, found[1:2]) == f"**{question}**: 0 of 1 hold."
+    assert differences.answer(question, found).splitlines() == [
+        f"{question}: 2 of 3 differences hold.",
+        "",
+        "| difference | trained on | sim | bell |",
+        "|---|---|---|---|",
+        "| TNT - Baseline | all | +.165 |  |",
+        "| TNT+regress - Baseline | 1 |  | -.020 |",
+    ]
+    assert differences.answer(question, found[1:2]) == f"{question}: 0 of 1 differences hold."
+    assert differences.answer(question, []) == f"{question}: not measured yet."
+
+
+def rows_of(table):
+    """The head of a Markdown table and its rows, as lists of cells."""
+    head, _, *rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in table)
+    return head, rows
 
 
 def test_every_difference_that_a_page_claims_holds_and_none_that_holds_is_left_out():
-    """Read back from the pages, against the results."""
+    """Read back from the tables of RESULTS.md, against the results."""
     recorded = tables.results("table")["differences"]
     titles = {row.title: name for name, row in ROWS.items()}
     everything = (pages.ROOT / "experiments/RESULTS.md").read_text(encoding="utf-8")
     claimed = set()
-    for question, said in re.findall(r"^- \*\*(.+?)\*\*: (.+)\.$", everything, re.MULTILINE):
-        if question not in QUESTIONS:
-            continue
-        for row, against, listed in re.findall(r"\*([^*]+)\* against \*([^*]+)\* ([^;]+)", said):
-            for mean, column in re.findall(r"([+-]\.\d{3}) in ([^,]+)", listed):
-                claimed.add((question, titles[row], titles[against], column, mean))
+    for question, lines in re.findall(
+        r"^(.+): \d+ of \d+ differences hold\.\n\n((?:\|.*\n)+)", everything, re.MULTILINE
+    ):
+        head, rows = rows_of(lines.splitlines())
+        for pair, trained_on, *means in rows:
+            row, against = (titles[title] for title in pair.split(" - "))
+            for test, mean in zip(head[2:], means, strict=True):
+                if mean:
+                    claimed.add((question, row, against, f"{trained_on}/{test}", mean))
     holding = {
         (d["question"], d["row"], d["against"], d["column"], signed(d["mean"]))
         for d in recorded
         if d["holm"] < 0.05
     }
-    assert claimed == holding and claimed
-    page = (pages.ROOT / "docs/results.md").read_text(encoding="utf-8")
-    [(n_asked, said)] = re.findall(
-        r"of (\d+) differences on simulated sets these hold\. (.+)\.$", page, re.MULTILINE
-    )
-    sentences = re.findall(
-        r"Trained on ([^,]+), \*([^*]+)\* (gains|loses) on ([^.]+(?:\.\d{3}[^.]*)+)", said
-    )
-    shown = {
-        (titles[title], f"{'all' if on == 'all saccades' else '1'}/{name}", mean, verb)
-        for on, title, verb, listed in sentences
-        for name, mean in re.findall(r"\*([^*]+)\* ([+-]\.\d{3})", listed)
-    }
+    assert claimed == holding
+    assert {question for question, *_ in claimed} == set(QUESTIONS)
+
+
+def test_the_page_of_results_shows_all_that_holds_of_the_thesis_question():
     asked = [
         d
-        for d in recorded
+        for d in tables.results("table")["differences"]
         if d["against"] == "thesis-baseline" and d["column"].split("/")[1] in SETS
     ]
-    assert len(asked) == int(n_asked)
-    assert shown == {
-        (d["row"], d["column"], signed(d["mean"]), "gains" if d["mean"] > 0 else "loses")
-        for d in asked
-        if d["holm"] < 0.05
+    page = (pages.ROOT / "docs/results.md").read_text(encoding="utf-8")
+    [(n_asked, lines)] = re.findall(
+        r"^Of (\d+) differences to the Baseline .*\n\n((?:\|.*\n)+)", page, re.MULTILINE
+    )
+    head, rows = rows_of(lines.splitlines())
+    trained_on = {"all saccades": "all", "the first saccade": "1"}
+    shown = {
+        (*title.split(", "), name, mean)
+        for name, *means in rows
+        for title, mean in zip(head[1:], means, strict=True)
+        if mean
+    }
+    assert int(n_asked) == len(asked)
+    assert {(title, f"{trained_on[on]}/{name}", mean) for title, on, name, mean in shown} == {
+        (ROWS[d["row"]].title, d["column"], signed(d["mean"])) for d in asked if d["holm"] < 0.05
     }
 
 
