@@ -12,6 +12,13 @@ from experiments.tables.parts import of_report, percent, results, table
 from experiments.thesis.numbers import with_range
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
+"""Part of the record of `digits` -> where its windows begin."""
+
+SHORT_US = (31_500, 52_500, 105_000)
+"""Times since the window's start, in microseconds, that `accuracy` shows."""
+
+LEAST_CONFIDENCE = 0.9
+"""The lowest level of confidence that `accuracy` shows."""
 
 HARDLY = 0.03
 """Difference of two accuracies below which there is no gap to close."""
@@ -19,14 +26,14 @@ HARDLY = 0.03
 
 def accuracy() -> str:
     """`digits` in short: how often it is right, and how soon."""
-    found, rows = results("early"), []
+    found = results("early")
+    rows = []
     for row in found["accuracy_against_time"]:
-        if row["time_us"] in (31_500, 52_500, 105_000):
-            rows.append(
-                [f"a window, after {row['time_us'] / 1000:g} ms", "", percent(row["accuracy"])]
-            )
+        if row["time_us"] in SHORT_US:
+            words = f"a window, after {row['time_us'] / 1000:g} ms"
+            rows.append([words, "", percent(row["accuracy"])])
     for row in found["confidence"]:
-        if row["level"] >= 0.9:
+        if row["level"] >= LEAST_CONFIDENCE:
             words = f"a window, once a class has {row['level']:g}"
             rows.append([words, f"{row['median_ms']:.0f} ms", percent(row["window_accuracy"])])
     rows.append(["a recording, by the mean of its windows", "", percent(found["accuracy"])])
@@ -45,6 +52,7 @@ def digits_against_time() -> str:
 
 
 def digits_confusion() -> str:
+    """How many windows of each class `digits` takes for each other one."""
     classes = load_model("digits").classes
     counts = _record()["test"]["confusion"]
     rows = [[name, *(str(n or "") for n in row)] for name, row in zip(classes, counts, strict=True)]
@@ -86,7 +94,8 @@ def digits_tried_motions() -> str:
     """The trainings with motion re-synthesis, beside the model of before."""
     rows = []
     for number, run in enumerate(_record()["tried_with_motions"]):
-        found, start = run["validation"], run["started_from"]
+        found = run["validation"]
+        start = run["started_from"]
         rows.append(
             [
                 str(number),
@@ -147,16 +156,17 @@ def polarity(found: dict[str, Any]) -> str:
 
 def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
     """In each test of other motions: the share of the gap between training on one and on all
-    directions that re-synthesis closes; none where there is no such comparison, or hardly a gap."""
+    directions that re-synthesis closes. A test without such a comparison, or with hardly a gap, is
+    left out."""
     if "all directions" not in accuracy:
         return {}
-    means = {
-        mode: {test: found["mean"] for test, found in tests.items()}
-        for mode, tests in accuracy.items()
-    }
-    one, moved, every = (means[mode] for mode in ("recorded", "resynthesized", "all directions"))
-    gaps = {test: every[test] - one[test] for test in one if test != "recorded motion"}
-    return {test: (moved[test] - one[test]) / gap for test, gap in gaps.items() if gap > HARDLY}
+    closed = {}
+    for test in accuracy["recorded"]:
+        means = {mode: tests[test]["mean"] for mode, tests in accuracy.items()}
+        gap = means["all directions"] - means["recorded"]
+        if test != "recorded motion" and gap > HARDLY:
+            closed[test] = (means["resynthesized"] - means["recorded"]) / gap
+    return closed
 
 
 def _unseen(found: dict[str, Any]) -> str:
@@ -166,7 +176,8 @@ def _unseen(found: dict[str, Any]) -> str:
     rows = [
         [mode, *(with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()
     ]
-    if closed := share_closed(accuracy):
+    closed = share_closed(accuracy)
+    if closed:
         rows.append(
             [
                 "*of the gap closed*",
@@ -204,7 +215,8 @@ def nothing(found: dict[str, Any]) -> str:
     """What stands in a window, and how often it is decided."""
     rows = []
     for name, row in found["rows"].items():
-        moments = row.get("at_some_moment", {})  # not of all sets, measured before these were asked
+        # some sets were measured before these were asked
+        moments = row.get("at_some_moment", {})
         shares = (percent(moments[level]) if level in moments else "-" for level in ("0.9", "0.99"))
         rows.append([name, f"{row['windows']:,}", percent(row["decided"]), *shares])
     head = [

@@ -31,7 +31,8 @@ REPRESENTATIONS = {
 @of_report("cars")
 def cars(report: dict[str, Any]) -> str:
     """N-CARS' test part against time: mean over the networks, and their standard deviation."""
-    rows, shown = [], report["shown_ms"]
+    shown = report["shown_ms"]
+    rows = []
     for name, found in report["recipes"].items():
         if name.startswith("equal_"):
             continue
@@ -58,13 +59,15 @@ def cars_confidence(report: dict[str, Any]) -> str:
     tests = next(iter(report["recipes"].values()))["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
-        if any(level["median_ms"] is None for level in levels):  # that no window reaches
+        # a level that no window reaches
+        if any(level["median_ms"] is None for level in levels):
             continue
-        names = "decided", "accuracy", "window_accuracy", "median_ms", "p90_ms"
-        *shares, median, p90 = (float(np.mean([level[name] for level in levels])) for name in names)
-        rows.append(
-            [f"{levels[0]['level']:g}", *map(percent, shares), f"{median:.0f}", f"{p90:.0f}"]
-        )
+        names = ("decided", "accuracy", "window_accuracy", "median_ms", "p90_ms")
+        means = {name: float(np.mean([level[name] for level in levels])) for name in names}
+        row = [f"{levels[0]['level']:g}"]
+        row += [percent(means[name]) for name in ("decided", "accuracy", "window_accuracy")]
+        row += [f"{means[name]:.0f}" for name in ("median_ms", "p90_ms")]
+        rows.append(row)
     head = [
         "confidence",
         "windows that reach it",
@@ -74,7 +77,8 @@ def cars_confidence(report: dict[str, Any]) -> str:
         "90th percentile, ms",
     ]
     error = _mean([test["calibration_error"] for test in tests])
-    return f"{table(head, rows)}\n\nExpected calibration error at the tenths of a window, mean of the networks: {error}."
+    sentence = "Expected calibration error at the tenths of a window, mean of the networks"
+    return f"{table(head, rows)}\n\n{sentence}: {error}."
 
 
 def cars_in_short() -> str:
@@ -105,11 +109,12 @@ def representations() -> str:
     measured = [recipes[f"equal_{name}"] for name in REPRESENTATIONS if f"equal_{name}" in recipes]
     for name, (title, row) in REPRESENTATIONS.items():
         cells = [cell(nmnist.get(row, {}).get(column)) for column in ("all/all", "1/all", "1/sim")]
-        if (found := recipes.get(f"equal_{name}")) is None:
+        found = recipes.get(f"equal_{name}")
+        if found is None:
             rows.append([title, *cells, *["-"] * (len(EQUAL_MS) + 2)])
             continue
         shares = [[test["against_time_ms"][ms] for test in found["tests"]] for ms in EQUAL_MS]
-        costs = short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])
+        costs = [short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])]
         rows.append([title, *cells, *(cell(summary(values)) for values in shares), *costs])
     times = [f"{ms} ms" for ms in EQUAL_MS]
     head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]

@@ -20,7 +20,9 @@ WAYS = {
     "torch": "torch: the whole window's volume, its network",
     "eventcv_onnxruntime": "eventcv's voxel grid of all events, onnxruntime",
 }
-MAPS = "maps", "places", "program"
+MAPS = ("maps", "places", "program")
+"""What is counted as memory of a network's maps, besides its weights."""
+
 decisions_machine = of_report("decisions")(about_machine)
 starts_machine = of_report("starts")(about_machine)
 incremental_machine = of_report("incremental")(about_machine)
@@ -65,12 +67,12 @@ def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
 
 def _cell(found: dict[str, Any], name: str) -> str:
     """Median, 99th percentile, and ratio to the first network's; empty where there is none."""
-    if (us := found["us"].get(name)) is None:
+    us = found["us"].get(name)
+    if us is None:
         return ""
+    text = f"{short(us['median'])} ({short(us['p99'])})"
     ratio = found["ratio"].get(name)
-    return f"{short(us['median'])} ({short(us['p99'])})" + (
-        f" {ratio['median']:.1f}x" if ratio else ""
-    )
+    return f"{text} {ratio['median']:.1f}x" if ratio else text
 
 
 network_in_blocks = of_report("decisions")(
@@ -152,21 +154,27 @@ def incremental_work(report: dict[str, Any]) -> str:
         counts = [
             row["touched"][n]["multiplications"] / 1e6 for n in ("1", "10", "100", "1300", "whole")
         ]
-        memory = [
-            f"{sum(row['bytes'][part] for part in parts) / 1e3:,.0f}"
-            for parts in (("weights",), MAPS)
-        ]
+        n_bytes = row["bytes"]
+        n_bytes_maps = sum(n_bytes[part] for part in MAPS)
+        memory = [f"{n / 1e3:,.0f}" for n in (n_bytes["weights"], n_bytes_maps)]
         rates = row["every_event"]
         onnx = max((rates[name]["a_second"] for name in rates if name != "ours"), default=None)
-        second = [f"{rates['ours']['a_second']:,.0f}", "" if onnx is None else f"{onnx:,.0f}"]
+        others = "" if onnx is None else f"{onnx:,.0f}"
+        second = [f"{rates['ours']['a_second']:,.0f}", others]
         body.append([f"`{network}`", *(f"{n:.2f}" for n in counts), *memory, *second])
-    head = ["1 new event", "10", "100", "1,300", "the whole network", "weights, kB", "maps, kB"]
+    head = [
+        "million multiplications",
+        "1 new event",
+        "10",
+        "100",
+        "1,300",
+        "the whole network",
+        "weights, kB",
+        "maps, kB",
+        "decisions a second, one after every event",
+        "onnxruntime",
+    ]
     return table(
-        [
-            "million multiplications",
-            *head,
-            "decisions a second, one after every event",
-            "onnxruntime",
-        ],
+        head,
         body,
     )

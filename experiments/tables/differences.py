@@ -23,7 +23,7 @@ TRANSFORMED = ("thesis-tnt", "thesis-regress")
 """The thesis' rows that transform events."""
 
 Difference = dict[str, Any]
-"""A difference as `thesis.numbers.differences` makes it: its "question", "row", "against", "column",
+"""A difference as `thesis.numbers.differences` makes it: "question", "row", "against", "column",
 "mean", "low", "high" and "holm"."""
 
 
@@ -82,8 +82,8 @@ def conclusions() -> str:
 
 
 def answer(question: str, every: Sequence[Difference]) -> str:
-    """A question's differences that hold: a row for each pair of rows and what they were trained on,
-    a column for each test."""
+    """A question's differences that hold: a row for each pair and what it was trained on, a column
+    for each test."""
     asked = [one for one in every if one["question"] == question]
     if not asked:
         return f"{question}: not measured yet."
@@ -120,8 +120,8 @@ def thesis_answers() -> str:
             body.append([name, *cells])
     titles = [f"{ROWS[row].title}, {words}" for words in shown.values() for row in TRANSFORMED]
     sentence = (
-        f"Of {len(asked)} differences to the Baseline on simulated sets these hold. Columns: the row "
-        "and what it was trained on."
+        f"Of {len(asked)} differences to the Baseline on simulated sets these hold. Columns: the "
+        "row and what it was trained on."
     )
     return f"{sentence}\n\n{table(['simulated set', *titles], body)}"
 

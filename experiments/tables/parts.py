@@ -9,8 +9,13 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
+"""The checkout."""
+
 RESULTS = ROOT / "experiments" / "results"
+"""The recorded runs."""
+
 Table = Callable[..., str]
+
 REPORT_OF: dict[Table, str] = {}
 """Table -> the recorded run that it is made of, without ".json"."""
 
@@ -44,33 +49,39 @@ def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
     cells = [list(head), *map(list, rows)]
-    text = ["| " + " | ".join(row) + " |" for row in cells]
-    return "\n".join([text[0], "|---" * len(cells[0]) + "|", *text[1:]])
+    lines = [f"| {' | '.join(row)} |" for row in cells]
+    lines.insert(1, "|---" * len(cells[0]) + "|")
+    return "\n".join(lines)
 
 
 def short(value: float) -> str:
+    """A number such as 11.3 or 1,024."""
     return f"{value:.1f}" if value < 20 else f"{value:,.0f}"
 
 
 def percent(share: float) -> str:
+    """A share such as 99.2 %."""
     return f"{100 * share:.1f} %"
 
 
 def about_machine(*reports: dict[str, Any]) -> str:
-    """Of reports from one machine."""
+    """What the reports, all from one machine, say of it: processor, load and versions."""
     about = reports[0]["machine"]
     loads = sorted({report["machine"]["load_1min"] for report in reports})
     load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"
+
     names = {
         "torch": "torch",
         "onnxruntime": "onnxruntime",
         "openvino": "OpenVINO",
         "eventcv": "eventcv",
     }
-    versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
-    return (
-        f"{about['cpu']}, one thread, load {load}; Python {about['python']}, NumPy "
-        f"{about['numpy']}, "
-        f"Numba {about['numba']}" + "".join(", " + v for v in versions) + "."
-    )
+    versions = [
+        f"Python {about['python']}",
+        f"NumPy {about['numpy']}",
+        f"Numba {about['numba']}",
+        *(f"{words} {about[name]}" for name, words in names.items() if about.get(name)),
+    ]
+    return f"{about['cpu']}, one thread, load {load}; {', '.join(versions)}."

@@ -31,19 +31,23 @@ def udp_latency() -> str:
 def udp_load() -> str:
     """A minute of events, and how late the decisions are."""
     run = results("network")["load"]
-    events, received, late = run["sent"]["events"], run["received"]["events"], run["delay_us"]
-    counts = (events, received, run["datagrams_missing"] * run["datagram_events"], run["decisions"])
-    delays = (f"{late[name] / 1e3:.1f}" for name in ("median", "p99", "max"))
-    head = [
-        "events sent",
-        "received",
-        "lost by the system",
-        "decisions",
-        "delay, ms: median",
-        "99 %",
-        "at most",
+    late_us = run["delay_us"]
+    counts = {
+        "events sent": run["sent"]["events"],
+        "received": run["received"]["events"],
+        "lost by the system": run["datagrams_missing"] * run["datagram_events"],
+        "decisions": run["decisions"],
+    }
+    delays_us = {
+        "delay, ms: median": late_us["median"],
+        "99 %": late_us["p99"],
+        "at most": late_us["max"],
+    }
+    row = [
+        *(f"{n:,}" for n in counts.values()),
+        *(f"{delay_us / 1e3:.1f}" for delay_us in delays_us.values()),
     ]
-    return table(head, [[*(f"{n:,}" for n in counts), *delays]])
+    return table([*counts, *delays_us], [row])
 
 
 @of_report("bench")
@@ -65,16 +69,16 @@ def volumes(found: dict[str, Any]) -> str:
         f"A window of {whole['events']:,} events on 1280 x 720, opened, filled and read: "
         f"{short(whole['ns_per_event']['median'])} ns per event."
     )
-    return f"{table(['', *('{} x {}'.format(*v['grid']) for v in grids)], rows)}\n\n{words} {about_machine(found)}"
+    sizes = (" x ".join(map(str, v["grid"])) for v in grids)
+    return f"{table(['', *sizes], rows)}\n\n{words} {about_machine(found)}"
 
 
 def memory() -> str:
-    """A sentence."""
+    """A sentence: growth after so many events."""
     found = results("memory")
     return (
         f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions "
-        "the process has grown "
-        f"by {found['grown_mb']:.1f} MB since the first million."
+        f"the process has grown by {found['grown_mb']:.1f} MB since the first million."
     )
 
 
@@ -126,7 +130,10 @@ def threads(found: dict[str, Any]) -> str:
     }
     head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
     rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
-    woken = f"A thread that waits for Python's lock runs on {found['wake_us']:.0f} us after it is released."
+    woken = (
+        f"A thread that waits for Python's lock runs on {found['wake_us']:.0f} us after it is "
+        "released."
+    )
     return f"{table(head, rows)}\n\n{woken}"
 
 
@@ -151,4 +158,5 @@ def sustained(report: dict[str, Any]) -> str:
         f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us "
         "each."
     )
-    return f"{found}\n\n{table([*head, 'decisions', 'rarer', 'skipped', 'MB more'], rows)}\n\n{about_machine(report)}"
+    loads = table([*head, "decisions", "rarer", "skipped", "MB more"], rows)
+    return f"{found}\n\n{loads}\n\n{about_machine(report)}"
