@@ -46,9 +46,16 @@ EQUAL = "--mirror --epochs 6 --validation 0.05"
 VOLUMES = {"volume": "transform=none"} | {
     name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS
 }
-HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 5.0  # of the picture
+# of the picture
+HEIGHT = 3.4
+TOP = 0.6
+SIDE = 2.2
+LEFT = 0.75
+STEP = 5.0
 IMAGES = "count", "count_time", "mean_time", "time_surface"
-TRAIN, TEST, SENSOR_SIZE = "n-cars_train", "n-cars_test", "--sensor 120x100"
+TRAIN = "n-cars_train"
+TEST = "n-cars_test"
+SENSOR_SIZE = "--sensor 120x100"
 RECIPES = {
     "tuned": TUNED,
     "bare": "",
@@ -128,7 +135,8 @@ def by_crop_size(train: Path, test: Path) -> float:
     """Accuracy on the test part of the width and the height of a recording alone: each training
     recording votes for its class among the sizes around its own. It is what a network could have
     from the crops, without any object."""
-    ours, others = (_sizes(train), _sizes(test))
+    ours = _sizes(train)
+    others = _sizes(test)
     side = 1 + max(int(sizes.max()) for sizes in (*ours.values(), *others.values()))
     away = np.arange(side)[:, None] - np.arange(side)
     near = np.exp(-0.5 * (away / SMOOTHED) ** 2)
@@ -137,7 +145,8 @@ def by_crop_size(train: Path, test: Path) -> float:
         table = np.zeros((side, side))
         np.add.at(table, (sizes[:, 0], sizes[:, 1]), 1 / len(sizes))
         votes[name] = near @ table @ near
-    right = total = 0
+    right = 0
+    total = 0
     for name, sizes in others.items():
         most = np.stack([votes[other][sizes[:, 0], sizes[:, 1]] for other in votes]).argmax(0)
         right += int((most == list(votes).index(name)).sum())

@@ -55,9 +55,11 @@ def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed and unsigned counts (34, 34) of events, moved along N-MNIST's path to where the image
     is centred."""
     dx, dy = PATH.position(events["t"])
-    x, y = np.rint(events["x"] - dx + 3.0).astype(int), np.rint(events["y"] - dy + 3.0).astype(int)
+    x = np.rint(events["x"] - dx + 3.0).astype(int)
+    y = np.rint(events["y"] - dy + 3.0).astype(int)
     inside = (x >= 0) & (x < 34) & (y >= 0) & (y < 34)
-    place, sign = (34 * y + x)[inside], 2.0 * events["p"][inside] - 1.0
+    place = (34 * y + x)[inside]
+    sign = 2.0 * events["p"][inside] - 1.0
     signed, unsigned = (
         np.bincount(place, w, minlength=34 * 34).reshape(34, 34) for w in (sign, np.abs(sign))
     )
@@ -75,7 +77,8 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
     split, found = recordings_by_image(nmnist, "train")
     images, _ = load_mnist(mnist, split)
     shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]
-    towards, bins = directions(), len(ANGLES_DEG) - 1
+    towards = directions()
+    bins = len(ANGLES_DEG) - 1
     events_of, right_of, gradient_of, cosine_of = np.zeros((4, bins))
     correlations: dict[tuple[int, int], list[list[float]]] = {
         pair: [] for pair in combinations(range(3), 2)
@@ -85,7 +88,9 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
             slope = gradient(images[i])
             steepness = np.linalg.norm(slope, axis=-1)
             edges = steepness > LEAST_GRADIENT
-            expected, signed, unsigned = [], [], []
+            expected = []
+            signed = []
+            unsigned = []
             recorded = read_nmnist(found[i])
             # and what follows the last one
             saccades = np.split(recorded, np.searchsorted(recorded["t"], ENDS_US[1:]))

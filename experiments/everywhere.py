@@ -47,7 +47,9 @@ from experiments.scripts.options import (
 from experiments.speed.moments import made_columns, on_sensor
 from experiments.speed.timing import machine
 
-EARLY_US, STARTS_US, NOISE_HZ = 30_000, 50_000, 0.3
+EARLY_US = 30_000
+STARTS_US = 50_000
+NOISE_HZ = 0.3
 N_PICTURES = 10_000
 Truth = list[tuple[str, float, float]]
 
@@ -123,7 +125,8 @@ def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
 
 def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
     """Right, found, there."""
-    left, objects = list(truth), [found for found in objects if found.label != NO_OBJECT]
+    left = list(truth)
+    objects = [found for found in objects if found.label != NO_OBJECT]
     for found in objects:
         near = [one for one in left if one[0] == found.label]
         near.sort(key=lambda one: np.hypot(one[1] - found.x, one[2] - found.y))
@@ -143,7 +146,8 @@ def measure(
         [rng.permutation(len(files)) for _ in range(-(-n_objects // len(files)))]
     )
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
-    total, early = np.zeros(3), np.zeros(3)
+    total = np.zeros(3)
+    early = np.zeros(3)
     for some in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
         events, truth, last_us = scene([files[i] for i in some], kind, rng)
         processor.reset()
@@ -160,7 +164,8 @@ def measure(
 
 def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
     """A window, in the mean."""
-    rng, found = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    found = 0
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     for _ in range(n):
         processor.reset()
@@ -201,10 +206,12 @@ def main(argv: list[str] | None = None) -> int:
     if args.cars:
         if args.part:
             parser.error("--part is of N-MNIST: of N-CARS the test part is read")
-        part, kinds = args.cars / "n-cars_test", CARS
+        part = args.cars / "n-cars_test"
+        kinds = CARS
     else:
         nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-        part, kinds = nmnist / (args.part or "Test"), DIGITS
+        part = nmnist / (args.part or "Test")
+        kinds = DIGITS
         if args.write:
             write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
             return 0

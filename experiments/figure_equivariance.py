@@ -32,7 +32,11 @@ from experiments.scripts.options import exit_with, run_script, script_parser
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIDE, OWN_SIDE, WINDOW_US, T_MAX, BINS = 82, 34, 105_000, 2.0, 9
+SIDE = 82
+OWN_SIDE = 34
+WINDOW_US = 105_000
+T_MAX = 2.0
+BINS = 9
 MARGIN = (SIDE - OWN_SIDE) // 2
 AT: dict[str, Any] = dict(
     start_us=0, window_us=WINDOW_US, sensor=(SIDE, SIDE), grid=(SIDE, SIDE), bins=BINS
@@ -117,7 +121,8 @@ def _error(
     are left out."""
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
-    most, border = -(-flow // pixels), -(-4 // pixels)
+    most = -(-flow // pixels)
+    border = -(-4 // pixels)
     inner = (..., slice(border, -border), slice(most + border, -border))
     size = (still - empty)[inner].norm()
     return min(float((moved - still.roll(by, -1))[inner].norm() / size) for by in range(most + 1))

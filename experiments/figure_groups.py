@@ -22,7 +22,8 @@ from experiments.scripts.options import draw_into, exit_with, picture_parser
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIDE, WINDOW_US = 51, 105_000
+SIDE = 51
+WINDOW_US = 105_000
 """Odd, so that a quarter turn moves whole pixels."""
 Map = Callable[[torch.Tensor], torch.Tensor]
 
@@ -41,7 +42,8 @@ def counted() -> torch.Tensor:
     """(1, 1, SIDE, SIDE): ON minus OFF events of the first saccade of a bundled 3."""
     events = open_recording(sample_recordings()[3]).read()
     events = events[events["t"] < WINDOW_US]
-    image, margin = np.zeros((SIDE, SIDE)), (SIDE - 34) // 2
+    image = np.zeros((SIDE, SIDE))
+    margin = (SIDE - 34) // 2
     np.add.at(image, (events["y"] + margin, events["x"] + margin), 2.0 * events["p"] - 1)
     return torch.from_numpy(image)[None, None]
 
@@ -98,7 +100,8 @@ CASES = (
 def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
     """The features of the transformed image, the transformed features, and their relative
     difference."""
-    one, other = case.of(case.before(image)), case.expected(case.after(image))
+    one = case.of(case.before(image))
+    other = case.expected(case.after(image))
     return one, other, float((one - other).norm() / other.norm())
 
 

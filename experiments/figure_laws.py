@@ -22,7 +22,8 @@ from experiments.scripts.options import exit_with, plain_parser
 
 LANDMARKS = ("center", "running", "line", "window")
 CASES = (*((name, False) for name in LANDMARKS), ("line", True))  # landmark, remove_flow
-WINDOW_US, N = 104_000, 1_300
+WINDOW_US = 104_000
+N = 1_300
 AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
 
@@ -45,7 +46,8 @@ def bell(f: np.ndarray) -> np.ndarray:
 def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """An object: events at random in a disc of radius 10 px about the grid's centre, x and y."""
     rng = np.random.default_rng(seed)
-    radius, angle = 10 * np.sqrt(rng.random(N)), 2 * np.pi * rng.random(N)
+    radius = 10 * np.sqrt(rng.random(N))
+    angle = 2 * np.pi * rng.random(N)
     return 100 + radius * np.cos(angle), 100 + radius * np.sin(angle)
 
 
@@ -187,7 +189,8 @@ def translation_table() -> None:
     """
     inside = []
     for k, window in enumerate(sample_windows()):
-        x, y = window["x"].astype(int), window["y"].astype(int)
+        x = window["x"].astype(int)
+        y = window["y"].astype(int)
         inside.append((window[(x >= 2) & (x < 32) & (y >= 2) & (y < 32)], k % 3 * 105_000))
     rows = []
     for landmark, remove_flow in CASES:
@@ -213,10 +216,16 @@ def t_max_table() -> None:
     for t_max in (0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0):
         kept_by = {}
         for landmark in ("center", "running", "line"):
-            kept, quarter, spread, spread_raw, inverse = [], [], [], [], []
+            kept = []
+            quarter = []
+            spread = []
+            spread_raw = []
+            inverse = []
             for k, window in enumerate(windows):
                 start_us = k % 3 * 105_000
-                t, x, y = window["t"], window["x"], window["y"]
+                t = window["t"]
+                x = window["x"]
+                y = window["y"]
                 u, _, keep = tnt_reference.tnt_coordinates(
                     t, x, y, start_us=start_us, **at, t_max=t_max, landmark=landmark
                 )
@@ -226,11 +235,13 @@ def t_max_table() -> None:
                 spread.append(u.numpy()[late].std())
                 spread_raw.append(x[quarter[-1] == 3].std())
                 inverse.append((105_000 / (t_max * (t - start_us)[late])).mean())  # 1 / tau
-            keep_all, quarter_all = np.concatenate(kept), np.concatenate(quarter)
+            keep_all = np.concatenate(kept)
+            quarter_all = np.concatenate(quarter)
             kept_by[landmark] = keep_all.mean()
             if landmark == "running":
                 lost = [1 - keep_all[quarter_all == q].mean() for q in range(4)]
-                shrunk, expected = np.mean(spread) / np.mean(spread_raw), np.mean(inverse)
+                shrunk = np.mean(spread) / np.mean(spread_raw)
+                expected = np.mean(inverse)
         rows.append(
             [
                 f"{t_max:g}",
@@ -255,7 +266,10 @@ def t_max_table() -> None:
 def border_counts() -> str:
     """Events that lie exactly on the border by exact arithmetic, and how float64 decides over
     them."""
-    n = outside_a = outside_b = kept = 0
+    n = 0
+    outside_a = 0
+    outside_b = 0
+    kept = 0
     for window_us in (800, 1_000, 10_000, 50_000, 100_000, 105_000):
         config = async_tnt.TNTConfig(window_us=window_us, landmark="center", transform="tnt")
         for t_max in (0.7, 1.0, 2.0, 3.0, 3.7, 8.0, 16.0):

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
 N_SLICES = 4
 # the mean path: parts of the window, and the least share of events in one
-MEAN_PARTS, MEAN_SHARE = 12, 0.03
+MEAN_PARTS = 12
+MEAN_SHARE = 0.03
 
 
 def draw_motions(first: Window, second: Window) -> Figure:
@@ -165,7 +166,8 @@ def main(argv: list[str] | None = None) -> int:
         "--model", default="digits", help="a bundled model or a file (default: %(default)s)"
     )
     args = parser.parse_args(argv)
-    path, model = sample_recordings()[args.digit], load_model(args.model)
+    path = sample_recordings()[args.digit]
+    model = load_model(args.model)
     subject = Subject(path.name, open_recording(path).read(), model.config, model, args.model)
     draw_into(args.picture, draw_motions, subject.window(1), subject.window(2), dpi=150)
     return 0

@@ -26,14 +26,21 @@ if TYPE_CHECKING:
     from PIL import Image
 
 DIGITS = (3, 7, 8)
-STEP_US, SHOWN_US, DURATION_US = 5_000, 15_000, 315_000
-SIDE, WIDTH, HEIGHT = 7, 560, 264  # of a pixel; of the picture
-INK, PALE = "#333333", "#d8d8d8"
+STEP_US = 5_000
+SHOWN_US = 15_000
+DURATION_US = 315_000
+# of a pixel; of the picture
+SIDE = 7
+WIDTH = 560
+HEIGHT = 264
+INK = "#333333"
+PALE = "#d8d8d8"
 
 
 def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:
     """Of each frame: the events shown, the newest decision, and the seconds so far."""
-    processor, before_us = Processor(load_model("digits"), every_us=1_000, start_us=0), 0
+    processor = Processor(load_model("digits"), every_us=1_000, start_us=0)
+    before_us = 0
     for digit in DIGITS:
         events = open_recording(sample_recordings()[digit]).read()
         events = events[events["t"] < DURATION_US]
@@ -52,12 +59,16 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
 
     image = Image.new("RGB", (WIDTH, HEIGHT), "white")
     draw: Any = ImageDraw.Draw(image)
-    small, large = ImageFont.load_default(13), ImageFont.load_default(44)
+    small = ImageFont.load_default(13)
+    large = ImageFont.load_default(44)
     draw.rectangle((12, 12, 12 + 34 * SIDE, 12 + 34 * SIDE), outline=PALE)
     for event in events:
-        x, y = 12 + SIDE * int(event["x"]), 12 + SIDE * int(event["y"])
+        x = 12 + SIDE * int(event["x"])
+        y = 12 + SIDE * int(event["y"])
         draw.rectangle((x + 1, y + 1, x + SIDE - 1, y + SIDE - 1), fill=ON if event["p"] else OFF)
-    classes, left, top = load_model("digits").classes, 290, 52
+    classes = load_model("digits").classes
+    left = 290
+    top = 52
     probabilities = (
         np.full(len(classes), 1 / len(classes)) if decision is None else decision.probabilities
     )

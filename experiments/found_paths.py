@@ -33,7 +33,8 @@ from experiments.speed.timing import machine
 
 SIDE = 34
 RATES = 1.0, 0.2
-FEWEST, MOST = 50, 3_000
+FEWEST = 50
+MOST = 3_000
 FIRST, SECOND = hands.SESSIONS
 HANDS = {
     "session 1": FIRST,
@@ -102,7 +103,8 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
             rows[f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"] = judged(
                 paths, np.full(n, true)
             )
-    third, rate = SACCADE_US // 3, min(RATES)
+    third = SACCADE_US // 3
+    rate = min(RATES)
     starts = third * (np.arange(n) % 9)
     wide = [
         cut(file, start - third, start + 2 * third, rate, start)
@@ -120,7 +122,8 @@ def swings(n: int) -> dict[str, Any]:
     """Made hand motion, in all directions."""
     rows = {}
     for k, (title, session) in enumerate(HANDS.items()):
-        windows, angles = [], 2 * np.pi * np.arange(n) / n
+        windows = []
+        angles = 2 * np.pi * np.arange(n) / n
         for i, angle in enumerate(angles):
             name = list(hands.SHAPES)[i % len(hands.SHAPES)]
             made = hands.record(name, float(angle), np.random.default_rng((k, i)), session)
@@ -155,7 +158,8 @@ def _pairs(n: int, rng: np.random.Generator) -> list[np.ndarray]:
 def _hot_pixels(n: int, rng: np.random.Generator) -> list[np.ndarray]:
     t, x, y, p = _uniform(n, rng)
     hot = rng.integers(0, SIDE, (rng.integers(1, 6), 2))[:, :, None]
-    which, often = rng.integers(0, len(hot), n), rng.random(n) < 0.7
+    which = rng.integers(0, len(hot), n)
+    often = rng.random(n) < 0.7
     return [t, np.where(often, hot[which, 0, 0], x), np.where(often, hot[which, 1, 0], y), p]
 
 
@@ -176,7 +180,8 @@ def noise_windows(kind: str, n: int, rng: np.random.Generator) -> list[Columns]:
 
 def noise(n: int) -> dict[str, Any]:
     """Windows in which nothing moves."""
-    rng, rows = np.random.default_rng(0), {}
+    rng = np.random.default_rng(0)
+    rows = {}
     for kind in NOISE:
         paths = paths_of(noise_windows(kind, n, rng), (SIDE, SIDE), SACCADE_US, MeasuredPixels())
         rows[f"noise, {kind}"] = {

@@ -104,7 +104,8 @@ def measure(
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
             words = [*OPTIONS[name].split(), *more, "--seed", seed, "--out", model, "--json"]
-            began, is_new = time.monotonic(), not model.exists()
+            began = time.monotonic()
+            is_new = not model.exists()
             record = command("train", pictures, *words)
             minutes = (time.monotonic() - began) / 60
             reports = [command("evaluate", model, folder, "--json") for folder in tests]

@@ -45,14 +45,19 @@ from experiments.speed.interleaved import WorkDiffers
 from experiments.speed.timing import latency, machine, no_collector, one_thread
 
 SENSORS = (128, 96), (304, 240), (640, 480)
-SIDE, OBJECTS, MOMENTS = 34, 3, 300
-SPEED_SENSOR, RATE, EVERY_US = (320, 240), 1_000_000, 1_000
+SIDE = 34
+OBJECTS = 3
+MOMENTS = 300
+SPEED_SENSOR = (320, 240)
+RATE = 1_000_000
+EVERY_US = 1_000
 
 
 def four(channels: int) -> nn.Module:
     """Four convolutions, a place for 8x8 pixels; nothing is likely, as few objects are there to be
     found."""
-    widths, strides = (channels, 16, 32, 32, 48), (2, 2, 2, 1)
+    widths = (channels, 16, 32, 32, 48)
+    strides = (2, 2, 2, 1)
     layers: list[nn.Module] = []
     for k, stride in enumerate(strides):
         layers += [nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1), nn.ReLU()]
@@ -106,7 +111,9 @@ def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network
     for part in np.array_split(events, 50):
         in_parts.push(part)
         in_parts.fire()
-    one, other, volume = at_once.fire(), in_parts.fire(), at_once.volume()
+    one = at_once.fire()
+    other = in_parts.fire()
+    volume = at_once.volume()
     # but for an object's number, which depends on earlier decisions
     found, again = (
         [replace(thing, id=0) for thing in decision.objects or ()] for decision in (one, other)
@@ -127,7 +134,8 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
         model.config.sensor, OBJECTS, 1_400 * n_moments, model.config.window_us * n_moments, 20.0
     )
     check(model, events[:1_300], networks)
-    followed, fresh = Processor(model, start_us=0), Processor(model, start_us=0)
+    followed = Processor(model, start_us=0)
+    fresh = Processor(model, start_us=0)
     measured: dict[str, list[float]] = {}
 
     def timed(name: str, work: Callable[[Any], object], on: object) -> None:

@@ -68,10 +68,15 @@ def main(argv: list[str] | None = None) -> int:
     model = load_model(MODEL)
     warmup(model)
     processor = Processor(model, every_us=20_000)
-    rng, n, config = np.random.default_rng(0), PACKET * PACKETS_A_WINDOW, model.config
+    rng = np.random.default_rng(0)
+    n = PACKET * PACKETS_A_WINDOW
+    config = model.config
     window = structured(made_columns(rng, config.sensor, n, config.window_us))
     window["t"][0] = 0
-    first_mb, n_events, n_decisions, start_us = None, 0, 0, 0
+    first_mb = None
+    n_events = 0
+    n_decisions = 0
+    start_us = 0
     started = shown = time.perf_counter()
     while n_events < args.events:
         n_decisions += push_window(processor, window, start_us)

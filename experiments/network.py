@@ -75,7 +75,9 @@ def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
     # the last is due at the end
     offset_us = (np.arange(n) * (1e6 / rate)).astype(np.int64) - round(n * 1e6 / rate)
     n_shares = max(1, round(seconds * rate / n))
-    n_datagrams = n_bytes = n_refused = 0
+    n_datagrams = 0
+    n_bytes = 0
+    n_refused = 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.connect(("127.0.0.1", port))  # so that a refusal is reported
         started_ns = time.monotonic_ns()

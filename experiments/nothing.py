@@ -29,7 +29,8 @@ from experiments.scripts.options import add_folder, exit_with, run_script, scrip
 from experiments.speed.moments import on_sensor
 from experiments.speed.timing import machine
 
-SURE, SURER = 0.9, 0.99
+SURE = 0.9
+SURER = 0.99
 Place = tuple[np.ndarray, np.ndarray, np.ndarray]
 """x, y, p of each event; x and y may lie off the sensor."""
 
@@ -60,17 +61,17 @@ def hot_pixels(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 def patch(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     n = len(share)
     width, height = rng.uniform(0.15 * side, 0.45 * side, 2)
-    x, y = (
-        rng.uniform(0, side - width) + width * rng.random(n),
-        rng.uniform(0, side - height) + height * rng.random(n),
-    )
+    x = rng.uniform(0, side - width) + width * rng.random(n)
+    y = rng.uniform(0, side - height) + height * rng.random(n)
     return x, y, rng.random(n) < rng.random()
 
 
 def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     """Flickers: ON and OFF take turns."""
-    n, radius = len(share), rng.uniform(0.1, 0.25) * side
-    far, angle = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
+    n = len(share)
+    radius = rng.uniform(0.1, 0.25) * side
+    far = radius * np.sqrt(rng.random(n))
+    angle = rng.uniform(0, 2 * np.pi, n)
     x, y = rng.uniform(radius, side - radius, 2)
     return (
         x + far * np.cos(angle),
@@ -80,7 +81,8 @@ def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 
 def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    n, angle = len(share), rng.uniform(0, 2 * np.pi)
+    n = len(share)
+    angle = rng.uniform(0, 2 * np.pi)
     along = rng.uniform(-1, 1, n) * side
     across = rng.uniform(0.3, 1.0) * side * (share - 0.5) + rng.normal(0, 0.5, n)
     x = side / 2 + across * np.cos(angle) - along * np.sin(angle)
@@ -93,14 +95,15 @@ def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 def corner(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     """Of a dark rectangle that moves: one side is ON, the other OFF."""
-    n, turn = len(share), rng.uniform(0, np.pi / 2)
-    along, first = rng.uniform(0, side, n), rng.random(n) < 0.5
+    n = len(share)
+    turn = rng.uniform(0, np.pi / 2)
+    along = rng.uniform(0, side, n)
+    first = rng.random(n) < 0.5
     moved = rng.uniform(0.2, 0.6) * side * (share - 0.5)
-    u, v = (
-        np.where(first, along, 0) + moved,
-        np.where(first, 0, along) + moved * rng.choice([-1, 1]),
-    )
-    x, y = np.cos(turn) * u - np.sin(turn) * v, np.sin(turn) * u + np.cos(turn) * v
+    u = np.where(first, along, 0) + moved
+    v = np.where(first, 0, along) + moved * rng.choice([-1, 1])
+    x = np.cos(turn) * u - np.sin(turn) * v
+    y = np.sin(turn) * u + np.cos(turn) * v
     return side / 2 + x, side / 2 + y, first
 
 
@@ -164,7 +167,8 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
 
 
 def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any]:
-    last, highest = [], []
+    last = []
+    highest = []
     for events in windows:
         processor.reset()
         probabilities = [

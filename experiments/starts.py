@@ -25,7 +25,8 @@ from experiments.scripts.options import exit_with, run_script, script_parser
 from experiments.speed import backends
 from experiments.speed.timing import machine, spread
 
-MODEL, ROUNDS = "digits", 5
+MODEL = "digits"
+ROUNDS = 5
 PACKAGES = ("torch", "onnx", "onnxruntime")
 
 WORK = {
@@ -156,7 +157,8 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
 
 def measure(quick: bool) -> dict[str, Any]:
     """All starts, as one JSON object."""
-    model, rounds = load_model(MODEL), 1 if quick else ROUNDS
+    model = load_model(MODEL)
+    rounds = 1 if quick else ROUNDS
     warmup(model)
     found = bench_starts(model, rounds, cold=not quick)
     about: dict[str, Any] = {

@@ -33,14 +33,16 @@ if TYPE_CHECKING:
 RATES = (10_000, 20_000, 50_000, 100_000)
 LOADS = (0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 10.0)
 PERCENTILES = (50.0, 99.0, 99.9)
-PACKET_US, MAX_DELAY_US = 1_000, 50_000
+PACKET_US = 1_000
+MAX_DELAY_US = 50_000
 
 
 def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
     """Packets of a millisecond, of a bundled recording's events over and over, each in new memory;
     in real time since `started`, or at once."""
     events = open_recording(sample_recordings()[3]).read()
-    n, before = max(1, round(rate * PACKET_US * 1e-6)), 0
+    n = max(1, round(rate * PACKET_US * 1e-6))
+    before = 0
     for k in range(round(seconds * 1e6 / PACKET_US)):
         packet = events[np.arange(before, before + n) % len(events)]
         packet["t"] = k * PACKET_US + np.arange(n) * PACKET_US // n
@@ -68,7 +70,9 @@ def share_of_core(processor: Processor, rate: float, seconds: float) -> float:
 def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, Any]:
     """A stream in real time: delays in milliseconds, what was decided, and what was skipped."""
     processor.reset()
-    delays_us, n_decisions, before_mb = [], 0, resident_mb()
+    delays_us = []
+    n_decisions = 0
+    before_mb = resident_mb()
     started = time.monotonic()
     reader = KeepUp(
         packets(rate, seconds, started), processor, max_delay_us=MAX_DELAY_US, copy=False

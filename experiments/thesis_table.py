@@ -141,8 +141,10 @@ def main(argv: list[str] | None = None) -> int:
     add_arguments(parser)
     args = parser.parse_args(argv)
     if args.smoke:
-        args.rows, args.seeds = args.rows or list(INPUTS), args.seeds[:1]
-        args.iterations, args.images = min(args.iterations or 30, 30), min(args.images, 20)
+        args.rows = args.rows or list(INPUTS)
+        args.seeds = args.seeds[:1]
+        args.iterations = min(args.iterations or 30, 30)
+        args.images = min(args.images, 20)
     if not (runs := runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))):
         raise ValueError(
             f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}"
@@ -182,7 +184,8 @@ def main(argv: list[str] | None = None) -> int:
     settings = TrainSettings(iterations=args.iterations, batch=args.batch)
     started = time.monotonic()
     results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
-    table, right = aggregate(results), right_of(results, args.out / "networks")
+    table = aggregate(results)
+    right = right_of(results, args.out / "networks")
     by_name = {Run(r["row"], r["trained_on"], r["seed"]).name: r for r in results}
     record = {
         "command": command_words(
@@ -243,7 +246,8 @@ def _listed(runs: list[Run], iterations: int | None) -> list[str]:
     steps."""
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
-        row, of = ROWS[name], [run for run in runs if run.row == name]
+        row = ROWS[name]
+        of = [run for run in runs if run.row == name]
         on = ", ".join(dict.fromkeys(run.trained_on for run in of))
         seeds = len({run.seed for run in of})
         steps = f"{iterations or row.iterations:,} steps"

@@ -26,7 +26,9 @@ from experiments.speed.timing import interleave, machine, spread
 
 MODEL = "digits"
 PACKETS = 100, 1_000, 10_000, 400_000
-N_EVENTS, PASSES, ROUNDS = 400_000, 50, 9
+N_EVENTS = 400_000
+PASSES = 50
+ROUNDS = 9
 Work = Callable[[], object]
 
 
@@ -81,7 +83,9 @@ def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
 def wake_us(n: int = 2_000) -> float:
     """Median microseconds until a thread that waits for a lock runs on: what it costs to wait for
     Python's lock."""
-    there, back, took = threading.Lock(), threading.Lock(), []
+    there = threading.Lock()
+    back = threading.Lock()
+    took = []
 
     def answer() -> None:
         for _ in range(n):

@@ -56,7 +56,8 @@ from experiments.speed.timing import machine
 from experiments.thesis.data import RealFolder, make_set, simulated_windows
 
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
-RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
+RIGHT = (0.0,)
+OTHERS = EIGHTHS[1:]
 OF_NMNIST = "saccades", "volumes", "whole"
 N_IMAGES = 3_000
 SETS = "hands", *OF_NMNIST

@@ -27,12 +27,15 @@ CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]
 """How camera drivers commonly pack an event: 14 bytes, t not aligned."""
 N_WHOLE = 400_000
 # in full, with --quick; whole packets of every size, many short rounds
-N_EVENTS, ROUNDS = (26_000, 13_000), (31, 5)
+N_EVENTS = (26_000, 13_000)
+ROUNDS = (31, 5)
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """All sensors, as one JSON object."""
-    rng, rounds, found = np.random.default_rng(0), ROUNDS[quick], []
+    rng = np.random.default_rng(0)
+    rounds = ROUNDS[quick]
+    found = []
     with progress(len(GRIDS) + 1, "compiling") as bar:
         warmup()
         for grid in GRIDS:

@@ -112,7 +112,8 @@ class Motion:
             )
             return dataclasses.replace(motion, start=centre) if from_centre else motion
         angle = math.radians(self.direction_deg)
-        dx, dy = self.distance_px * math.cos(angle), self.distance_px * math.sin(angle)
+        dx = self.distance_px * math.cos(angle)
+        dy = self.distance_px * math.sin(angle)
         start = centre if from_centre else (centre[0] - dx / 2, centre[1] - dy / 2)
         sides = {
             "line": [(dx, dy)],

@@ -149,8 +149,10 @@ def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndar
     """
     n_rows, n_columns = image.shape
     for k in range(frames.shape[0]):
-        left, top = np.floor(-dx[k]), np.floor(-dy[k])
-        x_frac, y_frac = -dx[k] - left, -dy[k] - top
+        left = np.floor(-dx[k])
+        top = np.floor(-dy[k])
+        x_frac = -dx[k] - left
+        y_frac = -dy[k] - top
         # clamped before the integer cast, which is undefined for huge values
         first_column = int(min(max(left, -1e6), 1e6))
         first_row = int(min(max(top, -1e6), 1e6))

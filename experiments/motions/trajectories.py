@@ -62,10 +62,8 @@ class ConstantVelocity:
 
         0 degrees is to the right, 90 downwards (y grows downwards).
         """
-        vx, vy = (
-            speed * math.cos(math.radians(angle_deg)),
-            speed * math.sin(math.radians(angle_deg)),
-        )
+        vx = speed * math.cos(math.radians(angle_deg))
+        vy = speed * math.sin(math.radians(angle_deg))
         half_s = duration_us * 0.5e-6
         return cls((vx, vy), (centre[0] - vx * half_s, centre[1] - vy * half_s), duration_us)
 

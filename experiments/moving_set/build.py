@@ -95,7 +95,8 @@ def build(
             f"`which` must be indices of the {len(images)} images of split {split!r}, got "
             f"{short(which)}"
         )
-    images, labels = images[which], labels[which]
+    images = images[which]
+    labels = labels[which]
     shared = {
         "split": split,
         "seed": int(seed),
@@ -114,7 +115,8 @@ def build(
         "recordings_per_shard": int(recordings_per_shard),
         "mnist_sha256": hashlib.sha256(images.tobytes() + labels.tobytes()).hexdigest(),
     }
-    folder, firsts = Path(out_folder), range(0, len(which), recordings_per_shard)
+    folder = Path(out_folder)
+    firsts = range(0, len(which), recordings_per_shard)
     names = shard_names(moving, len(which), recordings_per_shard)
     jobs = [
         _Job(
@@ -164,8 +166,10 @@ def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
 
 def _make_shard(job: _Job) -> int:
     """Simulate and write one shard; returns its number of recordings."""
-    duration_us, times_us = job.motion.duration_us, job.motion.flow_times_us
-    recordings, flow = [], np.empty((len(job.images), len(times_us), 2))
+    duration_us = job.motion.duration_us
+    times_us = job.motion.flow_times_us
+    recordings = []
+    flow = np.empty((len(job.images), len(times_us), 2))
     height, width = job.images.shape[1:]
     for i, (index, image) in enumerate(zip(job.which, job.images, strict=True)):
         rng = np.random.default_rng((job.seed, job.motion.index, index))

@@ -55,11 +55,13 @@ def compare(
         number.
     OSError : missing folders.
     """
-    split, of_set = made.parameters["split"], made.parameters["images"]
+    split = made.parameters["split"]
+    of_set = made.parameters["images"]
     columns: dict[str, dict[str, float]] = {}
     directions = _nmnist_directions()
     if nmnist_folder is None:
-        shown_split, shown = split, _spread(of_set)
+        shown_split = split
+        shown = _spread(of_set)
     else:
         shown_split, found = recordings_by_image(nmnist_folder, split)
         shown = _spread(sorted(found))

@@ -56,7 +56,8 @@ class MovingMnist:
 
     def locate(self, motion: int, image: int) -> tuple[Path, int]:
         """The shard that holds the recording of an image under a motion, and its place there."""
-        images, step = self.parameters["images"], self.parameters["recordings_per_shard"]
+        images = self.parameters["images"]
+        step = self.parameters["recordings_per_shard"]
         place = images.index(image)
         return self.shards[motion * -(-len(images) // step) + place // step], place % step
 
@@ -70,7 +71,8 @@ def write_manifest(made: MovingMnist) -> None:
             return
         while isinstance(there, dict) and isinstance(asked, dict):  # down to what differs
             name = next(key for key in sorted(there | asked) if there.get(key) != asked.get(key))
-            there, asked = there.get(name), asked.get(name)
+            there = there.get(name)
+            asked = asked.get(name)
         raise ValueError(
             f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give "
             "the same, or another "

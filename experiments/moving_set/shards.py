@@ -148,7 +148,9 @@ def open_shard(path: str | os.PathLike[str]) -> Shard:
 
 def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> None:
     """The format's rules, for writer and reader alike."""
-    t, offsets, times = columns["t"], columns["offsets"], columns["flow_times_us"]
+    t = columns["t"]
+    offsets = columns["offsets"]
+    times = columns["flow_times_us"]
     n_recordings = columns["labels"].size
     expected = {
         **dict.fromkeys("txyp", (t.size,)),
@@ -163,7 +165,8 @@ def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> No
             raise ValueError(f"`{name}` must have shape {shape}, got {columns[name].shape}")
     if offsets[0] != 0 or offsets[-1] != t.size or (offsets[1:] < offsets[:-1]).any():
         raise ValueError(f"`offsets` must rise from 0 to {t.size}, the number of events")
-    (width, height), duration_us = metadata["sensor"], metadata["duration_us"]
+    (width, height) = metadata["sensor"]
+    duration_us = metadata["duration_us"]
     limits = {
         "t": duration_us,
         "x": width,

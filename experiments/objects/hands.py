@@ -27,16 +27,20 @@ from experiments.objects.pairs import in_order, pixel_events, write_classes
 SENSOR = (128, 128)
 WINDOW_US = 100_000
 STEPS = 50
-SWING_PX, SWING_MS = (2.0, 3.0), (75.0, 100.0)
+SWING_PX = (2.0, 3.0)
+SWING_MS = (75.0, 100.0)
 BACK = 0.3
 """Share of the recordings in which the hand turns round within the window."""
 SPREAD = np.radians(4.0)
 """Standard deviation of a swing's direction about the one that is asked for."""
-AFTER, AFTER_US, AFTER_OTHER = 0.2, 1_000, 0.8
+AFTER = 0.2
+AFTER_US = 1_000
+AFTER_OTHER = 0.8
 """Share of events with an after-pulse, the longest time until it, and the share of those of the
 other sign."""
 SOFT_PX = 0.7
-FAR, STEP = 1.6, 0.005
+FAR = 1.6
+STEP = 0.005
 """Of tables of distances: how far they reach, and the distance of their places, in the objects'
 radius."""
 Points = list[tuple[float, float]]
@@ -93,7 +97,8 @@ def _strokes(thick: float, *lines: Points) -> Distance:
     return distance
 
 
-THIN, BOLD = 0.07, 0.2
+THIN = 0.07
+BOLD = 0.2
 SIX = [[*_arc(0.25, 0.0, 0.75, 235, 180), *_arc(0.0, 0.4, 0.5, 180, -180)]]
 SHAPES: Mapping[str, Distance] = {
     "2": _strokes(THIN, [*_arc(0.0, -0.4, 0.5, 190, 370), (-0.5, 0.9), (0.5, 0.9)]),
@@ -132,16 +137,17 @@ def record(
     radians."""
     width, height = SENSOR
     angle = direction + SPREAD * rng.standard_normal()
-    length, lasts = rng.uniform(*SWING_PX), rng.uniform(*SWING_MS) * 1e3 / WINDOW_US
-    begins, turns_at = rng.uniform(0, 1 - lasts), rng.uniform(0.4, 0.9)
+    length = rng.uniform(*SWING_PX)
+    lasts = rng.uniform(*SWING_MS) * 1e3 / WINDOW_US
+    begins = rng.uniform(0, 1 - lasts)
+    turns_at = rng.uniform(0.4, 0.9)
     is_back = rng.random() < BACK
     origin = np.array([width, height]) / 2 + session.place + rng.uniform(-4, 4, 2)
-    size, posture = session.size * rng.uniform(0.85, 1.15), np.radians(rng.uniform(-4, 4))
+    size = session.size * rng.uniform(0.85, 1.15)
+    posture = np.radians(rng.uniform(-4, 4))
     grey = -rng.uniform(0.4, 1.1)
-    turn, nearer = (
-        np.radians(session.turn_deg) * rng.standard_normal(),
-        session.nearer * rng.standard_normal(),
-    )
+    turn = np.radians(session.turn_deg) * rng.standard_normal()
+    nearer = session.nearer * rng.standard_normal()
     slope = rng.uniform(-0.001, 0.001, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
     row, column = np.mgrid[:height, :width].astype(float)
@@ -155,11 +161,10 @@ def record(
             # out, and where it turns round, back
             way = (1 - np.cos(np.pi * (u / turns_at if is_back else u))) / 2
             gone = length * way
-            x, y = (
-                column[near] - origin[0] - gone * np.cos(angle),
-                row[near] - origin[1] - gone * np.sin(angle),
-            )
-            cos, sin = np.cos(posture + turn * way), np.sin(posture + turn * way)
+            x = column[near] - origin[0] - gone * np.cos(angle)
+            y = row[near] - origin[1] - gone * np.sin(angle)
+            cos = np.cos(posture + turn * way)
+            sin = np.sin(posture + turn * way)
             scale = size * (1 + nearer * way)
             outline = scale * _distance(
                 name, (cos * x + sin * y) / scale, (cos * y - sin * x) / scale

@@ -18,7 +18,8 @@ SENSOR = (64, 48)
 WINDOW_US = 50_000
 SHAPES = ("cross", "disc", "square", "triangle")
 CLASSES = tuple("-".join(pair) for pair in combinations(SHAPES, 2))
-STEPS, SUBPIXELS = 60, 2
+STEPS = 60
+SUBPIXELS = 2
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ def record(
         size = session.size * rng.uniform(6, 8)
         objects.append((shape, session.size * place, size, rng.uniform(-0.4, 0.4), grey))
     slope = rng.uniform(-0.004, 0.004, 2)
-    length, speed_up = rng.uniform(8, 14), rng.uniform(-0.5, 0.5)
+    length = rng.uniform(8, 14)
+    speed_up = rng.uniform(-0.5, 0.5)
     fine_y, fine_x = np.mgrid[: height * SUBPIXELS, : width * SUBPIXELS] / SUBPIXELS
     origin = np.array([width, height]) / 2 + session.place + rng.uniform(-2, 2, 2)
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
@@ -74,7 +76,8 @@ def record(
             y = fine_y - origin[1] - gone * np.sin(direction)
             light = np.exp(slope[0] * x + slope[1] * y)
             for shape, place, size, turn, grey in objects:
-                a, b = (x - place[0]) / size, (y - place[1]) / size
+                a = (x - place[0]) / size
+                b = (y - place[1]) / size
                 hit = inside(
                     shape, np.cos(turn) * a + np.sin(turn) * b, np.cos(turn) * b - np.sin(turn) * a
                 )
@@ -94,7 +97,8 @@ def pixel_events(
 ) -> list[np.ndarray]:
     """t, x, y, p of what pixels with thresholds (H, W) give while they see the log luminance of
     `steps` + 1 pictures, and of noise; not in order, times float."""
-    level, parts = None, []
+    level = None
+    parts = []
     for step, light in enumerate(seen):
         if level is None:
             level = light + threshold * rng.uniform(-1, 1, light.shape)

@@ -17,17 +17,23 @@ import numpy as np
 from experiments.objects.pairs import in_order, pixel_events, write_classes
 
 CLASSES = ("bottle", "cup", "glass", "key", "leaf", "star")
-SENSOR, WINDOW_US, STEPS = (48, 48), 100_000, 60
-SIDE, OBJECT, FINE = 200, 0.55, 3
+SENSOR = (48, 48)
+WINDOW_US = 100_000
+STEPS = 60
+SIDE = 200
+OBJECT = 0.55
+FINE = 3
 """Of a picture in pixels; of the object in the picture's side; places that a pixel is drawn by,
 along each side."""
-LENGTH_PX, IN_VIEW = (2.0, 8.0), (0.75, 1.0)
+LENGTH_PX = (2.0, 8.0)
+IN_VIEW = (0.75, 1.0)
 """How far recordings move, and how large the pictures are on the sensor."""
 Shape = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
 
 
 def _body(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    taper, narrow = rng.uniform(0.05, 0.2), rng.uniform(0.5, 0.62)
+    taper = rng.uniform(0.05, 0.2)
+    narrow = rng.uniform(0.5, 0.62)
     return (abs(y) < 0.85) & (abs(x + 0.2) < narrow - taper * (y + 0.85) / 1.7)
 
 
@@ -38,7 +44,9 @@ def _cup(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _bottle(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    wide, neck, shoulder = rng.uniform(0.35, 0.45), rng.uniform(0.1, 0.16), rng.uniform(-0.4, -0.2)
+    wide = rng.uniform(0.35, 0.45)
+    neck = rng.uniform(0.1, 0.16)
+    shoulder = rng.uniform(-0.4, -0.2)
     half = np.where(
         y > shoulder, wide, neck + (wide - neck) * np.clip(1 - (shoulder - y) / 0.2, 0, 1)
     )
@@ -86,13 +94,16 @@ def picture(name: str, rng: np.random.Generator) -> np.ndarray:
     """Luminance from 0 to 1 of one object of this kind before a background, (SIDE, SIDE)."""
     n = SIDE * FINE
     row, column = (np.mgrid[:n, :n] - n / 2) / (n / 2)
-    angle, size = np.radians(rng.uniform(-10, 10)), OBJECT * rng.uniform(0.9, 1.1)
+    angle = np.radians(rng.uniform(-10, 10))
+    size = OBJECT * rng.uniform(0.9, 1.1)
     aside, down = rng.uniform(-0.1, 0.1, 2)
-    x, y = (column - aside) / size, (row - down) / size
+    x = (column - aside) / size
+    y = (row - down) / size
     inside = SHAPES[name](
         np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, rng
     )
-    behind, before = rng.uniform(0.1, 0.9), rng.uniform(0.1, 0.9)
+    behind = rng.uniform(0.1, 0.9)
+    before = rng.uniform(0.1, 0.9)
     if abs(behind - before) < 0.3:
         before = behind + 0.4 if behind < 0.5 else behind - 0.4
     slope = rng.uniform(-0.15, 0.15, 2)
@@ -137,7 +148,8 @@ def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
     width, height = SENSOR
     step = SIDE / (min(SENSOR) * rng.uniform(*IN_VIEW))  # picture pixels in a sensor pixel
     row, column = np.mgrid[:height, :width]
-    angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(*LENGTH_PX)
+    angle = rng.uniform(0, 2 * np.pi)
+    length = rng.uniform(*LENGTH_PX)
     where = rng.uniform(-3, 3, 2)
     turns_at = rng.uniform(0.7, 1.3)
 
@@ -154,8 +166,10 @@ def _record(name: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    left, top = x.astype(int), y.astype(int)
-    x, y = x - left, y - top
+    left = x.astype(int)
+    top = y.astype(int)
+    x = x - left
+    y = y - top
     upper = (1 - x) * image[top, left] + x * image[top, left + 1]
     lower = (1 - x) * image[top + 1, left] + x * image[top + 1, left + 1]
     return np.asarray((1 - y) * upper + y * lower)

@@ -38,14 +38,13 @@ def _onnxruntime_run(model: Model) -> Network:
 
 def _onnxruntime_binding(model: Model) -> Network:
     session = _session(model)
-    inputs, outputs = (
-        np.zeros((1, *model.config.shape), np.float32),
-        np.zeros((1, len(model.classes)), np.float32),
-    )
+    inputs = np.zeros((1, *model.config.shape), np.float32)
+    outputs = np.zeros((1, len(model.classes)), np.float32)
     binding = session.io_binding()
     binding.bind_input("volume", "cpu", 0, np.float32, inputs.shape, inputs.ctypes.data)
     binding.bind_output("logits", "cpu", 0, np.float32, outputs.shape, outputs.ctypes.data)
-    volume_in, logits = inputs[0], outputs[0]
+    volume_in = inputs[0]
+    logits = outputs[0]
 
     def run(volume: np.ndarray) -> np.ndarray:
         np.copyto(volume_in, volume)

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # of Okabe and Ito's, the light ones darker: they are words too
-GREEN, PINK, ORANGE = "#009E73", "#B5548F", "#B87A00"
+GREEN = "#009E73"
+PINK = "#B5548F"
+ORANGE = "#B87A00"
 ONNXRUNTIME = "onnxruntime_run", "onnxruntime_binding"
 NETWORKS = {
     "incremental": ("async_tnt,\nincremental", ON),
@@ -60,7 +62,8 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     left.set_title("the network alone", loc="left", fontsize=LARGE)
     right.set_title("from a packet of events to the decision", loc="left", fontsize=LARGE)
     left.set_ylabel("microseconds per decision")
-    name, config = report["model"]["name"], report["model"]["config"]
+    name = report["model"]["name"]
+    config = report["model"]["config"]
     size = f"{config['bins']} x {config['grid'][1]} x {config['grid'][0]}"
     headline(figure, f"Time per decision, model {name} ({size})")
     words = (

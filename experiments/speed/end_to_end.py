@@ -37,11 +37,13 @@ class Stream:
 
     def __init__(self, model: Model, classifier: Network | None = None) -> None:
         self._processor = Processor(model, classifier=classifier, start_us=0)
-        self._start_us, self._n = -1, 0
+        self._start_us = -1
+        self._n = 0
 
     def prepare(self, moment: Moment) -> None:
         if moment.start_us != self._start_us:
-            self._start_us, self._n = moment.start_us, 0
+            self._start_us = moment.start_us
+            self._n = 0
         old = len(moment.events) - moment.n_new
         if old > self._n:
             self._processor.push(moment.events[self._n : old])
@@ -62,11 +64,9 @@ class TorchRebuild:
         from async_tnt.networks.models.torch_modules import torch_classifier
         from experiments.speed.torch_batch import TorchBatch
 
-        self._torch, self._network, self._batch = (
-            torch,
-            torch_classifier(model),
-            TorchBatch(model.config),
-        )
+        self._torch = torch
+        self._network = torch_classifier(model)
+        self._batch = TorchBatch(model.config)
 
     def prepare(self, moment: Moment) -> None:
         from experiments.speed.torch_batch import as_tensors
@@ -86,7 +86,8 @@ class EventcvRebuild:
     signed, as the volume of `digits`."""
 
     def __init__(self, model: Model, network: Network) -> None:
-        self._config, self._network = model.config, network
+        self._config = model.config
+        self._network = network
 
     def prepare(self, moment: Moment) -> None:
         import eventcv

@@ -103,7 +103,9 @@ def timed(
     that alternates; or, call by call, every one decides at a moment, then at the next one, in a new
     random order each time (fixed seed)."""
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
-    worst, rng, names = 0.0, np.random.default_rng(0), list(backends)
+    worst = 0.0
+    rng = np.random.default_rng(0)
+    names = list(backends)
     with no_collector():
         for block in blocks:
             if call_by_call:

@@ -54,7 +54,9 @@ class Moments:
     """
 
     def __init__(self, windows: list[np.ndarray], window_us: int, n_new: int) -> None:
-        self._windows, self._window_us, self._n_new = windows, window_us, n_new
+        self._windows = windows
+        self._window_us = window_us
+        self._n_new = n_new
         self._ends = np.cumsum([max(0, len(window) - 1) // n_new for window in windows])
         if not windows or self._ends[-1] == 0:
             longest = max(map(len, windows), default=0)
@@ -123,6 +125,7 @@ def on_sensor(
     t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, sensor: tuple[int, int]
 ) -> np.ndarray:
     """Events of those that lie on the sensor; places are rounded down to its pixels."""
-    x, y = np.floor(x).astype(int), np.floor(y).astype(int)
+    x = np.floor(x).astype(int)
+    y = np.floor(y).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < sensor[0]) & (y < sensor[1])
     return structured([column[inside] for column in (t, x, y, p)])

@@ -21,12 +21,14 @@ class Feed:
 
     def __init__(self, model: Model) -> None:
         self.volume = TNTVolume(model.config)
-        self._start_us, self._n = -1, 0
+        self._start_us = -1
+        self._n = 0
 
     def go(self, moment: Moment) -> None:
         if moment.start_us != self._start_us:
             self.volume.open(moment.start_us)
-            self._start_us, self._n = moment.start_us, 0
+            self._start_us = moment.start_us
+            self._n = 0
         self.volume.update(moment.events[self._n :])
         self._n = len(moment.events)
 
@@ -35,7 +37,8 @@ class Incremental:
     """Ours, which knows the volume of the previous decision."""
 
     def __init__(self, model: Model, feed: Feed) -> None:
-        self._feed, self._network = feed, CompiledClassifier(model)
+        self._feed = feed
+        self._network = CompiledClassifier(model)
 
     def prepare(self, moment: Moment) -> None:
         self._feed.go(moment)
@@ -48,7 +51,8 @@ class Dense:
     """A network called with the volume as an array."""
 
     def __init__(self, network: Network, feed: Feed) -> None:
-        self._network, self._feed = network, feed
+        self._network = network
+        self._feed = feed
 
     def prepare(self, moment: Moment) -> None:
         self._feed.go(moment)

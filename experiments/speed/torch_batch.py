@@ -81,14 +81,17 @@ class TorchBatch:
     ) -> torch.Tensor:
         """V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i), all eight cells of all events in one
         operation."""
-        bins, (width, height) = self.config.bins, self.config.grid
+        bins = self.config.bins
+        (width, height) = self.config.grid
         # The lower corner stays one short of the last cell, so that the upper one is in the volume:
         # an event at u = W - 1 gives all of its weight to the upper. Saves the masks and a padded copy.
         b0 = b.floor().clamp_(max=max(bins - 2, 0))
         v0 = v.floor().clamp_(max=height - 2)
         u0 = u.floor().clamp_(max=width - 2)
         corner = b0.long() * (height * width) + v0.long() * width + u0.long()  # (M,)
-        fb, fv, fu = b - b0, v - v0, u - u0
+        fb = b - b0
+        fv = v - v0
+        fu = u - u0
         late = sign * fb
         shares = torch.stack([sign - late, late])  # (2, M)
         rows = torch.stack([1 - fv, fv])  # (2, M)

@@ -41,7 +41,8 @@ def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> d
 
 
 def _count(model: Model, block: list[Any]) -> list[dict[str, int]]:
-    network, feed = CompiledClassifier(model), Feed(model)
+    network = CompiledClassifier(model)
+    feed = Feed(model)
     counts = []
     for moment in block:
         if not moment.follows:

@@ -22,7 +22,8 @@ class StepWork(NamedTuple):
 
 def work_of(network: CompiledClassifier) -> list[tuple[StepWork, int]]:
     """The network's steps, and how many places of each the last call computed."""
-    program, weights = network.network.program, network.network.weights
+    program = network.network.program
+    weights = network.network.weights
     found = []
     for k, layer in enumerate(network.steps):
         record = program[P.FIRST_STEP + k * P.STEP_SIZE :][: P.STEP_SIZE].tolist()
@@ -32,7 +33,8 @@ def work_of(network: CompiledClassifier) -> list[tuple[StepWork, int]]:
 
 
 def _products(record: list[int], weights: np.ndarray) -> int:
-    channels, n_runs = record[P.OUT_CHANNELS], record[P.N_RUNS]
+    channels = record[P.OUT_CHANNELS]
+    n_runs = record[P.N_RUNS]
     if record[P.KIND] == P.MIX:
         return n_runs * record[P.RUN_LENGTH] * channels * record[P.GROUPS]
     if record[P.KIND] != P.SUM:

@@ -131,7 +131,8 @@ def differences(right: Right) -> list[dict[str, Any]]:
         of_question: list[dict[str, Any]] = []
         for row, against in pairs:
             for column in in_order(column for name, column in right if name == row):
-                of_row, other = right[row, column], right.get((against, column), {})
+                of_row = right[row, column]
+                other = right.get((against, column), {})
                 seeds = [seed for seed in of_row if seed in other]
                 if len(seeds) > 1:
                     values = np.stack(
@@ -154,7 +155,8 @@ def holm(p: Sequence[float]) -> list[float]:
     >>> holm([0.04, 0.01, 0.03])
     [0.06, 0.03, 0.06]
     """
-    adjusted, least = [0.0] * len(p), 0.0
+    adjusted = [0.0] * len(p)
+    least = 0.0
     for k, i in enumerate(sorted(range(len(p)), key=lambda i: p[i])):
         least = max(least, min(1.0, (len(p) - k) * p[i]))
         adjusted[i] = least

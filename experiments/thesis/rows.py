@@ -37,8 +37,11 @@ from async_tnt.volume.config import Representation, TNTConfig
 
 T_MAX = 2.0
 T_MAX_THESIS = 8.0
-STEPS, STEPS_MORE, STEPS_THESIS = 3_000, 8_000, 60_000
-ALL_EVENTS, WINDOW_EVENTS = 1_000_000, 1_000
+STEPS = 3_000
+STEPS_MORE = 8_000
+STEPS_THESIS = 60_000
+ALL_EVENTS = 1_000_000
+WINDOW_EVENTS = 1_000
 TRANSLATE_PX = 4
 AS_RECORDED = Augmentation(
     start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0
@@ -58,7 +61,8 @@ IMAGES: dict[Representation, str] = {
     "mean_time": "image of mean times",
     "time_surface": "time surface",
 }
-UNSIGNED, SPLIT = ("raw", "center", "running", "line"), ("raw", "running")
+UNSIGNED = ("raw", "center", "running", "line")
+SPLIT = ("raw", "running")
 TITLES = {"raw": "raw", **{name: f"`{name}`" for name in INPUTS if name != "raw"}}
 
 COLUMNS = {
@@ -182,7 +186,9 @@ def _compared(
     translated: bool = False,
 ) -> Row:
     """A row of the comparison; its name and title tell what is not usual."""
-    config, words, title = INPUTS[name].replace(polarity=polarity), [name], [TITLES[name]]
+    config = INPUTS[name].replace(polarity=polarity)
+    words = [name]
+    title = [TITLES[name]]
     if t_max != T_MAX:
         config = config.replace(t_max=t_max)
         words.append(f"t{t_max:g}")

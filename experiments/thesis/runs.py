@@ -30,7 +30,8 @@ from experiments.moving_set.manifest import MovingMnist
 from experiments.thesis.data import RealData, RealFolder, simulated_windows, spanned, trained_on
 from experiments.thesis.rows import COLUMNS, ROWS, Run
 
-RESULT, RIGHT = "result.json", "right.npz"
+RESULT = "result.json"
+RIGHT = "right.npz"
 VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
 HISTORY = ("iterations", "loss", "per_window", "validation_loss")
 MOMENTS_MS = (10, 20, 30, 50, 75)
@@ -185,7 +186,8 @@ def motions_of(
 ) -> Motions | None:
     """Other motions of a row's training windows; rows and seeds with the same settings share
     them."""
-    config, motions = ROWS[row].config, ROWS[row].motions
+    config = ROWS[row].config
+    motions = ROWS[row].motions
     if motions is None:
         return None
     training, held_out = (trained_on(windows, on) for windows in (data.training, data.held_out))

@@ -102,9 +102,12 @@ def test_ratios_are_paired_and_by_hand():
 @pytest.mark.parametrize("n_new", [1, 7])
 def test_ours_sees_exactly_the_new_events(n_new):
     moments = Moments([window(60), window(40, 1)], WINDOW_US, n_new)
-    feed, seen = network.Feed(SMALL), []
-    ours, whole = network.Incremental(SMALL, feed), network.Dense(CompiledClassifier(SMALL), feed)
-    stream, push = end_to_end.Stream(SMALL), Processor.push
+    feed = network.Feed(SMALL)
+    seen = []
+    ours = network.Incremental(SMALL, feed)
+    whole = network.Dense(CompiledClassifier(SMALL), feed)
+    stream = end_to_end.Stream(SMALL)
+    push = Processor.push
     for block in moments.blocks(3, moments.a_lap // 2):  # through both windows, and again
         for moment in block:
             if not moment.follows:

@@ -11,7 +11,8 @@ from experiments.digit_data.mnist import load_mnist
 from experiments.motions.simulated_digits import simulate_digit
 from experiments.moving_set.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
 
-ALONG, ACROSS = "ON - OFF centroid, along the motion", "ON - OFF centroid, across the motion"
+ALONG = "ON - OFF centroid, along the motion"
+ACROSS = "ON - OFF centroid, across the motion"
 
 
 def test_centroids_along_and_across_the_motion_by_hand():

@@ -62,7 +62,9 @@ def test_events_move_as_stated_by_cross_correlation(motion):
     between them."""
     rng = np.random.default_rng(motion.index)
     image = np.zeros((28, 28))
-    image[9:19, 10:12] = image[9:11, 10:18] = image[14:16, 12:20] = 1.0
+    image[9:19, 10:12] = 1.0
+    image[9:11, 10:18] = 1.0
+    image[14:16, 12:20] = 1.0
     trajectory = motion.trajectory(rng, sensor=(64, 64))
     events = simulate_digit(image, rng, trajectory=trajectory, sensor=(64, 64))
     counts = [np.zeros((64, 64)) for _ in range(2)]

@@ -35,7 +35,8 @@ def test_each_recording_is_simulated_with_its_own_seed(mnist, made):
     images, labels = load_mnist(mnist, "test")
     for index, image in ((0, 0), (7, 3), (29, 4)):
         motion = motions_of("constant")[index]
-        angle, speed = np.radians(motion.direction_deg), motion.distance_px / 0.105
+        angle = np.radians(motion.direction_deg)
+        speed = motion.distance_px / 0.105
         trajectory = ConstantVelocity.towards(motion.direction_deg, speed)
         rng = np.random.default_rng((0, index, image))
         expected = simulate_digit(images[image], rng, trajectory=trajectory, frame_us=5_250.0)
@@ -55,11 +56,10 @@ def test_workers_and_the_size_of_shards_change_no_recording(mnist, made, tmp_pat
     other = build(mnist, tmp_path / "larger", **QUICK | {"recordings_per_shard": 3})
     assert len(other.shards) == 60
     for index, image in ((0, 0), (11, 2), (11, 3), (29, 4)):
-        (path, place), (other_path, other_place) = (
-            made.locate(index, image),
-            other.locate(index, image),
-        )
-        one, same = open_shard(path), open_shard(other_path)
+        (path, place) = made.locate(index, image)
+        (other_path, other_place) = other.locate(index, image)
+        one = open_shard(path)
+        same = open_shard(other_path)
         assert one.recording(place).tolist() == same.recording(other_place).tolist()
         assert one.image[place] == same.image[other_place] == image
 

@@ -132,7 +132,8 @@ def test_the_page_of_results_shows_all_that_holds_of_the_thesis_question():
 
 def test_statements_of_the_results_page_hold():
     """Sentences that no table makes."""
-    decisions, early = tables.results("decisions"), tables.results("early")
+    decisions = tables.results("decisions")
+    early = tables.results("early")
     for mode in ("in_blocks", "call_by_call"):
         us = {n: decisions["network"][n][mode]["us"] for n in ("1", "1300")}
         assert us["1300"]["incremental"]["median"] == pytest.approx(
