@@ -42,20 +42,43 @@ from experiments.speed.every_event import bench_every_event
 from experiments.speed.timing import interleave, machine, spread, work_clock
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
+"""Options of `train` in the recipe that was found on held-out training recordings."""
+
 EQUAL = "--mirror --epochs 6 --validation 0.05"
+"""Options of `train` that all recipes of the comparison of inputs share."""
+
 VOLUMES = {"volume": "transform=none"} | {
     name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS
 }
-# of the picture
+"""Input -> its settings in `--volume`, besides representation and bins."""
+
 HEIGHT = 3.4
+"""The picture's height, in inches, as all of these are."""
+
 TOP = 0.6
+"""From the top of the picture to its axes."""
+
 SIDE = 2.2
+"""Height of the axes."""
+
 LEFT = 0.75
+"""From the left of the picture to the first axes."""
+
 STEP = 5.0
+"""From the left of the first axes to that of the second."""
+
 IMAGES = "count", "count_time", "mean_time", "time_surface"
+"""Inputs that are images, one value of a pixel a window."""
+
 TRAIN = "n-cars_train"
+"""Folder of the training part."""
+
 TEST = "n-cars_test"
+"""Folder of the test part."""
+
 SENSOR_SIZE = "--sensor 120x100"
+"""Option of every recipe."""
+
 RECIPES = {
     "tuned": TUNED,
     "bare": "",
@@ -66,15 +89,23 @@ RECIPES = {
     **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
 }
 """Name -> options besides the sensor's size; the first one is drawn."""
+
 N_CARS = {
     "title": "N-CARS",
     "shown_ms": ("10", "20", "30", "50", "100"),
     # complete recordings, see docs/results.md
     "others": {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},
 }
+"""What the report says of N-CARS itself."""
+
 MADE = {"title": "made objects", "shown_ms": ("5", "50"), "others": {}}
-TIMED = 12  # recordings of the test part
-SMOOTHED = 2.0  # pixels
+"""What the report says of the made set of --quick."""
+
+TIMED = 12
+"""Recordings of the test part whose costs are measured."""
+
+SMOOTHED = 2.0
+"""Standard deviation, in pixels, by which sizes of crops are smoothed."""
 
 
 def measure(

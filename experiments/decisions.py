@@ -29,9 +29,16 @@ from experiments.speed.networks import bench_network, fastest
 from experiments.speed.timing import is_installed, machine, one_thread
 
 MODEL = "digits"
+"""The model whose decisions are timed."""
+
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
+"""Packages whose versions the report names."""
+
 FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10}
+"""How much is measured."""
+
 QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1}
+"""How much is measured with --quick."""
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:

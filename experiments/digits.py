@@ -32,7 +32,10 @@ from experiments.digit_data.recordings import digits_data
 from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 
 CONFIG = TNTConfig(t_max=4.0)
+"""The volumes that `digits` sees."""
+
 SIMULATED = 20_000
+"""Number of simulated recordings to train on."""
 
 
 @dataclass(frozen=True)

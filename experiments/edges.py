@@ -37,10 +37,17 @@ from experiments.scripts.options import (
 from experiments.speed.timing import machine
 
 N_RECORDINGS = 1_000
+"""Recordings that are compared with their images."""
+
 ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)
+"""Limits of the bins of the angle between gradient and motion."""
+
 LEAST_GRADIENT = 0.1
-"""Of log luminance per pixel; less is background."""
+"""Least gradient of an edge, in log luminance per pixel; less is background."""
+
 PATH = nmnist_saccades()
+"""Path of the image in N-MNIST's recordings."""
+
 ENDS_US = (0, 92_000, 222_000, 308_000)
 """N-MNIST's saccades are at rest there."""
 

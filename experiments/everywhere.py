@@ -48,10 +48,19 @@ from experiments.speed.moments import made_columns, on_sensor
 from experiments.speed.timing import machine
 
 EARLY_US = 30_000
+"""Time after the start of the last object at which an early decision is asked for."""
+
 STARTS_US = 50_000
+"""Time within which all objects of a scene begin."""
+
 NOISE_HZ = 0.3
+"""Events of noise a second, of each pixel."""
+
 N_PICTURES = 10_000
+"""Training images of MNIST that --write adds."""
+
 Truth = list[tuple[str, float, float]]
+"""Class and middle (x, y) in pixels of each object of a scene."""
 
 
 class Kind(NamedTuple):
@@ -73,8 +82,13 @@ DIGITS = {
     "overlapping": Kind(apart=(16.0, 24.0)),
     "eight": Kind((640, 480), 8),
 }
+"""Name -> a kind of scenes of N-MNIST's digits."""
+
 CARS = {"cars": Kind((304, 240), 2, (90.0, np.inf), 100, 15.0, 100_000)}
+"""Name -> a kind of scenes of N-CARS' recordings."""
+
 NO_OBJECT = "background"
+"""The class of N-CARS that is no object."""
 
 
 def one_window(path: Path, window_us: int, rng: np.random.Generator) -> np.ndarray:

@@ -36,10 +36,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PER_CLASS = 0, 1, 10, 100, 10_000
-"""Recordings; the last number is more than there are."""
+"""Numbers of recordings of each class; the last one is more than there are."""
+
 FEWEST_ALONE = 10
-"""Without pictures: of fewer none can be held out."""
+"""Fewest recordings of each class without pictures: of fewer none can be held out."""
+
 WAYS = {"pictures and recordings": ON, "recordings alone": OFF}
+"""What is trained on -> its colour."""
 
 
 def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:

@@ -23,7 +23,11 @@ LOOKS: dict[str, dict[str, Any]] = {
     "line-unsigned-translated": {"color": OFF},
     "raw-motions": {"color": "#009E73"},
 }
+"""Row of the table -> how its line is drawn."""
+
 PANELS = {"1/sim": "trained on the first saccade", "all/sim": "trained on all three saccades"}
+"""Column of the table -> title of its panel."""
+
 SACCADES_DEG = {1: 75.0, 2: 308.0, 3: 183.0}
 """Directions of N-MNIST's saccades, by `nmnist_saccades`; y grows downwards."""
 

@@ -33,16 +33,32 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIDE = 82
+"""Width and height of the grid, in pixels: room for a digit that moves."""
+
 OWN_SIDE = 34
+"""Width and height of the grid of `digits`."""
+
 WINDOW_US = 105_000
+"""Length of the window."""
+
 T_MAX = 2.0
+"""Scaled time at the end of the window."""
+
 BINS = 9
+"""Bins of the volume."""
+
 MARGIN = (SIDE - OWN_SIDE) // 2
+"""Pixels between the border of the grid and that of `digits`."""
+
 AT: dict[str, Any] = dict(
     start_us=0, window_us=WINDOW_US, sensor=(SIDE, SIDE), grid=(SIDE, SIDE), bins=BINS
 )
+"""Window, sensor and grid of the reference."""
+
 FLOWS = (0, 1, 2, 3, 5, 8, 13, 16)
-"""In pixels per window, to the right. About the centre, v becomes a translation by v / t_max."""
+"""Flows to the right, in pixels per window. About the centre, a flow v becomes a translation by v /
+t_max."""
+
 INPUTS: dict[str, dict[str, Any]] = {
     "raw": {},
     "TNT, center": {"landmark": "center"},
@@ -50,6 +66,8 @@ INPUTS: dict[str, dict[str, Any]] = {
     "TNT, line": {"landmark": "line"},
     "TNT, line, flow removed": {"landmark": "line", "remove_flow": True},
 }
+"""Name of an input -> its transform in the reference; none for the raw volume."""
+
 LAYERS = {
     "volume": 1,
     "convolution 1": 1,
@@ -59,7 +77,7 @@ LAYERS = {
     "dense 1": 0,
     "logits": 0,
 }
-"""Layer -> pixels a cell, or 0 where it has no place."""
+"""Layer of `digits` -> pixels between its cells; 0 where it has no places."""
 
 
 def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:

@@ -23,9 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIDE = 51
+"""Width and height of the image, in pixels; odd, so that a quarter turn moves whole pixels."""
+
 WINDOW_US = 105_000
-"""Odd, so that a quarter turn moves whole pixels."""
+"""Length of the window that is counted."""
+
 Map = Callable[[torch.Tensor], torch.Tensor]
+"""What turns one image into another one, or into features."""
 
 
 class Case(NamedTuple):
@@ -94,7 +98,7 @@ CASES = (
     Case("moved by 2 px, pooled by 2", moved(2), pooled, pooled, moved(1)),
     Case("moved by 1 px, pooled by 2", moved(1), pooled, pooled, moved(1)),
 )
-"""With f the image: `of(before(f))` beside `expected(after(f))`."""
+"""With f the image: `of(before(f))` is compared with `expected(after(f))`."""
 
 
 def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:

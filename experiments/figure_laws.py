@@ -21,11 +21,22 @@ from async_tnt.sources import open_recording, sample_recordings
 from experiments.scripts.options import exit_with, plain_parser
 
 LANDMARKS = ("center", "running", "line", "window")
-CASES = (*((name, False) for name in LANDMARKS), ("line", True))  # landmark, remove_flow
+"""Landmarks that are compared."""
+
+CASES = (*((name, False) for name in LANDMARKS), ("line", True))
+"""Landmark, and whether the flow is removed."""
+
 WINDOW_US = 104_000
+"""Length of a window, in microseconds."""
+
 N = 1_300
+"""Events of a window."""
+
 AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
+"""Window, sensor and grid of the reference."""
+
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
+"""Parts of the window at whose ends the law is measured."""
 
 
 def print_table(head: list[str], rows: list[list[str]]) -> None:

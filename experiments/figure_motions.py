@@ -41,9 +41,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 N_SLICES = 4
-# the mean path: parts of the window, and the least share of events in one
+"""Largest number of bins of a volume that are drawn."""
+
 MEAN_PARTS = 12
+"""Parts of the window between which the mean path is drawn."""
+
 MEAN_SHARE = 0.03
+"""Least share of the events in a part; those of emptier parts are left out of the path."""
 
 
 def draw_motions(first: Window, second: Window) -> Figure:

@@ -26,15 +26,31 @@ if TYPE_CHECKING:
     from PIL import Image
 
 DIGITS = (3, 7, 8)
+"""Digits whose recordings follow each other."""
+
 STEP_US = 5_000
+"""Time between two frames, in microseconds."""
+
 SHOWN_US = 15_000
+"""How long an event is shown, in microseconds."""
+
 DURATION_US = 315_000
-# of a pixel; of the picture
+"""How long each recording lasts, in microseconds."""
+
 SIDE = 7
+"""Width and height of a pixel of the sensor in the picture."""
+
 WIDTH = 560
+"""Width of the picture, in pixels."""
+
 HEIGHT = 264
+"""Height of the picture, in pixels."""
+
 INK = "#333333"
+"""Colour of words."""
+
 PALE = "#d8d8d8"
+"""Colour of frames."""
 
 
 def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:

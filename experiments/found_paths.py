@@ -32,10 +32,19 @@ from experiments.speed.moments import made_columns
 from experiments.speed.timing import machine
 
 SIDE = 34
+"""Width and height of the sensor of N-MNIST, in pixels."""
+
 RATES = 1.0, 0.2
+"""Shares of the events that are kept."""
+
 FEWEST = 50
+"""Least number of events in a window of noise."""
+
 MOST = 3_000
+"""Largest number of events in a window of noise."""
+
 FIRST, SECOND = hands.SESSIONS
+
 HANDS = {
     "session 1": FIRST,
     "session 2": SECOND,
@@ -44,9 +53,10 @@ HANDS = {
     "growing by 12 %": replace(FIRST, nearer=0.12),
     "growing by 25 %": replace(FIRST, nearer=0.25),
 }
-"""Turning and growing in a swing: standard deviations."""
+"""Title -> a session of hand motion; turning and growing are standard deviations in a swing."""
+
 PARTS = np.arange(1, 17) / 16
-"""Of a window, at whose ends a path's places are looked at."""
+"""Times in a window, as shares of its length, at which a path's places are looked at."""
 
 
 def paths_of(
@@ -170,6 +180,7 @@ NOISE: dict[str, Callable[[int, np.random.Generator], Sequence[np.ndarray]]] = {
     "pairs": _pairs,
     "hot pixels": _hot_pixels,
 }
+"""Name -> what makes so many events of noise."""
 
 
 def noise_windows(kind: str, n: int, rng: np.random.Generator) -> list[Columns]:

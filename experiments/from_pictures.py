@@ -55,12 +55,16 @@ TITLES = {
     "characters": "HOTS' characters",
     "made": "made objects",
 }
+"""Set -> its name in the table."""
+
 TESTS = {
     "nmnist": ["official"],
     "poker": ["pips_train", "pips_test"],
     "characters": ["Train", "Test"],
     "made": ["Test"],
 }
+"""Set -> the folders whose recordings are tested."""
+
 OPTIONS = {
     # 20 of 28 pixels are a digit's, and 28 of the sensor's 34 a picture's; of so many pictures more
     # epochs and a wider network learn more, and a few tell how well
@@ -69,6 +73,7 @@ OPTIONS = {
     "characters": "--sensor 32x32 --follow",
     "made": "--sensor 48x48 --size 0.7-1",
 }
+"""Set -> options of `train`."""
 
 
 def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: Path | None) -> None:

@@ -40,9 +40,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FULL = {"blocks": 30, "decisions_a_block": 40, "rounds": 5, "moments": 400}
+"""How much is measured."""
+
 QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "moments": 40}
+"""How much is measured with --quick."""
+
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino")
-NOT_DRAWN = "onnxruntime_run"  # the binding is as fast or faster
+"""Packages whose versions the report names."""
+
+NOT_DRAWN = "onnxruntime_run"
+"""Row that the picture leaves out: the binding is as fast or faster."""
 
 
 def gesture(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:

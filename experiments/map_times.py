@@ -45,12 +45,25 @@ from experiments.speed.interleaved import WorkDiffers
 from experiments.speed.timing import latency, machine, no_collector, one_thread
 
 SENSORS = (128, 96), (304, 240), (640, 480)
+"""Width and height of the sensors that are compared, in pixels."""
+
 SIDE = 34
+"""Width and height of a recording, in pixels."""
+
 OBJECTS = 3
+"""Number of recordings that stand on the sensor; under load from one to so many."""
+
 MOMENTS = 300
+"""Number of moments that are timed."""
+
 SPEED_SENSOR = (320, 240)
+"""Width and height of the sensor under load."""
+
 RATE = 1_000_000
+"""Events a second under load."""
+
 EVERY_US = 1_000
+"""Time between decisions under load, in microseconds."""
 
 
 def four(channels: int) -> nn.Module:

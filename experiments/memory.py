@@ -24,10 +24,19 @@ from experiments.speed.moments import made_columns
 from experiments.speed.timing import machine
 
 MODEL = "digits"
+"""The model that decides."""
+
 FIRST = 1_000_000
+"""Number of events after which the first memory is noted."""
+
 PACKET = 1300
+"""Events of a packet."""
+
 PACKETS_A_WINDOW = 13
-SINGLES = 50  # events of one packet in each window that come one by one
+"""Packets of each window."""
+
+SINGLES = 50
+"""Events of one packet in each window that come one by one."""
 
 
 def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:

@@ -41,11 +41,22 @@ from experiments.speed.moments import made_columns
 from experiments.speed.timing import latency, machine
 
 EVERY_US = 5_000
+"""Time between two decisions under load, in microseconds."""
+
 SILENCE_S = 2.0
-EVENTS = 100  # of a datagram: 1300 bytes fit Ethernet
+"""Seconds without a datagram after which the stream has ended."""
+
+EVENTS = 100
+"""Events of a datagram: 1300 bytes, which fit Ethernet."""
+
 WAYS = ("plain_socket", "packet", "decision")
+"""Ways of receiving that are compared."""
+
 SHARE_S = 1e-4
-BUFFER_BYTES = 1 << 22  # of the system, for datagrams that wait
+"""The sender sends what is due in so many seconds at once, one datagram at least."""
+
+BUFFER_BYTES = 1 << 22
+"""Size of the buffer of the system for datagrams that wait."""
 
 
 # -- the other process -----------------------------------------------------------------------------

@@ -30,7 +30,11 @@ from experiments.speed.moments import on_sensor
 from experiments.speed.timing import machine
 
 SURE = 0.9
+"""Confidence at which a window counts as decided."""
+
 SURER = 0.99
+"""Higher confidence that is asked for, too."""
+
 Place = tuple[np.ndarray, np.ndarray, np.ndarray]
 """x, y, p of each event; x and y may lie off the sensor."""
 
@@ -117,6 +121,7 @@ KINDS: dict[str, Callable[[np.ndarray, int, np.random.Generator], Place]] = {
     "a flickering disc (tested only)": disc,
     "a corner (tested only)": corner,
 }
+"""What stands in a window -> what makes its events."""
 
 
 def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, Any]:

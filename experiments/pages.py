@@ -25,11 +25,15 @@ SHORT = (
     differences.thesis_answers,
 )
 """What README and the page of results have of other tables."""
+
 TABLES = {
     make.__name__: make
     for make in (*SHORT, *(t for part in sections.SECTIONS for t in part.tables))
 }
+"""Name between the markers of a page -> what writes the table."""
+
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+"""A table of a page, between its markers."""
 
 
 def written(page: str) -> str:

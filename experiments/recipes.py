@@ -43,6 +43,7 @@ from experiments.scripts.options import (
 from experiments.speed.timing import machine
 
 SPLIT = {"transform": "none", "polarity": "split"}
+"""Settings that all candidates share."""
 
 
 CANDIDATES: dict[str, dict[str, Any]] = {
@@ -53,8 +54,9 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "3 bins": {"representation": "volume", "bins": 3, **SPLIT},
 }
 """Name -> fields of `TNTConfig`."""
+
 EPOCHS = {"cars": 10, "nmnist": 10}
-"""Of large sets, for every candidate; of the others those that are the default."""
+"""Set -> epochs for every candidate. Sets that are not named have those that are the default."""
 
 
 def read(

@@ -25,7 +25,10 @@ from experiments.scripts.options import add_json, exit_with, plain_parser, write
 from experiments.tables.parts import results
 
 PREFIXES = (1, 10, 100, 1_000, 100_000)
+"""Numbers of events after which a volume is looked at."""
+
 WINDOW_US = 105_000
+"""Length of a window."""
 
 
 def configs() -> Iterator[TNTConfig]:

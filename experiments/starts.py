@@ -26,8 +26,13 @@ from experiments.speed import backends
 from experiments.speed.timing import machine, spread
 
 MODEL = "digits"
+"""The model that decides."""
+
 ROUNDS = 5
+"""Processes of each way."""
+
 PACKAGES = ("torch", "onnx", "onnxruntime")
+"""Packages whose versions the report names."""
 
 WORK = {
     "ours_cold": "ours, with an empty NUMBA_CACHE_DIR: everything is compiled",
@@ -35,7 +40,10 @@ WORK = {
     "onnxruntime": "onnxruntime: import, a session of the exported network, its first answer",
     "torch": "torch: import, the same network from the model's file, its first answer",
 }
+"""Way -> what it does."""
+
 NEEDS = {"onnxruntime": ("onnx", "onnxruntime"), "torch": ("torch", "tnt_reference")}
+"""Way -> packages that it needs."""
 
 _OURS = """
 from async_tnt import Processor, load_model
@@ -48,6 +56,8 @@ processor.push_one(1000, 1, 1, 1)
 processor.fire()
 step("decision")
 """
+"""Program of the two rows of ours, inside of `_AROUND`."""
+
 _ONNXRUNTIME = """
 import numpy as np
 import os
@@ -61,6 +71,8 @@ step("load")
 session.run(["logits"], {"volume": np.zeros(arguments["shape"], np.float32)})
 step("decision")
 """
+"""Program of onnxruntime."""
+
 _TORCH = """
 import torch
 from safetensors.torch import load_file
@@ -77,6 +89,8 @@ with torch.inference_mode():
     network(torch.zeros(arguments["shape"])).argmax()
 step("decision")
 """
+"""Program of torch."""
+
 _AROUND = """
 import json, sys, time
 arguments, seconds, last = json.loads(sys.argv[1]), {{}}, time.perf_counter()

@@ -31,8 +31,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATES = (10_000, 20_000, 50_000, 100_000)
+"""Rates, in events a second, at which the share of a core is measured; the first one also warms
+up."""
+
 LOADS = (0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 10.0)
+"""Rates of the streams, divided by the rate that takes a core."""
+
 PERCENTILES = (50.0, 99.0, 99.9)
+"""Percentiles of the delays in the report."""
+
 PACKET_US = 1_000
 MAX_DELAY_US = 50_000
 

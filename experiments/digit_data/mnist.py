@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 _PREFIX = {"train": "train", "test": "t10k"}
+"""Split -> how the names of its files begin."""
 
 
 def load_mnist(folder: str | os.PathLike[str], split: str) -> tuple[np.ndarray, np.ndarray]:

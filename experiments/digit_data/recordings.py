@@ -21,9 +21,14 @@ from experiments.digit_data.mnist import load_mnist
 from experiments.motions.simulated_digits import simulate_digit
 
 CLASSES = tuple("0123456789")
+"""The digits."""
+
 SACCADE_US = 105_000
+"""Duration of one of the three saccades of an N-MNIST recording, in microseconds."""
+
 DURATION_US = 3 * SACCADE_US
-"""Of an N-MNIST recording; its few later events are left out."""
+"""Duration of an N-MNIST recording, in microseconds; its few later events are left out."""
+
 FIRST_INDEX = 5_000
 """Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000,
 some of which are held out for validation; the bundled samples show images 2,000 to 2,100."""

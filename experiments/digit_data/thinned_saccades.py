@@ -15,7 +15,10 @@ from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.digit_data.recordings import CLASSES, SACCADE_US
 
 SENSOR = (34, 34)
+"""N-MNIST's sensor, width and height in pixels."""
+
 KEPT = 0.2
+"""Share of the events that are kept."""
 
 
 def write(

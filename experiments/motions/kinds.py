@@ -31,17 +31,31 @@ from experiments.motions.trajectories import (
 )
 
 FROM_CENTRE = "-from-centre"
+"""Ending of the kinds whose motions start at the sensor's centre."""
+
 KINDS = ("constant", "bell", "constant" + FROM_CENTRE, "bell" + FROM_CENTRE, "beyond", "nmnist")
+"""Kinds of motions, see `Motion`."""
+
 DIRECTIONS_DEG = tuple(range(0, 360, 36))
+"""Directions of motion, in degrees, 0 to the right and 90 downwards."""
+
 DISTANCES_PX = (3, 5, 8)
+"""Lengths of the displacement in a window, in pixels."""
+
 BEYOND_PX = {"line": 14, "back": 5, "loop": 4}
-"""Shape of a path -> its distance."""
+"""Shape of a path of kind "beyond" -> its distance in pixels."""
+
 WINDOW_US = 105_000
+"""Duration of a motion."""
+
 NMNIST_US = 308_000
+"""Duration of the three saccades of N-MNIST."""
+
 FLOW_STEP_US = 3_500
 """Time between two samples of a flow that changes; divides both `WINDOW_US` and `NMNIST_US`."""
 
 NMNIST_SENSOR = (34, 34)
+"""N-MNIST's sensor, width and height in pixels."""
 
 
 @dataclass(frozen=True)

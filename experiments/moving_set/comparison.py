@@ -29,8 +29,9 @@ from experiments.moving_set.manifest import MovingMnist
 from experiments.moving_set.shards import Shard, open_shard
 
 N_RECORDINGS = 200
-"""To compare, spread evenly over those that show images of the set's split (over all if none
-do)."""
+"""Recordings to compare, spread evenly over those that show images of the set's split (over all if
+none do)."""
+
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
 """Where N-MNIST's saccades begin, and where the third ends (Orchard et al. 2015)."""
 OFFICIAL_TRAIN = 60_000

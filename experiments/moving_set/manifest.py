@@ -22,10 +22,17 @@ from experiments.motions.kinds import Motion, motions_of
 from experiments.moving_set.shards import Shard, open_shard
 
 MANIFEST = "set.json"
+"""Name of the manifest in the folder of a set."""
+
 FORMAT = "async_tnt.moving_mnist"
+"""What the manifest says that the folder is."""
+
 VERSION = 1
+"""Version of the format."""
+
 # that readers need
 PARAMETERS = ("split", "kind", "images", "seed", "sensor", "simulator", "recordings_per_shard")
+"""Parameters that readers need."""
 
 
 @dataclass(frozen=True)

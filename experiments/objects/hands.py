@@ -25,26 +25,48 @@ import numpy as np
 from experiments.objects.pairs import in_order, pixel_events, write_classes
 
 SENSOR = (128, 128)
+"""Width and height of the sensor, in pixels."""
+
 WINDOW_US = 100_000
+"""Length of a recording."""
+
 STEPS = 50
+"""Pictures that the pixels see during a recording."""
+
 SWING_PX = (2.0, 3.0)
+"""Least and largest length of a swing, in pixels."""
+
 SWING_MS = (75.0, 100.0)
+"""Least and largest duration of half a swing."""
+
 BACK = 0.3
 """Share of the recordings in which the hand turns round within the window."""
 SPREAD = np.radians(4.0)
 """Standard deviation of a swing's direction about the one that is asked for."""
+
 AFTER = 0.2
+"""Share of events with an after-pulse."""
+
 AFTER_US = 1_000
+"""Longest time from an event to its after-pulse."""
+
 AFTER_OTHER = 0.8
-"""Share of events with an after-pulse, the longest time until it, and the share of those of the
-other sign."""
+"""Share of after-pulses of the other sign."""
+
 SOFT_PX = 0.7
+"""Width of an object's edge, in pixels."""
+
 FAR = 1.6
+"""How far the tables of distances reach, in the radius of an object."""
+
 STEP = 0.005
-"""Of tables of distances: how far they reach, and the distance of their places, in the objects'
-radius."""
+"""Distance between two places of the tables, in the radius of an object."""
+
 Points = list[tuple[float, float]]
+"""Points (x, y) of a line."""
+
 Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""What gives the distance from an outline at places (x, y), negative inside."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +91,11 @@ class HandSession:
     nearer: float = 0.02
 
 
-SESSIONS = HandSession(), HandSession(0.25, 0.18, 0.08, 15.0, (9.0, -6.0))
+SESSIONS = (
+    HandSession(),
+    HandSession(threshold=0.25, mismatch=0.18, noise_hz=0.08, size=15.0, place=(9.0, -6.0)),
+)
+"""Two days: training and testing, and a test of another session."""
 
 
 def _arc(x: float, y: float, radius: float, first: float, last: float) -> Points:
@@ -85,21 +111,26 @@ def _strokes(thick: float, *lines: Points) -> Distance:
         nearest = np.full(x.shape, np.inf)
         for line in lines:
             for (x0, y0), (x1, y1) in pairwise(line):
-                along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / (
-                    (x1 - x0) ** 2 + (y1 - y0) ** 2
-                )
+                # the nearest point of the line from (x0, y0) to (x1, y1)
+                length_squared = (x1 - x0) ** 2 + (y1 - y0) ** 2
+                along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length_squared
                 share = np.clip(along, 0, 1)
-                nearest = np.minimum(
-                    nearest, np.hypot(x - x0 - share * (x1 - x0), y - y0 - share * (y1 - y0))
-                )
+                away = np.hypot(x - x0 - share * (x1 - x0), y - y0 - share * (y1 - y0))
+                nearest = np.minimum(nearest, away)
         return nearest - thick
 
     return distance
 
 
 THIN = 0.07
+"""Half the width of thin lines, in the radius of an object."""
+
 BOLD = 0.2
+"""Half the width of bold lines, in the radius of an object."""
+
 SIX = [[*_arc(0.25, 0.0, 0.75, 235, 180), *_arc(0.0, 0.4, 0.5, 180, -180)]]
+"""The lines of a 6; turned by half a circle, those of a 9."""
+
 SHAPES: Mapping[str, Distance] = {
     "2": _strokes(THIN, [*_arc(0.0, -0.4, 0.5, 190, 370), (-0.5, 0.9), (0.5, 0.9)]),
     "5": _strokes(
@@ -125,8 +156,11 @@ def _table(name: str) -> np.ndarray:
 
 def _distance(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     table = _table(name)
-    i, j = (np.clip(((at + FAR) / STEP).astype(np.int64), 0, len(table) - 1) for at in (y, x))
-    distance: np.ndarray = table[i, j]
+
+    def place(at: np.ndarray) -> np.ndarray:
+        return np.clip(((at + FAR) / STEP).astype(np.int64), 0, len(table) - 1)
+
+    distance: np.ndarray = table[place(y), place(x)]
     return distance
 
 
@@ -152,23 +186,26 @@ def record(
     threshold = session.threshold * np.exp(session.mismatch * rng.standard_normal((height, width)))
     row, column = np.mgrid[:height, :width].astype(float)
     behind = slope[0] * column + slope[1] * row
-    left, top = (max(0, int(at - FAR * size)) for at in origin)
-    near = slice(top, int(origin[1] + FAR * size)), slice(left, int(origin[0] + FAR * size))
+    near = (
+        slice(max(0, int(origin[1] - FAR * size)), int(origin[1] + FAR * size)),
+        slice(max(0, int(origin[0] - FAR * size)), int(origin[0] + FAR * size)),
+    )
 
     def seen() -> Iterator[np.ndarray]:
         for share in np.arange(STEPS + 1) / STEPS:
             u = np.clip((share - begins) / lasts, 0, 1)
-            # out, and where it turns round, back
-            way = (1 - np.cos(np.pi * (u / turns_at if is_back else u))) / 2
+            # out; where the hand turns round, also back
+            phase = u / turns_at if is_back else u
+            way = (1 - np.cos(np.pi * phase)) / 2
             gone = length * way
             x = column[near] - origin[0] - gone * np.cos(angle)
             y = row[near] - origin[1] - gone * np.sin(angle)
             cos = np.cos(posture + turn * way)
             sin = np.sin(posture + turn * way)
             scale = size * (1 + nearer * way)
-            outline = scale * _distance(
-                name, (cos * x + sin * y) / scale, (cos * y - sin * x) / scale
-            )
+            own_x = (cos * x + sin * y) / scale
+            own_y = (cos * y - sin * x) / scale
+            outline = scale * _distance(name, own_x, own_y)
             light = behind.copy()
             light[near] += grey / (1 + np.exp(np.clip(outline / SOFT_PX, -30, 30)))
             yield light
@@ -182,10 +219,16 @@ def record(
 def _with_after_pulses(
     t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
+    """Columns of events, followed by their after-pulses."""
     again = rng.random(len(t)) < AFTER
     later = t[again] + rng.uniform(20, AFTER_US, again.sum())
     sign = np.where(rng.random(again.sum()) < AFTER_OTHER, ~p[again], p[again])
-    return tuple(map(np.concatenate, ((t, later), (x, x[again]), (y, y[again]), (p, sign))))
+    return (
+        np.concatenate([t, later]),
+        np.concatenate([x, x[again]]),
+        np.concatenate([y, y[again]]),
+        np.concatenate([p, sign]),
+    )
 
 
 def write(
@@ -193,10 +236,8 @@ def write(
 ) -> Path:
     """`n` recordings of each class, whose directions take turns, as
     `folder/<class>/<number>.npz`."""
-    return write_classes(
-        folder,
-        SHAPES,
-        n,
-        seed,
-        lambda name, i, rng: record(name, directions[i % len(directions)], rng, session),
-    )
+
+    def recorded(name: str, i: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        return record(name, directions[i % len(directions)], rng, session)
+
+    return write_classes(folder, SHAPES, n, seed, recorded)

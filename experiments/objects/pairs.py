@@ -15,11 +15,22 @@ from typing import Any
 import numpy as np
 
 SENSOR = (64, 48)
+"""Width and height of the sensor, in pixels."""
+
 WINDOW_US = 50_000
+"""Length of a recording."""
+
 SHAPES = ("cross", "disc", "square", "triangle")
+"""The shapes, of which two move together."""
+
 CLASSES = tuple("-".join(pair) for pair in combinations(SHAPES, 2))
+"""Two shapes each."""
+
 STEPS = 60
+"""Pictures that the pixels see during a recording."""
+
 SUBPIXELS = 2
+"""Places that a pixel is drawn by, along each side."""
 
 
 @dataclass(frozen=True)

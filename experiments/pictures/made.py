@@ -17,18 +17,35 @@ import numpy as np
 from experiments.objects.pairs import in_order, pixel_events, write_classes
 
 CLASSES = ("bottle", "cup", "glass", "key", "leaf", "star")
+"""The objects."""
+
 SENSOR = (48, 48)
+"""Width and height of the sensor, in pixels."""
+
 WINDOW_US = 100_000
+"""Length of a recording."""
+
 STEPS = 60
+"""Pictures that the pixels see during a recording."""
+
 SIDE = 200
+"""Width and height of a picture, in pixels."""
+
 OBJECT = 0.55
+"""Radius of an object, in half of the picture's side."""
+
 FINE = 3
-"""Of a picture in pixels; of the object in the picture's side; places that a pixel is drawn by,
-along each side."""
+"""Places that a picture's pixel is drawn by, along each side."""
+
 LENGTH_PX = (2.0, 8.0)
+"""Least and largest distance that a recording moves, in pixels of the sensor."""
+
 IN_VIEW = (0.75, 1.0)
-"""How far recordings move, and how large the pictures are on the sensor."""
+"""Least and largest side of a picture on the sensor, as a share of the sensor's."""
+
 Shape = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
+"""What says which places (x, y) are inside an object; random numbers make each object another
+one."""
 
 
 def _body(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -47,24 +64,18 @@ def _bottle(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarra
     wide = rng.uniform(0.35, 0.45)
     neck = rng.uniform(0.1, 0.16)
     shoulder = rng.uniform(-0.4, -0.2)
-    half = np.where(
-        y > shoulder, wide, neck + (wide - neck) * np.clip(1 - (shoulder - y) / 0.2, 0, 1)
-    )
+    widening = np.clip(1 - (shoulder - y) / 0.2, 0, 1)
+    half = np.where(y > shoulder, wide, neck + (wide - neck) * widening)
     return (abs(y) < 0.95) & (abs(x) < half)
 
 
 def _key(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    head = np.hypot(x, y + 0.55)
-    teeth = (
-        (x > 0)
-        & (x < rng.uniform(0.3, 0.4))
-        & (((y > 0.35) & (y < 0.5)) | ((y > 0.65) & (y < 0.85)))
-    )
-    return (
-        ((head < 0.4) & (head > rng.uniform(0.15, 0.22)))
-        | ((abs(x) < 0.1) & (y > -0.2) & (y < 0.95))
-        | teeth
-    )
+    from_head = np.hypot(x, y + 0.55)
+    rows_of_teeth = ((y > 0.35) & (y < 0.5)) | ((y > 0.65) & (y < 0.85))
+    teeth = (x > 0) & (x < rng.uniform(0.3, 0.4)) & rows_of_teeth
+    ring = (from_head < 0.4) & (from_head > rng.uniform(0.15, 0.22))
+    shaft = (abs(x) < 0.1) & (y > -0.2) & (y < 0.95)
+    return ring | shaft | teeth
 
 
 def _leaf(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -88,6 +99,7 @@ SHAPES: dict[str, Shape] = {
     "leaf": _leaf,
     "star": _star,
 }
+"""Class -> its shape."""
 
 
 def picture(name: str, rng: np.random.Generator) -> np.ndarray:
@@ -99,9 +111,9 @@ def picture(name: str, rng: np.random.Generator) -> np.ndarray:
     aside, down = rng.uniform(-0.1, 0.1, 2)
     x = (column - aside) / size
     y = (row - down) / size
-    inside = SHAPES[name](
-        np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x, rng
-    )
+    turned_x = np.cos(angle) * x + np.sin(angle) * y
+    turned_y = np.cos(angle) * y - np.sin(angle) * x
+    inside = SHAPES[name](turned_x, turned_y, rng)
     behind = rng.uniform(0.1, 0.9)
     before = rng.uniform(0.1, 0.9)
     if abs(behind - before) < 0.3:
@@ -131,9 +143,8 @@ def write_pictures(folder: Path, n: int, seed: int) -> Path:
             rng = np.random.default_rng((seed, label, i))
             light = picture(name, rng)[..., None] * rng.uniform(0.8, 1, 3)
             srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-            Image.fromarray(np.rint(255 * np.clip(srgb, 0, 1)).astype(np.uint8)).save(
-                folder / name / f"{i:03}.jpg"
-            )
+            pixels = np.rint(255 * np.clip(srgb, 0, 1)).astype(np.uint8)
+            Image.fromarray(pixels).save(folder / name / f"{i:03}.jpg")
     return folder
 
 

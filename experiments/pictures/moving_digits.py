@@ -27,6 +27,7 @@ from experiments.motions.simulated_digits import simulate_digit
 from experiments.motions.trajectories import Saccades, Trajectory, nmnist_saccades
 
 SPEEDS = 0.25, 0.5, 1.0, 2.0, 4.0
+"""Speeds of N-MNIST's saccades, as shares of their own."""
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,16 @@ from async_tnt.base.checks import needs_extra
 from experiments.digit_data.mnist import load_mnist
 
 PIPS = {"cl": "♣", "di": "♦", "he": "♥", "sp": "♠"}
+"""Class of POKER-DVS -> its symbol."""
+
 CHARACTERS = {character: character for character in string.digits + string.ascii_uppercase}
+"""Class of HOTS' characters -> the character."""
+
 UNFIT = "LastResort", "FreeSerifBold"
-"""Fonts that draw boxes, or a club as a spade."""
+"""Names of fonts that draw boxes, or a club as a spade."""
+
 HEIGHT = 96
-"""Of a drawn glyph, about, in pixels."""
+"""Height of a drawn glyph, about, in pixels."""
 
 
 def write_mnist(folder: Path, mnist: Path, n: int) -> None:

@@ -38,8 +38,7 @@ def picture_file(text: str) -> Path:
 def plain_parser(
     name: str, description: str | None, epilog: str | None = None
 ) -> argparse.ArgumentParser:
-    """The parser of `python -m experiments.NAME`, which prints description and epilog as they
-    are."""
+    """The parser of `python -m experiments.NAME`. It prints description and epilog as they are."""
     return argparse.ArgumentParser(
         prog=f"python -m experiments.{name}",
         description=description,
@@ -60,8 +59,8 @@ def picture_parser(name: str, description: str | None) -> argparse.ArgumentParse
 def script_parser(
     name: str, description: str | None, quick: str, *, draws: bool = False
 ) -> argparse.ArgumentParser:
-    """`plain_parser` with --quick and --json; if the command draws, also with --picture and
-    --from."""
+    """`plain_parser` with --quick and --json. If the command draws, it has --picture and --from,
+    too."""
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
     add_json(parser)
@@ -101,36 +100,41 @@ def run_script(
 
 
 def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str, Any]:
-    """What the file of --json has, or `report`."""
-    return read_json(args.json) if args.json and args.json.exists() else report
+    """What the file of --json has, or `report` where there is none."""
+    if args.json and args.json.exists():
+        return read_json(args.json)
+    return report
 
 
 def print_tables(report: dict[str, Any], name: str) -> None:
-    """What RESULTS.md would show of this report; what each row does, and what is left out and
-    why."""
+    """Print what RESULTS.md would show of this report, what each row does, and what is left out
+    and why."""
     from experiments.tables.sections import SECTIONS
 
     for section in SECTIONS:
         for table, caption in section.tables.items():
             if REPORT_OF.get(table) == name:
-                of_this_report: Table = table
-                print(f"{caption}\n\n{of_this_report(report)}\n")
+                make: Table = table
+                print(f"{caption}\n\n{make(report)}\n")
     for key, words in (("work", "What each row does"), ("left_out", "Left out")):
-        if rows := dict(_leaves(report.get(key, {}))):
+        rows = dict(_leaves(report.get(key, {})))
+        if rows:
             print(f"{words}:", *(f"  {row:22}{why}" for row, why in rows.items()), sep="\n")
 
 
 def _leaves(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Name and text of each leaf; the name of the node above it stands before its own."""
     for name, value in node.items():
-        yield from (
-            _leaves(value, f"{name}: ") if isinstance(value, dict) else [(above + name, value)]
-        )
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{name}: ")
+        else:
+            yield above + name, value
 
 
 def write_outputs(
     args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None
 ) -> None:
-    """The files of --json and --picture."""
+    """Write the files of --json and --picture."""
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if draw is not None and args.picture:
@@ -146,11 +150,13 @@ def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100)
 def exit_with(main: Callable[[], int]) -> NoReturn:
     """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130
     Ctrl-C."""
+
+    def show(message: Warning | str, *where: Any, **more: Any) -> None:
+        _print_line(f"warning: {message}")
+
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *where, **more: _print_line(
-                f"warning: {message}"
-            )
+            warnings.showwarning = show
             code = main()
     except BrokenPipeError:  # `| head`: the reader has seen enough
         code = 0
@@ -168,18 +174,20 @@ def _print_line(message: str) -> None:
 
 
 def add_count(parser: argparse._ActionsContainer, option: str, default: int, text: str) -> None:
-    """A whole number of at least 1."""
+    """Add an option that takes a whole number of at least 1."""
     text = f"{text} (default: {default:,})"
     parser.add_argument(option, type=positive_int, default=default, metavar="N", help=text)
 
 
 def add_json(parser: argparse._ActionsContainer) -> None:
+    """Add --json."""
     parser.add_argument(
         "--json", type=writable_file, metavar="FILE", help="also write the figures there"
     )
 
 
 def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:
+    """Add an option that takes a folder."""
     parser.add_argument(option, type=Path, metavar="FOLDER", help=text)
 
 
@@ -187,7 +195,8 @@ def data_folder(given: Path | None, name: str, option: str) -> Path:
     """A data folder: as given, or `name` in $TNT_DATA. An error names `option`."""
     folder = given
     if folder is None:
-        if not (root := os.environ.get("TNT_DATA")):
+        root = os.environ.get("TNT_DATA")
+        if not root:
             raise FileNotFoundError(
                 f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/"
             )

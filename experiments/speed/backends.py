@@ -136,7 +136,10 @@ ENGINES = {
         ("torch", "tnt_reference"),
     ),
 }
+
 NEEDS = {name: engine.packages for name, engine in ENGINES.items()}
+"""Engine -> packages that it needs."""
+
 # which is faster differs from machine to machine
 ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")
 

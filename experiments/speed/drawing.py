@@ -22,11 +22,18 @@ from async_tnt.views.figure_style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# of Okabe and Ito's, the light ones darker: they are words too
 GREEN = "#009E73"
+"""Colour after Okabe and Ito. It and the next two are darker than theirs where words have it."""
+
 PINK = "#B5548F"
+"""Colour after Okabe and Ito."""
+
 ORANGE = "#B87A00"
-ONNXRUNTIME = "onnxruntime_run", "onnxruntime_binding"
+"""Colour after Okabe and Ito."""
+
+ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")
+"""Ways of calling onnxruntime, of which one is drawn."""
+
 NETWORKS = {
     "incremental": ("async_tnt,\nincremental", ON),
     "dense": ("async_tnt,\nfull forward pass", ORANGE),
@@ -35,12 +42,15 @@ NETWORKS = {
     "openvino": ("OpenVINO", GREEN),
     "torch": ("torch", PINK),
 }
+"""Engine -> its words and colour."""
+
 WAYS = {
     "ours": ("async_tnt, push and fire", ON),
     "ours_onnxruntime": ("async_tnt's volume,\nonnxruntime's network", ORANGE),
     "torch": ("torch, volume and network\nof the whole window", PINK),
     "eventcv_onnxruntime": ("eventcv's grid of the whole\nwindow, onnxruntime", OFF),
 }
+"""Way from a packet to a decision -> its words and colour."""
 
 
 def draw_decisions(report: dict[str, Any]) -> Figure:

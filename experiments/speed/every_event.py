@@ -16,7 +16,8 @@ from experiments.speed.backends import Network
 from experiments.speed.interleaved import WorkDiffers, check_logits
 from experiments.speed.timing import interleave, spread, work_clock
 
-PACKET = 1000  # events, as `open_recording` makes packets
+PACKET = 1000
+"""Events of a packet, as `open_recording` makes them."""
 
 
 def bench_every_event(

@@ -23,7 +23,8 @@ LOGIT_TOLERANCE = 1e-4
 is above 1."""
 
 
-N_WARM = 20  # decisions that are only compared
+N_WARM = 20
+"""Decisions at the beginning that are only compared."""
 
 
 class WorkDiffers(Exception):

@@ -12,9 +12,12 @@ import torch
 
 from async_tnt.volume.config import TNTConfig
 
-BORDER_TOLERANCE = 1e-5  # pixels, the rounding of float32 at these sizes; see `tnt_reference`
+BORDER_TOLERANCE = 1e-5
+"""How far an event may be outside of the grid, in pixels: the rounding of float32 at these sizes;
+see `tnt_reference`."""
 
 Columns = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+"""Time, x, y and sign of each event."""
 
 
 def as_tensors(events: np.ndarray, start_us: int) -> Columns:
