@@ -27,12 +27,15 @@ from experiments.moving_set.build import build
 from experiments.moving_set.manifest import MovingMnist
 from experiments.thesis.rows import SETS
 
-OFFICIAL = 60_000, 10_000
+OFFICIAL = (60_000, 10_000)
 """Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set,
 index n - 1."""
+
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
 """The one saccade of each digit in `confounded`."""
-VALIDATION_SEED = 0  # the same digits are held out, or left out, in every row and for every seed
+
+VALIDATION_SEED = 0
+"""Seed of the split: the same digits are held out, or left out, in every row and for every seed."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +82,14 @@ class RealFolder:
         FileNotFoundError : a folder is missing.
         ValueError : a damaged file; the message names it.
         """
-        train, test = (
-            read_nmnist_folder(self.folder / name, per_digit=self.per_digit)
-            for name in ("Train", "Test")
-        )
-        learned, held_out = split_recordings(
-            train, self.validation, np.random.default_rng(VALIDATION_SEED)
-        )
-        official = (len(train), len(test)) == OFFICIAL
+        train = read_nmnist_folder(self.folder / "Train", per_digit=self.per_digit)
+        test = read_nmnist_folder(self.folder / "Test", per_digit=self.per_digit)
+        rng = np.random.default_rng(VALIDATION_SEED)
+        learned, held_out = split_recordings(train, self.validation, rng)
+        if (len(train), len(test)) == OFFICIAL:
+            split = "the official one"
+        else:
+            split = "not the official one (60,000 and 10,000 recordings)"
         return RealData(
             make_windows(train, SACCADE_US, which=learned, duration_us=DURATION_US),
             make_windows(train, SACCADE_US, which=held_out, duration_us=DURATION_US),
@@ -96,9 +99,7 @@ class RealFolder:
                 "training_recordings": len(learned),
                 "held_out_recordings": len(held_out),
                 "test_recordings": len(test),
-                "split": "the official one"
-                if official
-                else "not the official one (60,000 and 10,000 recordings)",
+                "split": split,
             },
         )
 
@@ -112,9 +113,9 @@ def shown_test_images(names: Sequence[str]) -> np.ndarray:
     set, index n - 1.
     """
     numbers = np.array(recording_numbers(names), np.int64)
-    return (
-        np.unique(numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]) - OFFICIAL[0] - 1
-    )
+    of_test = numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]
+    images: np.ndarray = np.unique(of_test) - OFFICIAL[0] - 1
+    return images
 
 
 def trained_on(windows: Windows, name: str) -> Windows:
@@ -132,10 +133,10 @@ def spanned(windows: Windows, n_events: int) -> Windows:
     first is at 0 and the last at the end of the window, as in the thesis."""
     columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
     for i in range(len(windows)):
-        t, x, y, p = (column[:n_events] for column in windows.events(i, SACCADE_US))
+        t, *others = [column[:n_events] for column in windows.events(i, SACCADE_US)]
         if len(t):
             t = (t - t[0]) * (SACCADE_US - 1) // max(1, t[-1] - t[0])
-        for name, values in zip(COLUMNS, (t, x, y, p), strict=True):
+        for name, values in zip(COLUMNS, (t, *others), strict=True):
             columns[name].append(values.astype(COLUMNS[name]))
     recordings = Recordings(
         **{name: np.concatenate(parts) for name, parts in columns.items()},

@@ -15,31 +15,38 @@ from typing import Any
 
 import numpy as np
 
-from experiments.motions.kinds import DISTANCES_PX, motions_of
+from experiments.motions.kinds import DISTANCES_PX, FROM_CENTRE, motions_of
 from experiments.thesis.numbers import Right, holm, interval, shares
 from experiments.thesis.rows import SETS
 
+
+def _level(is_high: bool) -> int:
+    return 1 if is_high else -1
+
+
 FACTORS: dict[str, Callable[[str, bool, int], int]] = {
-    "bright on dark, not dark on bright": lambda kind, dark, px: -1 if dark else 1,
-    "from the centre, not through it": lambda kind, dark, px: (
-        1 if kind.endswith("from-centre") else -1
-    ),
-    "speed of a saccade, not constant": lambda kind, dark, px: 1 if kind.startswith("bell") else -1,
+    "bright on dark, not dark on bright": lambda kind, dark, px: _level(not dark),
+    "from the centre, not through it": lambda kind, dark, px: _level(kind.endswith(FROM_CENTRE)),
+    "speed of a saccade, not constant": lambda kind, dark, px: _level(kind.startswith("bell")),
     "8 px, not 3 px": lambda kind, dark, px: {3: -1, 5: 0, 8: 1}[px],
 }
-"""Factor -> its level, -1 or 1, in a set and at a distance; 0: not compared."""
+"""Factor -> its level in a set and at a distance: -1 or 1; 0 where it is not compared."""
+
 GAINS = tuple(itertools.product(("all", "1"), ("thesis-tnt", "thesis-regress")))
+"""What is trained on, and the row whose gain is looked at."""
+
 AGAINST = "thesis-baseline"
+"""The row over which they gain."""
 
 
 def effects(right: Right) -> list[dict[str, Any]]:
-    """Of each of `GAINS`, where its networks are there: the gain in the mean, and the effect of
-    each factor and pair.
+    """The mean gain of each of `GAINS`, where its networks are there, and the effect of each factor
+    and pair.
 
     Returns
     -------
-    Of each: "trained_on", "row", "against", "effect" (factors, or "mean"), and as in
-    `numbers.differences`.
+    Dictionaries with "trained_on", "row", "against", "effect" (factors, or "mean"), and what
+    `numbers.differences` has.
     """
     sets = {name: (kind, dark) for name, (kind, dark) in SETS.items() if kind != "beyond"}
     cells = list(itertools.product(sets, DISTANCES_PX))
@@ -57,15 +64,13 @@ def effects(right: Right) -> list[dict[str, Any]]:
         if len(seeds) < 2:
             continue
         gains = np.stack(
-            [
-                [_gain(right, row, f"{on}/{s}", px, seed) for seed in sorted(seeds)]
-                for s, px in cells
-            ]
+            [[_gain(right, row, f"{on}/{s}", px, k) for k in sorted(seeds)] for s, px in cells]
         )
         names = {"trained_on": on, "row": row, "against": AGAINST, "seeds": len(seeds)}
         found.append({**names, "effect": "mean", **interval(gains.mean(0))})
         for effect, level in (levels | pairs).items():
-            contrast = level / np.sum(level == 1)  # of two together, half of the difference
+            # that of two factors together is half of the difference
+            contrast = level / np.sum(level == 1)
             found.append({**names, "effect": effect, **interval(np.tensordot(contrast, gains, 1))})
     for effect, p in zip(found, holm([effect["p"] for effect in found]), strict=True):
         effect["holm"] = p
@@ -73,7 +78,10 @@ def effects(right: Right) -> list[dict[str, Any]]:
 
 
 def _gain(right: Right, row: str, column: str, px: int, seed: int) -> np.ndarray:
-    """Of each digit, over the motions of one distance."""
-    # of the same order in every set
-    motions = [m.index for m in motions_of() if m.distance_px == px]
-    return shares(right[row, column][seed][motions]) - shares(right[AGAINST, column][seed][motions])
+    """The gain of each digit over the motions of one distance."""
+    # these have the same order in every set
+    motions = [motion.index for motion in motions_of() if motion.distance_px == px]
+    share = shares(right[row, column][seed][motions])
+    share_against = shares(right[AGAINST, column][seed][motions])
+    gain: np.ndarray = share - share_against
+    return gain

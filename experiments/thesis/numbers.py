@@ -53,34 +53,30 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
                 run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]
             }
             some = next(iter(found.values()))
+            is_drawn = column.split("/")[1] not in UNDRAWN
+            per_motion = _means(found, "per_motion") if is_drawn else {}
             table.setdefault(row, {})[column] = {
                 **summary([part["accuracy"] for part in found.values()]),
                 "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
                 "windows": some["windows"],
-                "per_motion": _means(found, "per_motion")
-                if column.split("/")[1] not in UNDRAWN
-                else {},
+                "per_motion": per_motion,
                 "against_time_ms": _means(found, "against_time_ms"),
             }
     return table
 
 
 def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
-    """Over the seeds, of each entry."""
-    entries = next(iter(found.values()))[name]
-    return {
-        one: round(float(np.mean([part[name][one] for part in found.values()])), 5)
-        for one in entries
-    }
+    """The mean over the seeds of each entry of `name`."""
+    parts = [part[name] for part in found.values()]
+    return {one: round(float(np.mean([part[one] for part in parts])), 5) for one in parts[0]}
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
     """Columns, each once, in the table's order: tests on recordings, then simulated sets."""
     found = set(columns)
     trained_on = dict.fromkeys(column.split("/")[0] for column in COLUMNS)
-    return [
-        c for c in (*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)) if c in found
-    ]
+    order = [*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)]
+    return [column for column in order if column in found]
 
 
 def summary(values: Sequence[float]) -> dict[str, float | None]:
@@ -92,21 +88,19 @@ def summary(values: Sequence[float]) -> dict[str, float | None]:
 
 
 def shares(right: np.ndarray) -> np.ndarray:
-    """Of each digit: the share of its windows that are right."""
+    """The share of each digit's windows that are right."""
     there = right >= 0
     return np.where(there, right, 0).sum(0) / there.sum(0)
 
 
 def interval(values: np.ndarray) -> dict[str, float]:
-    """Of the mean of differences (S, I) of S seeds and I digits: "mean", "low" and "high", its 95 %
-    interval, and "p".
-
-    At least two seeds and two digits.
-    """
-    from scipy import stats  # here: scripts that only print tables need no SciPy
+    """The mean of differences (S, I) of S seeds and I digits, at least two each: "mean", its 95 %
+    interval from "low" to "high", and "p"."""
+    # scripts that only print tables need no SciPy
+    from scipy import stats
 
     mean = float(values.mean())
-    # of digits, of seeds
+    # the variances of digits, then of seeds
     parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]
     error = float(sum(parts)) ** 0.5
     if error == 0.0:
@@ -123,8 +117,8 @@ def differences(right: Right) -> list[dict[str, Any]]:
 
     Returns
     -------
-    Of each: "question", "row", "against", "column", "seeds" (how many), those of `interval`, and
-    "holm": p adjusted for all differences of its question.
+    Dictionaries with "question", "row", "against", "column", "seeds" (how many), what `interval`
+    gives, and "holm": p adjusted for all differences of the question.
     """
     found: list[dict[str, Any]] = []
     for question, pairs in QUESTIONS.items():
@@ -197,10 +191,10 @@ def short(number: float) -> str:
 
 def with_range(numbers: Sequence[float]) -> str:
     """.957, or of several .957 (.951 to .963)"""
-    mean, least, most = (
-        short(number) for number in (float(np.mean(numbers)), min(numbers), max(numbers))
-    )
-    return mean if len(numbers) == 1 else f"{mean} ({least} to {most})"
+    mean = short(float(np.mean(numbers)))
+    if len(numbers) == 1:
+        return mean
+    return f"{mean} ({short(min(numbers))} to {short(max(numbers))})"
 
 
 def signed(number: float) -> str:

@@ -70,7 +70,10 @@ COLUMNS = {
     "1/all": "trained on the first saccade, tested on all three",
     "1/others": "trained on the first saccade, tested on the second and third",
     "1/train": "trained on the first saccade, tested on all three of the training digits",
-    "confounded/all": "trained on each digit in one saccade only (0-3: first, 4-6: second, 7-9: third), tested on all",
+    "confounded/all": (
+        "trained on each digit in one saccade only (0-3: first, 4-6: second, 7-9: third), tested "
+        "on all"
+    ),
 }
 """Tests on recordings. Every network is tested on each of `SETS`, too: "all/sim", "1/bell" ..."""
 TRAINED_ON = tuple(dict.fromkeys(column.split("/")[0] for column in COLUMNS))
@@ -142,9 +145,15 @@ class Row:
 
 
 GROUPS = {
-    "thesis": "the thesis' rows, in windows of 105 ms: t_max 8, nothing thinned, translations with the regressor only",
+    "thesis": (
+        "the thesis' rows, in windows of 105 ms: t_max 8, nothing thinned, translations with the "
+        "regressor only"
+    ),
     "long": "the same for 60,000 steps, as in the thesis, one seed",
-    "comparison": "raw volumes and TNT by landmark, signed, unsigned or split, translated or not; some with t_max 8",
+    "comparison": (
+        "raw volumes and TNT by landmark, signed, unsigned or split, translated or not; some with "
+        "t_max 8"
+    ),
     "spans": "time scaled from a window's first event to its last, as in the thesis",
     "motions": "with motion re-synthesis, an augmentation, and controls of as many steps",
     "representations": "event images instead of volumes, and TNT about `window`",
@@ -291,8 +300,7 @@ QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
     "The transform against raw, without the sign": tuple(
         (f"{name}-unsigned{moved}", f"raw-unsigned{moved}")
         for moved in ("", "-translated")
-        for name in UNSIGNED
-        if name != "raw"
+        for name in UNSIGNED[1:]  # all but raw
     ),
     "Polarity against signed": tuple(
         (f"{name}-{polarity}{moved}", f"{name}{moved}")
@@ -346,14 +354,11 @@ def runs_of(names: Iterable[str], trained_on: Collection[str], seeds: Sequence[i
     trained_on : of `TRAINED_ON`; others are left out.
     """
     names = set(names)
-    return [
-        Run(row.name, on, seed)
-        for group in GROUPS
-        for place, seed in enumerate(seeds)
-        for row in ROWS.values()
-        if row.group == group
-        and names & {row.name, group}
-        and (row.seeds is None or place < row.seeds)
-        for on in row.trained_on
-        if on in trained_on
-    ]
+    runs = []
+    for group in GROUPS:
+        rows = [row for row in ROWS.values() if row.group == group and names & {row.name, group}]
+        for place, seed in enumerate(seeds):
+            for row in rows:
+                if row.seeds is None or place < row.seeds:
+                    runs += [Run(row.name, on, seed) for on in row.trained_on if on in trained_on]
+    return runs

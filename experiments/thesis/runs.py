@@ -31,12 +31,22 @@ from experiments.thesis.data import RealData, RealFolder, simulated_windows, spa
 from experiments.thesis.rows import COLUMNS, ROWS, Run
 
 RESULT = "result.json"
+"""File with the result, in the folder of a network."""
+
 RIGHT = "right.npz"
+"""File that says which windows were right, in the folder of a network."""
+
 VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
+"""Entries of the last epoch that the result has."""
+
 HISTORY = ("iterations", "loss", "per_window", "validation_loss")
+"""Entries of each epoch that the result has."""
+
 MOMENTS_MS = (10, 20, 30, 50, 75)
+"""Times since the start of a window at which networks are tested, too."""
+
 EARLY = ("1/others", "1/sim", "all/sim")
-"""Columns of unseen motions, where networks are also tested on the windows' first `MOMENTS_MS`."""
+"""Columns of unseen motions that are tested at `MOMENTS_MS`."""
 
 
 def run_networks(
@@ -55,7 +65,7 @@ def run_networks(
     ValueError, OSError : as `run_network`. ChildProcessError : a worker was killed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    # by all workers together
+    # all workers make the motions of one row together
     for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):
         motions_of(row, on, real.read(), settings_of(Run(row, on, 0), settings), folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
@@ -78,7 +88,8 @@ def _run_task(
     settings: TrainSettings,
     folder: Path,
 ) -> dict[str, Any]:
-    torch.set_num_threads(1)  # the cores have a network each
+    # each core has a network
+    torch.set_num_threads(1)
     return run_network(run, real.read(), simulated, settings, folder)
 
 
@@ -107,17 +118,18 @@ def run_network(
     """
     row = ROWS[run.row]
     settings = settings_of(run, settings)
-    training, held_out = (
-        trained_on(windows, run.trained_on) for windows in (data.training, data.held_out)
-    )
+    training = trained_on(data.training, run.trained_on)
+    held_out = trained_on(data.held_out, run.trained_on)
     if row.span is not None:
-        training, held_out = (spanned(windows, row.span) for windows in (training, held_out))
+        training = spanned(training, row.span)
+        held_out = spanned(held_out, row.span)
     motions = motions_of(run.row, run.trained_on, data, settings, folder)
     folder = folder / run.name
     # quick for a finished run: its checkpoint, if it has these settings, is at the end
     trained = train(
         row.config, training, held_out, settings, folder, classes=CLASSES, motions=motions
     )
+
     tested_on = {
         column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on
     }
@@ -127,6 +139,7 @@ def run_network(
         before: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
         if before["tested_on"] == tested_on:
             return before
+
     pipeline = pipeline_of(trained.model)
     columns: dict[str, Any] = {}
     right: dict[str, np.ndarray] = {}
@@ -135,6 +148,7 @@ def run_network(
         found = _tested(pipeline, column.split("/")[1], data, simulated, row.span, moments)
         right[column] = found.pop("right")
         columns[column] = found
+
     last_epoch = trained.history[-1]
     result = {
         "row": run.row,
@@ -155,10 +169,15 @@ def run_network(
     }
     plot_curves(trained.history, folder / "curves.png")
     replace(trained.model, record=result).save(folder / "model.safetensors")
-    with replacing(folder / RIGHT) as part, part.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **right)
+    _write_right(folder / RIGHT, right)
+    # last: it says that the run is finished
     write_text(finished, json.dumps(result, indent=1))
     return result
+
+
+def _write_right(path: Path, right: dict[str, np.ndarray]) -> None:
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **right)
 
 
 def right_of(
@@ -190,7 +209,8 @@ def motions_of(
     motions = ROWS[row].motions
     if motions is None:
         return None
-    training, held_out = (trained_on(windows, on) for windows in (data.training, data.held_out))
+    training = trained_on(data.training, on)
+    held_out = trained_on(data.held_out, on)
     motions = motions.for_epochs(settings.n_epochs(len(training)))
     return resynthesize(
         training,
@@ -255,7 +275,7 @@ def _windows(
 
 
 def _right(pipeline: Pipeline, windows: Windows, until_us: int | None = None) -> np.ndarray:
-    right: np.ndarray = (
-        class_probabilities(pipeline, windows, until_us=until_us).argmax(1) == windows.labels
-    )
+    """Which windows are right; with `until_us`, from their first events alone."""
+    probabilities = class_probabilities(pipeline, windows, until_us=until_us)
+    right: np.ndarray = probabilities.argmax(1) == windows.labels
     return right
