@@ -68,7 +68,8 @@ def build(
 
     Parameters
     ----------
-    mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
+    mnist_folder : folder with MNIST's IDX files.
+    out_folder : made if missing.
     split : "train" or "test".
     which : indices of images; all by default.
     kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre", "beyond" (30
@@ -82,10 +83,9 @@ def build(
     ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
     OSError : MNIST missing, or the folder cannot be written, or another process makes a set there.
     """
-    counts = {"workers": workers, "recordings_per_shard": recordings_per_shard}
-    for name, n, least in (("seed", seed, 0), *((name, n, 1) for name, n in counts.items())):
-        if n is not None and n < least:
-            raise ValueError(f"`{name}` must be at least {least}, got {n}")
+    _check_least("seed", seed, 0)
+    _check_least("workers", workers, 1)
+    _check_least("recordings_per_shard", recordings_per_shard, 1)
     scene = scene or Scene()
     moving = motions_of(kind)
     images, labels = load_mnist(mnist_folder, split)
@@ -97,6 +97,8 @@ def build(
         )
     images = images[which]
     labels = labels[which]
+
+    # what every shard says, and what the manifest says besides
     shared = {
         "split": split,
         "seed": int(seed),
@@ -115,30 +117,43 @@ def build(
         "recordings_per_shard": int(recordings_per_shard),
         "mnist_sha256": hashlib.sha256(images.tobytes() + labels.tobytes()).hexdigest(),
     }
+
     folder = Path(out_folder)
-    firsts = range(0, len(which), recordings_per_shard)
     names = shard_names(moving, len(which), recordings_per_shard)
-    jobs = [
-        _Job(
-            folder / name,
-            motion,
-            which[first : first + recordings_per_shard],
-            images[first : first + recordings_per_shard],
-            labels[first : first + recordings_per_shard],
-            seed,
-            {"scene": scene, "frame_us": frame_us},
-            {"motion": dataclasses.asdict(motion), **shared},
+    firsts = range(0, len(which), recordings_per_shard)
+    jobs = []
+    for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True):
+        some = slice(first, first + recordings_per_shard)
+        jobs.append(
+            _Job(
+                path=folder / name,
+                motion=motion,
+                which=which[some],
+                images=images[some],
+                labels=labels[some],
+                seed=seed,
+                settings={"scene": scene, "frame_us": frame_us},
+                metadata={"motion": dataclasses.asdict(motion), **shared},
+            )
         )
-        for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True)
-    ]
     made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
-    with locked_folder(folder, "set.lock"):
+    _make_missing(made, jobs, workers or available_cores())
+    return made
+
+
+def _check_least(name: str, n: int | None, least: int) -> None:
+    if n is not None and n < least:
+        raise ValueError(f"`{name}` must be at least {least}, got {n}")
+
+
+def _make_missing(made: MovingMnist, jobs: list[_Job], workers: int) -> None:
+    """Write the manifest, and the shards that are missing or damaged."""
+    with locked_folder(made.folder, "set.lock"):
         write_manifest(made)
         to_do = [job for job in jobs if not _is_done(job.path)]
         n_done = len(made) - sum(len(job.images) for job in to_do)
         bar = progress(len(made), "simulating", done=n_done)
-        run_counted(_make_shard, to_do, workers or available_cores(), bar)
-    return made
+        run_counted(_make_shard, to_do, workers, bar)
 
 
 def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
@@ -151,15 +166,15 @@ def open_set(folder: str | os.PathLike[str]) -> MovingMnist:
     """
     folder = Path(folder)
     made = read_manifest(folder)
-    if missing := sum(not path.is_file() for path in made.shards):
+    missing = sum(not path.is_file() for path in made.shards)
+    if missing:
         p = made.parameters
         bright = "" if p["simulator"]["scene"]["dark_on_bright"] else " --bright-on-dark"
         raise ValueError(
             f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: "
             f"python -m experiments.moving_mnist --mnist MNIST --out {folder} --split {p['split']} "
             f"--motions {p['kind']} --digits {len(p['images'])} --seed {p['seed']}{bright}, or by "
-            "`build` with "
-            "the parameters in set.json"
+            "`build` with the parameters in set.json"
         )
     return made
 

@@ -36,17 +36,36 @@ from async_tnt.training.moved_windows import MotionSettings
 from async_tnt.volume.config import Representation, TNTConfig
 
 T_MAX = 2.0
+"""Scaled time at a window's end, of all rows but the thesis' own and those that say so."""
+
 T_MAX_THESIS = 8.0
+"""Scaled time at a window's end, of the thesis' rows."""
+
 STEPS = 3_000
+"""Steps of the optimizer, of the comparison's rows."""
+
 STEPS_MORE = 8_000
+"""Steps of the optimizer, of the thesis' rows and of those with re-synthesis."""
+
 STEPS_THESIS = 60_000
+"""Steps of the optimizer in the thesis."""
+
 ALL_EVENTS = 1_000_000
+"""More events than a window has: time is scaled from its first to its last."""
+
 WINDOW_EVENTS = 1_000
+"""Events of a window that ends after so many."""
+
 TRANSLATE_PX = 4
+"""Largest translation of a training window, in pixels."""
+
 AS_RECORDED = Augmentation(
     start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0
 )
+"""Training windows as they are."""
+
 THINNED = replace(AS_RECORDED, drop=0.3)
+"""Up to 30 % of a training window's events are dropped."""
 
 INPUTS = {
     "raw": TNTConfig(transform="none", landmark="center"),
@@ -55,15 +74,24 @@ INPUTS = {
     "regressor": TNTConfig(landmark="regressor", t_max=T_MAX),
     "line": TNTConfig(landmark="line", remove_flow=True, t_max=T_MAX),
 }
+"""Name of an input -> how events become volumes."""
+
 IMAGES: dict[Representation, str] = {
     "count": "image of counts",
     "count_time": "image of counts and times",
     "mean_time": "image of mean times",
     "time_surface": "time surface",
 }
+"""Representation of one image -> its title."""
+
 UNSIGNED = ("raw", "center", "running", "line")
+"""Inputs that are also compared without the sign of polarity; raw first."""
+
 SPLIT = ("raw", "running")
+"""Inputs that are also compared with a volume for each polarity."""
+
 TITLES = {"raw": "raw", **{name: f"`{name}`" for name in INPUTS if name != "raw"}}
+"""Name of an input -> its title."""
 
 COLUMNS = {
     "all/all": "trained on all three saccades, tested on all three",
@@ -76,39 +104,49 @@ COLUMNS = {
     ),
 }
 """Tests on recordings. Every network is tested on each of `SETS`, too: "all/sim", "1/bell" ..."""
+
 TRAINED_ON = tuple(dict.fromkeys(column.split("/")[0] for column in COLUMNS))
+"""What a network may be trained on."""
+
 SETS = {
-    name + ("" if dark else " bright"): (kind, dark)
-    for dark in (True, False)
-    for name, kind in {
-        "sim": "constant",
-        "centre": "constant-from-centre",
-        "bell": "bell",
-        "bell centre": "bell-from-centre",
-        "beyond": "beyond",
-    }.items()
-    if dark or kind != "beyond"
+    "sim": ("constant", True),
+    "centre": ("constant-from-centre", True),
+    "bell": ("bell", True),
+    "bell centre": ("bell-from-centre", True),
+    "beyond": ("beyond", True),
+    "sim bright": ("constant", False),
+    "centre bright": ("constant-from-centre", False),
+    "bell bright": ("bell", False),
+    "bell centre bright": ("bell-from-centre", False),
 }
-"""Simulated set -> its kind of motions, see `motions.KINDS`, and whether digits are dark on bright.
-The thesis' is probably "centre bright"."""
+"""Simulated set -> its kind of motions, of `motions.kinds.KINDS`, and whether digits are dark on
+bright."""
+
 THESIS_SET = "centre bright"
+"""The set that is probably like the thesis' own."""
+
 THESIS = {
     "thesis-baseline": {
         "all/all": 0.991,
         "1/all": 0.437,
         "1/train": 0.442,
         f"all/{THESIS_SET}": 0.396,
-    }
-    | {f"1/{THESIS_SET}": 0.207},
-    "thesis-tnt": {"all/all": 0.981, "1/all": 0.468, "1/train": 0.464, f"all/{THESIS_SET}": 0.592}
-    | {f"1/{THESIS_SET}": 0.318},
+        f"1/{THESIS_SET}": 0.207,
+    },
+    "thesis-tnt": {
+        "all/all": 0.981,
+        "1/all": 0.468,
+        "1/train": 0.464,
+        f"all/{THESIS_SET}": 0.592,
+        f"1/{THESIS_SET}": 0.318,
+    },
     "thesis-regress": {
         "all/all": 0.981,
         "1/all": 0.485,
         "1/train": 0.481,
         f"all/{THESIS_SET}": 0.566,
-    }
-    | {f"1/{THESIS_SET}": 0.324},
+        f"1/{THESIS_SET}": 0.324,
+    },
 }
 """The thesis' accuracies: row -> column. Its all/sim and 1/sim stand in those of `THESIS_SET`."""
 
@@ -161,30 +199,18 @@ GROUPS = {
 
 
 def _thesis() -> Iterator[Row]:
-    for steps in (STEPS_MORE, STEPS_THESIS):
-        for name, title, of, augmentation in (
-            ("thesis-baseline", "Baseline", "raw", AS_RECORDED),
-            ("thesis-tnt", "TNT", "center", AS_RECORDED),
-            (
-                "thesis-regress",
-                "TNT+regress",
-                "regressor",
-                replace(AS_RECORDED, translate_px=TRANSLATE_PX),
-            ),
-        ):
-            config = INPUTS[of] if of == "raw" else INPUTS[of].replace(t_max=T_MAX_THESIS)
-            if steps == STEPS_THESIS:
-                yield Row(
-                    f"{name}-60000",
-                    "long",
-                    f"{title}, 60,000 steps",
-                    config,
-                    augmentation,
-                    steps,
-                    seeds=1,
-                )
-            else:
-                yield Row(name, "thesis", title, config, augmentation, steps)
+    """The thesis' rows, for our number of steps and for its own."""
+    moved = replace(AS_RECORDED, translate_px=TRANSLATE_PX)
+    rows = (
+        ("thesis-baseline", "Baseline", INPUTS["raw"], AS_RECORDED),
+        ("thesis-tnt", "TNT", INPUTS["center"].replace(t_max=T_MAX_THESIS), AS_RECORDED),
+        ("thesis-regress", "TNT+regress", INPUTS["regressor"].replace(t_max=T_MAX_THESIS), moved),
+    )
+    for name, title, config, augmentation in rows:
+        yield Row(name, "thesis", title, config, augmentation, STEPS_MORE)
+    for name, title, config, augmentation in rows:
+        long = f"{title}, 60,000 steps"
+        yield Row(f"{name}-60000", "long", long, config, augmentation, STEPS_THESIS, seeds=1)
 
 
 def _compared(
