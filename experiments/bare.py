@@ -1,9 +1,8 @@
 """What `async-tnt train` gives without any option but the sensor's size: the test parts of three
 small data sets.
 
-    python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--seeds
-    N] [--out FOLDER]
-                               [--json FILE]
+    python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
+                               [--seeds N] [--out FOLDER] [--json FILE]
 
 N-MNIST has Train and Test, POKER-DVS pips_train and pips_test; HOTS' characters are those of
 `examples/hots_characters.py`. N-CARS is the recipe `bare` of `experiments.cars`. Finished trainings

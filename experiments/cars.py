@@ -1,7 +1,7 @@
 """N-CARS: accuracy against time on its test part, by the bare command and by other recipes.
 
     python -m experiments.cars N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE]
-    [--picture FILE]
+                               [--picture FILE]
 
 N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train`;
 `bare` has no option but the sensor's size. Finished trainings in --out are kept, interrupted ones

@@ -2,7 +2,8 @@
 recordings.
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N]
-    [--json FILE] python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
+                                     [--json FILE]
+    python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
     python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
 
 The third makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER

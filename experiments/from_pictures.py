@@ -2,8 +2,8 @@
 cameras.
 
     python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
-    [--made]
-                                        [--fonts FOLDER] [--seeds N] [--out FOLDER] [--json FILE]
+                                        [--made] [--fonts FOLDER] [--seeds N] [--out FOLDER]
+                                        [--json FILE]
 
 nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part
             (numbers above 60,000), and simulated motions, speeds and bright digits
@@ -143,9 +143,8 @@ def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) 
     """What the networks have of `n` simulated digits; also writes the model to bundle."""
     models = [load_model(out / f"models/nmnist{seed}.safetensors") for seed in range(len(networks))]
     tested = {"recordings of": "N-MNIST's official test part", **networks[0], "minutes": None}
-    replace(models[0], record={**models[0].record, "test": tested}).save(
-        out / "digits-from-pictures.safetensors"
-    )
+    bundled = replace(models[0], record={**models[0].record, "test": tested})
+    bundled.save(out / "digits-from-pictures.safetensors")
     images, labels = load_mnist(mnist, "test")
     return moving_digits.accuracies(models, images[:n], labels[:n])
 
@@ -169,7 +168,8 @@ def main(argv: list[str] | None = None) -> int:
     )
     args = parser.parse_args(argv)
     out = args.out or Path("pictures/quick" if args.quick else "pictures")
-    if not (folders := {name: getattr(args, name) for name in TITLES if getattr(args, name)}):
+    folders = {name: getattr(args, name) for name in TITLES if getattr(args, name)}
+    if not folders:
         parser.error(f"give one of --{', --'.join(TITLES)}")
     if args.made:
         folders["made"] = out / "recordings"

@@ -82,11 +82,13 @@ def main(argv: list[str] | None = None) -> int:
     config = model.config
     window = structured(made_columns(rng, config.sensor, n, config.window_us))
     window["t"][0] = 0
+
     first_mb = None
     n_events = 0
     n_decisions = 0
     start_us = 0
-    started = shown = time.perf_counter()
+    started = time.perf_counter()
+    shown = started
     while n_events < args.events:
         n_decisions += push_window(processor, window, start_us)
         start_us += model.config.window_us
@@ -95,11 +97,9 @@ def main(argv: list[str] | None = None) -> int:
             first_mb = resident_mb()
         if time.perf_counter() - shown > 2:
             shown = time.perf_counter()
-            print(
-                f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB",
-                file=sys.stderr,
-                flush=True,
-            )
+            so_far = f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB"
+            print(so_far, file=sys.stderr, flush=True)
+
     last_mb = resident_mb()
     if processor.counts.received != n_events:
         raise RuntimeError(

@@ -2,8 +2,7 @@
 patches, edges, objects.
 
     python -m experiments.nothing [--model NAME|FILE] [--poker POKER-DVS] [--characters FOLDER]
-    [--cars N-CARS]
-                                  [--json FILE] [--quick]
+                                  [--cars N-CARS] [--json FILE] [--quick]
 
 Windows have the times of the bundled recordings' events, which stand somewhere else. `train` shows
 noise, events of one polarity, hot pixels, rectangular patches and straight edges to its networks;

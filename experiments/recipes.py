@@ -1,9 +1,8 @@
 """Which volume `async-tnt train` takes by default: candidates on five data sets, held-out data.
 
     python -m experiments.recipes [--cars N-CARS] [--nmnist N-MNIST] [--poker POKER-DVS]
-    [--characters FOLDER]
-                                  [--sets NAME ...] [--candidates NAME ...] [--seeds N] [--out
-                                  FOLDER] [--json FILE]
+                                  [--characters FOLDER] [--sets NAME ...] [--candidates NAME ...]
+                                  [--seeds N] [--out FOLDER] [--json FILE]
 
 No test part is read: N-CARS, N-MNIST and POKER-DVS hold out the last recordings of each class of
 their training parts; HOTS' characters, of which there is one recording each, their last 35 ms;

@@ -1,8 +1,8 @@
 """What this machine sustains with a model: events a second, delays under load, and what becomes of
 too many.
 
-    python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20] [--picture
-    FILE]
+    python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20]
+                                    [--picture FILE]
 
 First the processor time of a stream by its rate, in packets of a millisecond, with a decision after
 every few events; the sustained rate is where that takes one core. Then streams come in real time,
@@ -41,7 +41,10 @@ PERCENTILES = (50.0, 99.0, 99.9)
 """Percentiles of the delays in the report."""
 
 PACKET_US = 1_000
+"""Time that a packet covers."""
+
 MAX_DELAY_US = 50_000
+"""Delay from which on `KeepUp` skips events."""
 
 
 def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
@@ -54,8 +57,10 @@ def packets(rate: float, seconds: float, started: float | None = None) -> Iterat
         packet = events[np.arange(before, before + n) % len(events)]
         packet["t"] = k * PACKET_US + np.arange(n) * PACKET_US // n
         before += n
-        if started is not None and (ahead_s := due_s(started, packet) - time.monotonic()) > 0:
-            time.sleep(ahead_s)
+        if started is not None:
+            ahead_s = due_s(started, packet) - time.monotonic()
+            if ahead_s > 0:
+                time.sleep(ahead_s)
         yield packet
 
 
@@ -105,11 +110,12 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
 def measure(
     name: str, every_events: int, seconds: float, loads: tuple[float, ...]
 ) -> dict[str, Any]:
-    """All of it."""
+    """The sustained rate, and streams at each load of it."""
     model = load_model(name)
     warmup(model)
     processor = Processor(model, every_events=every_events)
-    share_of_core(processor, RATES[0], 1.0)  # warm
+    # warm
+    share_of_core(processor, RATES[0], 1.0)
     shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
     an_event, at_rest = map(float, np.polyfit(RATES, shares, 1))
     sustained = (1.0 - at_rest) / an_event
@@ -159,12 +165,9 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
 
     def measured(quick: bool) -> dict[str, Any]:
-        return measure(
-            args.model,
-            args.every_events,
-            1.0 if quick else args.seconds,
-            LOADS[::5] if quick else LOADS,
-        )
+        if quick:
+            return measure(args.model, args.every_events, 1.0, LOADS[::5])
+        return measure(args.model, args.every_events, args.seconds, LOADS)
 
     return run_script(parser, argv, measured, "sustained", draw)
 

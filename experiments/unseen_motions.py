@@ -1,8 +1,7 @@
 """Recognizing objects in motions that were not recorded: with and without motion re-synthesis.
 
     python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST]
-    [--mnist MNIST]
-                                         [--json FILE]
+                                         [--mnist MNIST] [--json FILE]
 
 hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128,
            made by a renderer and pixels of their own (`objects/hands.py`); also tested in a second
@@ -56,12 +55,26 @@ from experiments.speed.timing import machine
 from experiments.thesis.data import RealFolder, make_set, simulated_windows
 
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
+"""All directions of hand motion, in radians."""
+
 RIGHT = (0.0,)
+"""The direction that is recorded."""
+
 OTHERS = EIGHTHS[1:]
-OF_NMNIST = "saccades", "volumes", "whole"
+"""The directions that are not recorded."""
+
+OF_NMNIST = ("saccades", "volumes", "whole")
+"""Sets that are made of N-MNIST."""
+
 N_IMAGES = 3_000
-SETS = "hands", *OF_NMNIST
-MOVED = "--motions", "resynthesized"
+"""Images that are simulated in other motions."""
+
+SETS = ("hands", *OF_NMNIST)
+"""Names of the sets."""
+
+MOVED = ("--motions", "resynthesized")
+"""Option of `train` for motion re-synthesis."""
+
 VOLUMES = {
     "counts": ("--volume", "representation=count,polarity=split,transform=none"),
     "5 bins": ("--volume", "representation=volume,bins=5,polarity=split,transform=none"),
@@ -75,6 +88,7 @@ VOLUMES = {
         "representation=volume,bins=9,polarity=split,transform=tnt,landmark=running,t_max=4",
     ),
 }
+"""Name of a volume -> option of `train`."""
 
 
 @dataclass(frozen=True)
@@ -83,12 +97,12 @@ class MadeSet:
 
     Parameters
     ----------
-    write : of folder, number of recordings of each class, directions, and seed.
+    write : called with folder, number of recordings of each class, directions, and seed.
     n_train, n_test : recordings of each class; None: all.
     modes : name -> directions to train on, and options of `train`.
     tests : name -> directions and how they are written.
-    simulated : of models, a folder and a number of images: accuracy of each in simulated motions;
-        None: not asked.
+    simulated : called with models, a folder and a number of images; gives the accuracy of each
+        model in simulated motions. None: not asked.
     """
 
     classes: tuple[str, ...]
@@ -104,7 +118,8 @@ class MadeSet:
 
 def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
     """The sets; those of saccades need the folder of N-MNIST, `whole` also that of MNIST."""
-    hand, other_hand = (partial(hands.write, session=session) for session in hands.SESSIONS)
+    hand = partial(hands.write, session=hands.SESSIONS[0])
+    other_hand = partial(hands.write, session=hands.SESSIONS[1])
     made = {
         "hands": MadeSet(
             tuple(hands.SHAPES),
@@ -125,9 +140,8 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
         ),
     }
     if nmnist is not None:
-        learned, tested = (
-            partial(thinned_saccades.write, source=nmnist / part) for part in ("Train", "Test")
-        )
+        learned = partial(thinned_saccades.write, source=nmnist / "Train")
+        tested = partial(thinned_saccades.write, source=nmnist / "Test")
         made["saccades"] = MadeSet(
             CLASSES,
             thinned_saccades.SENSOR,
@@ -185,30 +199,22 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
                 objects = out / f"{'one' if is_one else 'all'}-{seed}"
                 made.write(objects, made.n_train, directions, first + (not is_one))
                 model = out / f"{mode.replace(' ', '-')}{seed}.safetensors"
-                words = [
-                    "train",
-                    objects,
-                    "--sensor",
-                    format_size(made.sensor),
-                    "--window-us",
-                    made.window_us,
-                ]
+                words = ["--sensor", format_size(made.sensor), "--window-us", made.window_us]
                 words += [*options, "--seed", seed, "--out", model, "--json", *extra]
-                records.append(command(*words).get("motions"))
-                results[mode].append(
-                    {
-                        test: command("evaluate", model, where, "--json")["accuracy"]
-                        for test, where in tests.items()
-                    }
-                )
+                records.append(command("train", objects, *words).get("motions"))
+                row = {}
+                for test, where in tests.items():
+                    row[test] = command("evaluate", model, where, "--json")["accuracy"]
+                results[mode].append(row)
                 bar.update()
+
     if made.simulated is not None:
         for mode, rows in results.items():
             models = [out / f"{mode}{seed}.safetensors" for seed in range(seeds)]
-            for row, right in zip(
-                rows, made.simulated(models, out / "sim", made.n_train or N_IMAGES), strict=True
-            ):
+            shares = made.simulated(models, out / "sim", made.n_train or N_IMAGES)
+            for row, right in zip(rows, shares, strict=True):
                 row["simulated motions"] = right
+
     return {
         "classes": made.classes,
         "recordings": {
@@ -261,13 +267,14 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--mnist", "of its four files, for whole (default: $TNT_DATA/mnist)")
     args = parser.parse_args(argv)
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist") if args.set in OF_NMNIST else None
-    made = sets(
-        nmnist, data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None
-    )[args.set]
+    mnist = data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None
+    made = sets(nmnist, mnist)[args.set]
     with TemporaryDirectory() as name:
-        out = args.out or Path(name if args.quick else f"unseen_{args.set}")
-        few = replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3")
-        report = measure(*few) if args.quick else measure(made, args.seeds, out)
+        if args.quick:
+            few = replace(made, n_train=10, n_test=7)
+            report = measure(few, 1, args.out or Path(name), ("--epochs", "3"))
+        else:
+            report = measure(made, args.seeds, args.out or Path(f"unseen_{args.set}"))
     write_outputs(args, report)
     print_tables(report, f"unseen_{args.set}")
     return 0

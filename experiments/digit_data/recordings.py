@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,18 +53,17 @@ def read_nmnist_folder(
     ValueError : a damaged file, or no recordings at all.
     FileNotFoundError : no such folder.
     """
-    digits = find_recordings(folder)
-    found = [
-        (one, int(digit)) for digit, of_digit in digits.items() for one in of_digit[:per_digit]
-    ]
+    found = []
+    labels = []
+    for digit, of_digit in find_recordings(folder).items():
+        found += of_digit[:per_digit]
+        labels += [int(digit)] * len(of_digit[:per_digit])
     events = []
     with progress(len(found), "reading") as bar:
-        for one, _ in found:
+        for one in found:
             bar.update()
             events.append(read_nmnist(one.path))
-    return Recordings.from_events(
-        events, [digit for _, digit in found], [one.name for one, _ in found]
-    )
+    return Recordings.from_events(events, labels, [one.name for one in found])
 
 
 def simulate_recordings(
@@ -105,8 +105,10 @@ def simulate_recordings(
 
 
 def recording_numbers(names: Iterable[str]) -> list[int]:
-    """Of N-MNIST recordings' names, those that have one: `3/00001.bin` is number 1."""
-    return [int(stem) for stem in (Path(name).stem for name in names) if stem.isdigit()]
+    """The numbers in names of N-MNIST's recordings: `3/00001.bin` is number 1. Names without a
+    number are left out."""
+    stems = [Path(name).stem for name in names]
+    return [int(stem) for stem in stems if stem.isdigit()]
 
 
 def saccade(windows: Windows) -> np.ndarray:
@@ -163,23 +165,21 @@ def digits_data(
     recordings += simulate_recordings(mnist, simulated, seed, leave_out=unseen, progress=progress)
     learned = np.concatenate([learned, np.arange(n_real, len(recordings))])
     record = {
-        "source": "N-MNIST recordings (Train), held out by recording, and simulated ones of MNIST training images",
+        "source": (
+            "N-MNIST recordings (Train), held out by recording, and simulated ones of MNIST "
+            "training images"
+        ),
         "real_recordings": n_real - len(held_out),
         "simulated_recordings": simulated,
         "held_out_recordings": len(held_out),
     }
     testing = read_nmnist_folder(folder / "Test", progress=progress)
+
+    cut = partial(make_windows, window_us=config.window_us, duration_us=DURATION_US)
     tests: dict[str, tuple[Windows, dict[str, Any]]] = {
-        name: (
-            make_windows(
-                testing, config.window_us, first_event=first_event, duration_us=DURATION_US
-            ),
-            {},
-        )
-        for name, first_event in (("test", False), ("test_windows_from_first_event", True))
+        "test": (cut(testing), {}),
+        "test_windows_from_first_event": (cut(testing, first_event=True), {}),
     }
-    training, validation = (
-        make_windows(recordings, config.window_us, which=which, duration_us=DURATION_US)
-        for which in (learned, held_out)
-    )
+    training = cut(recordings, which=learned)
+    validation = cut(recordings, which=held_out)
     return TrainingData(config, CLASSES, training, validation, record, tests)

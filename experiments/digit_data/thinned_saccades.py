@@ -29,11 +29,14 @@ def write(
     source: Path,
     share: float = KEPT,
 ) -> Path:
-    """Windows of `n` recordings of each digit, of which each shows one of `saccades` in turn, as
-    `folder/<digit>/<number>.npz`; n None: of all recordings, each of these saccades.
+    """Write windows of N-MNIST as `folder/<digit>/<number>.npz`.
 
+    Parameters
+    ----------
+    n : recordings of each digit; each gives one window, of one of `saccades` in turn. None: all
+        recordings, and each gives a window of every one of `saccades`.
     source : N-MNIST's Train or Test, with `<digit>/*.bin`.
-    share : of the events.
+    share : of the events that is kept.
     """
     rng = np.random.default_rng(seed)
     for digit in CLASSES:
@@ -42,16 +45,22 @@ def write(
             raise ValueError(
                 f"{source / digit} must hold at least {n or 1} recordings, got {len(files)}"
             )
-        shown = [
-            (k, saccades[i % len(saccades)]) for i, k in enumerate(rng.permutation(len(files))[:n])
-        ]
+        # drawn also where all are shown: the numbers that follow depend on it
+        drawn = rng.permutation(len(files))[:n]
         if n is None:
             shown = [(k, saccade) for saccade in saccades for k in range(len(files))]
+        else:
+            shown = [(k, saccades[i % len(saccades)]) for i, k in enumerate(drawn)]
         (folder / digit).mkdir(parents=True, exist_ok=True)
         for i, (k, saccade) in enumerate(shown):
             events = read_nmnist(files[k])
             t = events["t"] - saccade * SACCADE_US
             kept = (t >= 0) & (t < SACCADE_US) & (rng.random(len(t)) < share)
-            x, y, p = (events[name][kept] for name in "xyp")
-            np.savez(folder / digit / f"{i:03}.npz", t=t[kept], x=x, y=y, p=p)
+            np.savez(
+                folder / digit / f"{i:03}.npz",
+                t=t[kept],
+                x=events["x"][kept],
+                y=events["y"][kept],
+                p=events["p"][kept],
+            )
     return folder
