@@ -50,9 +50,9 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     """
     model = load_model(MODEL)
     recordings = bench_recordings(model.config)
-    windows = [
-        window for events in recordings for window in windows_of(events, model.config.window_us)
-    ]
+    windows = []
+    for events in recordings:
+        windows += windows_of(events, model.config.window_us)
     counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
     with progress(2 + 2 * len(NEW_EVENTS), "compiling") as bar, one_thread(is_installed("torch")):
         warmup(model)
@@ -67,11 +67,8 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
             bar.update(title=f"from packet to decision, new events: {n_new}")
             whole[str(n_new)] = end_to_end.bench_end_to_end(model, way, windows, n_new, **counts)
         bar.update(title="a decision after every event")
-        others = {
-            name: f
-            for name, f in networks.items()
-            if name not in backends.ONNXRUNTIME or name == way
-        }
+        slower = set(backends.ONNXRUNTIME) - {way}
+        others = {name: engine for name, engine in networks.items() if name not in slower}
         n_events = 500 if quick else None
         rates = bench_every_event(
             model, others, recordings, rounds=settings["rounds"], n_events=n_events
@@ -102,13 +99,11 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser("decisions", __doc__, "few rounds", draws=True)
-    return run_script(
-        parser,
-        argv,
-        lambda quick: measure(QUICK if quick else FULL, quick),
-        "decisions",
-        draw_decisions,
-    )
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(QUICK if quick else FULL, quick)
+
+    return run_script(parser, argv, measured, "decisions", draw_decisions)
 
 
 if __name__ == "__main__":

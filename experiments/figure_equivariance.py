@@ -81,7 +81,7 @@ LAYERS = {
 
 
 def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
-    """(1, B, H, W), float64."""
+    """The volume of an input with flow added: (1, B, H, W), float64."""
     events = open_recording(sample_recordings()[3]).read()
     events = events[(events["t"] > 0) & (events["t"] < WINDOW_US)]
     t = torch.from_numpy(events["t"].astype(np.int64))
@@ -99,7 +99,7 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
 
 
 def features(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.Tensor]:
-    """Of each of `LAYERS`."""
+    """The features of each of `LAYERS`."""
     maps = _maps(volume, weights)
     own = _maps(volume[..., MARGIN:-MARGIN, MARGIN:-MARGIN], weights)[-1].flatten(1)
     hidden = F.linear(own, weights["fc1.weight"], weights["fc1.bias"]).relu()
@@ -114,7 +114,7 @@ def _maps(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.
 
 
 def measure(quick: bool = False) -> dict[str, Any]:
-    """Of each input and layer, the equivariance error of each flow."""
+    """The equivariance error of each input, layer and flow."""
     flows = FLOWS[:2] if quick else FLOWS
     tensors = torch_classifier(load_model("digits")).tensors
     weights = {name: tensor.detach().double() for name, tensor in tensors.items()}
@@ -135,8 +135,8 @@ def measure(quick: bool = False) -> dict[str, Any]:
 def _error(
     moved: torch.Tensor, still: torch.Tensor, empty: torch.Tensor, pixels: int, flow: int
 ) -> float:
-    """By the best translation of 0 to `flow` pixels; cells that rolling round the border reaches
-    are left out."""
+    """The error by the best translation of 0 to `flow` pixels. Cells that rolling round the border
+    reaches are left out."""
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
     most = -(-flow // pixels)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.networks.loading import load_model
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt import TNTVolume, load_model
+from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import (
     OFF,
     ON,
@@ -34,7 +34,6 @@ from async_tnt.views.figure_window import (
     layers_of_window,
     transform_words,
 )
-from async_tnt.volume.volume import TNTVolume
 from experiments.scripts.options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:

@@ -54,7 +54,7 @@ PALE = "#d8d8d8"
 
 
 def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:
-    """Of each frame: the events shown, the newest decision, and the seconds so far."""
+    """The events that each frame shows, the newest decision, and the seconds so far."""
     processor = Processor(load_model("digits"), every_us=1_000, start_us=0)
     before_us = 0
     for digit in DIGITS:
@@ -85,21 +85,19 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
     classes = load_model("digits").classes
     left = 290
     top = 52
-    probabilities = (
-        np.full(len(classes), 1 / len(classes)) if decision is None else decision.probabilities
-    )
+    if decision is None:
+        probabilities = np.full(len(classes), 1 / len(classes))
+    else:
+        probabilities = decision.probabilities
     best = int(probabilities.argmax())
     for k, (name, probability) in enumerate(zip(classes, probabilities, strict=True)):
         y = top + 20 * k
         sure = k == best and probability >= 0.5
         draw.text((left, y), name, fill=INK, font=small)
-        draw.rectangle(
-            (left + 18, y + 3, left + 18 + int(170 * probability), y + 14),
-            fill=INK if sure else PALE,
-        )
-    draw.text(
-        (left, 16), f"{1e3 * seconds:.0f} ms, a decision every millisecond", fill=INK, font=small
-    )
+        bar = (left + 18, y + 3, left + 18 + int(170 * probability), y + 14)
+        draw.rectangle(bar, fill=INK if sure else PALE)
+    time = f"{1e3 * seconds:.0f} ms, a decision every millisecond"
+    draw.text((left, 16), time, fill=INK, font=small)
     if probabilities[best] >= 0.5:
         draw.text((left + 210, top + 60), classes[best], fill=INK, font=large)
     return image

@@ -24,7 +24,7 @@ from async_tnt.resynthesis import MotionPath, Reconstruction
 from async_tnt.resynthesis.moving_image import cell_for
 from async_tnt.resynthesis.reconstruction import SPAN
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels, part_of
-from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources import read_nmnist
 from experiments.digit_data.recordings import SACCADE_US
 from experiments.objects import hands
 from experiments.scripts.options import add_count, add_folder, exit_with, run_script, script_parser
@@ -34,7 +34,7 @@ from experiments.speed.timing import machine
 SIDE = 34
 """Width and height of the sensor of N-MNIST, in pixels."""
 
-RATES = 1.0, 0.2
+RATES = (1.0, 0.2)
 """Shares of the events that are kept."""
 
 FEWEST = 50
@@ -86,9 +86,8 @@ def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
 def saccades(folder: Path, n: int) -> dict[str, Any]:
     """N-MNIST's saccades, at each rate."""
     rng = np.random.default_rng(0)
-    files = [
-        Path(name) for name in rng.permutation(sorted(map(str, folder.glob("Train/*/*.bin"))))[:n]
-    ]
+    every = sorted(map(str, folder.glob("Train/*/*.bin")))
+    files = [Path(name) for name in rng.permutation(every)[:n]]
     if not files:
         raise FileNotFoundError(f"no recordings {folder}/Train/<digit>/*.bin")
     n = len(files)
@@ -97,10 +96,9 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
 
     def cut(file: Path, from_us: int, until_us: int, rate: float, start_us: int) -> Columns:
         events = read_nmnist(file)
-        kept = (
-            (events["t"] >= from_us) & (events["t"] < until_us) & (rng.random(len(events)) < rate)
-        )
-        return _columns((events["t"][kept] - start_us, *(events[name][kept] for name in "xyp")))
+        inside = (events["t"] >= from_us) & (events["t"] < until_us)
+        kept = events[inside & (rng.random(len(events)) < rate)]
+        return _columns((kept["t"] - start_us, kept["x"], kept["y"], kept["p"]))
 
     for rate in RATES:
         for saccade in range(3):
@@ -110,9 +108,9 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
             paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, pixels)
             ends = np.median([path.positions[-1] for path in paths], axis=0)
             true = angles.setdefault(saccade, np.arctan2(ends[1], ends[0]))
-            rows[f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"] = judged(
-                paths, np.full(n, true)
-            )
+            title = f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"
+            rows[title] = judged(paths, np.full(n, true))
+
     third = SACCADE_US // 3
     rate = min(RATES)
     starts = third * (np.arange(n) % 9)
@@ -194,11 +192,10 @@ def noise(n: int) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     rows = {}
     for kind in NOISE:
-        paths = paths_of(noise_windows(kind, n, rng), (SIDE, SIDE), SACCADE_US, MeasuredPixels())
-        rows[f"noise, {kind}"] = {
-            "windows": n,
-            "found": float(np.mean([not path.refused for path in paths])),
-        }
+        windows = noise_windows(kind, n, rng)
+        paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, MeasuredPixels())
+        found = float(np.mean([not path.refused for path in paths]))
+        rows[f"noise, {kind}"] = {"windows": n, "found": found}
     return rows
 
 
@@ -219,12 +216,11 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
     add_count(parser, "--windows", 200, "of each kind")
     args = parser.parse_args(argv)
-    return run_script(
-        parser,
-        argv,
-        lambda quick: measure(args.nmnist, 8 if quick else args.windows),
-        "found_paths",
-    )
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(args.nmnist, 8 if quick else args.windows)
+
+    return run_script(parser, argv, measured, "found_paths")
 
 
 if __name__ == "__main__":

@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
+from async_tnt.sources import UdpSource
 from async_tnt.sources.files.playback import wait_until
 from async_tnt.sources.live.datagrams import encode
-from async_tnt.sources.live.udp import UdpSource
 from async_tnt.volume.events import structured
 from experiments.scripts.options import add_count, add_json, exit_with, plain_parser, write_outputs
 from experiments.speed.moments import made_columns
@@ -147,7 +147,8 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                     # it came with the one before: we were a round late
                     if n_events[way] > k * EVENTS:
                         continue
-                    if (packet := source.receive(30)) is None:
+                    packet = source.receive(30)
+                    if packet is None:
                         raise RuntimeError("the sender sent nothing for 30 seconds")
                     n_events[way] += len(packet)
                     n_decided = len(processor.push(packet)) if way == "decision" else 1

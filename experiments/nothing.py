@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.networks.loading import load_model
+from async_tnt import Processor, load_model
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.sources.files.labelled_recordings import recordings_under
-from async_tnt.streaming.processor import Processor
 from experiments.scripts.options import add_folder, exit_with, run_script, script_parser
 from experiments.speed.moments import on_sensor
 from experiments.speed.timing import machine
@@ -70,7 +69,7 @@ def patch(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 
 def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    """Flickers: ON and OFF take turns."""
+    """Events all over a disc that flickers: ON and OFF take turns."""
     n = len(share)
     radius = rng.uniform(0.1, 0.25) * side
     far = radius * np.sqrt(rng.random(n))
@@ -97,7 +96,7 @@ def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 
 def corner(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    """Of a dark rectangle that moves: one side is ON, the other OFF."""
+    """Two sides of a dark rectangle that moves: one is ON, the other OFF."""
     n = len(share)
     turn = rng.uniform(0, np.pi / 2)
     along = rng.uniform(0, side, n)
@@ -136,12 +135,9 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
             for k in range(n_windows)
         )
         rows[name] = _share(processor, windows)
+    known = processor.classes or ()
     for name, folder in folders.items():
-        files = [
-            path
-            for path in recordings_under(folder)
-            if path.parent.name not in (processor.classes or ())
-        ]
+        files = [path for path in recordings_under(folder) if path.parent.name not in known]
         objects = _objects(files, config.sensor[0], config.window_us, n_windows)
         rows[f"{name} (tested only)"] = _share(processor, objects)
     return {"machine": machine(), "model": Path(model).name, "sure": SURE, "rows": rows}
@@ -150,7 +146,7 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
 def _of_kind(
     kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """The first window of a recording, elsewhere."""
+    """The first window of a recording, with its events at the places that `kind` makes."""
     t = events["t"] - events["t"][0]
     t = t[t < window_us]
     x, y, p = kind(t / window_us, side, rng)

@@ -80,13 +80,14 @@ def characters(folder: Path, config: Any) -> TrainingData:
 
 
 def sessions(folder: Path, config: Any) -> TrainingData:
-    """Made in `folder`."""
-    parts = {}
-    for k, session in enumerate((Session(), Session(0.28, 0.2, 2.0, 0.8, (6.0, -4.0)))):
-        made = write(
-            folder / f"session{k}", 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session
-        )
-        parts[k] = read(made, config.replace(window_us=WINDOW_US), sensor=SENSOR, validation=0.0)
+    """Windows of two made sessions: the first to learn from, the second is held out."""
+    other_day = Session(threshold=0.28, mismatch=0.2, noise_hz=2.0, size=0.8, place=(6.0, -4.0))
+    directions = tuple(np.pi / 4 * np.arange(8))
+    parts = []
+    for k, session in enumerate((Session(), other_day)):
+        made = write(folder / f"session{k}", 60, directions, seed=k, session=session)
+        config_of_set = config.replace(window_us=WINDOW_US)
+        parts.append(read(made, config_of_set, sensor=SENSOR, validation=0.0))
     return replace(parts[0], validation=parts[1].training)
 
 
@@ -97,6 +98,7 @@ SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
     "characters": characters,
     "sessions": sessions,
 }
+"""Set -> what reads its folder."""
 
 
 def measure(
@@ -145,9 +147,8 @@ def main(argv: list[str] | None = None) -> int:
     add_json(parser)
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
-    names = args.sets or [
-        name for name in SETS if name == "sessions" or getattr(args, name) is not None
-    ]
+    given = [name for name in SETS if name == "sessions" or getattr(args, name) is not None]
+    names = args.sets or given
     report = earlier_report(args, {"sets": {}}) | {"machine": machine("torch")}
     for name in names:
         _measure_set(name, args, report)
@@ -156,6 +157,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _measure_set(name: str, args: argparse.Namespace, report: dict[str, Any]) -> None:
+    """Measure the candidates that the report does not have yet; writes it after each."""
     folder = args.out / "sessions" if name == "sessions" else getattr(args, name)
     if folder is None:
         raise FileNotFoundError(f"no folder of {name}: give --{name}")

@@ -32,7 +32,7 @@ WINDOW_US = 105_000
 
 
 def configs() -> Iterator[TNTConfig]:
-    """Of the volumes."""
+    """The configurations of the volumes."""
     for landmark, polarity in itertools.product(
         ("center", "running", "line"), ("signed", "unsigned", "split")
     ):
@@ -46,7 +46,7 @@ def configs() -> Iterator[TNTConfig]:
 
 
 def digests() -> dict[str, str]:
-    """Of all volumes, and of the logits of each bundled model."""
+    """Digests of all volumes, and of the logits of each bundled model."""
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     volumes = hashlib.sha256()
     for config in configs():

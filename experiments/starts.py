@@ -65,8 +65,10 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 step("import")
 options = onnxruntime.SessionOptions()
-options.intra_op_num_threads = options.inter_op_num_threads = 1
-session = onnxruntime.InferenceSession(arguments["onnx"], options, providers=["CPUExecutionProvider"])
+options.intra_op_num_threads = 1
+options.inter_op_num_threads = 1
+providers = ["CPUExecutionProvider"]
+session = onnxruntime.InferenceSession(arguments["onnx"], options, providers=providers)
 step("load")
 session.run(["logits"], {"volume": np.zeros(arguments["shape"], np.float32)})
 step("decision")
@@ -79,7 +81,8 @@ from safetensors.torch import load_file
 from tnt_reference import Classifier
 step("import")
 torch.set_num_threads(1)
-weights = {name: w for name, w in load_file(arguments["model"]).items() if not name.startswith("regressor.")}
+tensors = load_file(arguments["model"])
+weights = {name: w for name, w in tensors.items() if not name.startswith("regressor.")}
 widths = tuple(len(weights[layer + ".bias"]) for layer in ("conv1", "conv2", "fc1"))
 channels, height, width = arguments["shape"][1:]
 network = Classifier(channels, (width, height), len(weights["fc2.bias"]), widths).eval()
@@ -93,19 +96,23 @@ step("decision")
 
 _AROUND = """
 import json, sys, time
-arguments, seconds, last = json.loads(sys.argv[1]), {{}}, time.perf_counter()
+arguments = json.loads(sys.argv[1])
+seconds = {{}}
+last = time.perf_counter()
 def step(name):
     global last
     now = time.perf_counter()
-    seconds[name], last = now - last, now
+    seconds[name] = now - last
+    last = now
 {body}
 print(json.dumps(seconds))
 """
+"""Program around these: prints the seconds of each step as JSON."""
 
 
 def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
-    """Time starts, interleaved: each round has one process of each row, the cold one with a cache
-    folder of its own.
+    """Time starts: each round has one process of each row, the cold one with a cache folder of its
+    own.
 
     A first round, which fills the system's file cache, is discarded. Without `cold` nothing is
     compiled: `ours_warm` takes the cache as this process has it.
@@ -131,7 +138,9 @@ def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
             for name in rows if k % 2 else reversed(rows):
                 if k == 0 and name == "ours_cold":
                     continue
-                cache = folder / (f"cold {k}" if name == "ours_cold" else "warm") if cold else None
+                cache = None
+                if cold:
+                    cache = folder / (f"cold {k}" if name == "ours_cold" else "warm")
                 for step, taken in _start(name, arguments, cache).items():
                     if k:
                         seconds[name].setdefault(step, []).append(taken)
@@ -148,6 +157,7 @@ def left_out(cold: bool) -> dict[str, str]:
 
 
 def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str, float]:
+    """Seconds of each step of one process, of all steps, and of the whole process."""
     body = {"onnxruntime": _ONNXRUNTIME, "torch": _TORCH}.get(name, _OURS)
     settings = {
         "OMP_NUM_THREADS": "1",
@@ -158,7 +168,8 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
         cache.mkdir(exist_ok=True)
         settings["NUMBA_CACHE_DIR"] = str(cache)
     environment = os.environ | settings
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has its bytecode
+    # an installed package has its bytecode
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, "-c", _AROUND.format(body=body), json.dumps(arguments)]
     started = time.perf_counter()
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
@@ -186,9 +197,8 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
-    return run_script(
-        script_parser("starts", __doc__, "one round, nothing compiled"), argv, measure, "starts"
-    )
+    parser = script_parser("starts", __doc__, "one round, nothing compiled")
+    return run_script(parser, argv, measure, "starts")
 
 
 if __name__ == "__main__":

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt import TNTConfig
 from async_tnt.base.progress import Bar
+from async_tnt.sources import read_nmnist
 from async_tnt.sources.files.labelled_recordings import find_recordings
-from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.training.data import TrainingData
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import Windows, make_windows
-from async_tnt.volume.config import TNTConfig
 from experiments.digit_data.mnist import load_mnist
 from experiments.motions.simulated_digits import simulate_digit
 

@@ -116,6 +116,7 @@ class Motion:
             saccades = nmnist_saccades(rng)
             start = (saccades.start[0] + (centre[0] - 3.0), saccades.start[1] + (centre[1] - 3.0))
             return dataclasses.replace(saccades, start=start)
+
         # for mypy: only "nmnist" has none
         assert self.direction_deg is not None and self.distance_px is not None
         from_centre = self.kind.endswith(FROM_CENTRE)
@@ -134,7 +135,7 @@ class Motion:
             "back": [(dx, dy), (-dx, -dy)],
             "loop": [(dx, dy), (-dy, dx), (-dx, -dy), (dy, -dx)],
         }[self.shape]
-        # steps: those of a loop overlap by half, which rounds its corners
+        # the sides of a loop overlap by half, which rounds its corners
         lasts = 2 if self.shape == "loop" else 1
         step_us = self.duration_us / (len(sides) + lasts - 1)
         moves = (Saccade(k * step_us, lasts * step_us, *side) for k, side in enumerate(sides))
@@ -144,7 +145,8 @@ class Motion:
 def flow_of(trajectory: Trajectory, times_us: np.ndarray) -> np.ndarray:
     """Optical flow (vx, vy), in pixels per second, shape (K, 2): the derivative of the
     displacement, by differences over two microseconds."""
-    after, before = (np.stack(trajectory.position(times_us + us), axis=1) for us in (1.0, -1.0))
+    after = np.stack(trajectory.position(times_us + 1.0), axis=1)
+    before = np.stack(trajectory.position(times_us - 1.0), axis=1)
     return np.asarray((after - before) / 2e-6)
 
 

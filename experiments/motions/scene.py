@@ -81,10 +81,8 @@ def render(
     """
     scene = Scene() if scene is None else scene
     strokes = _checked_image(image) ** scene.gamma
-    dx, dy = (
-        np.ascontiguousarray(plain_array(name, d), np.float64)
-        for name, d in (("dx", dx), ("dy", dy))
-    )
+    dx = np.ascontiguousarray(plain_array("dx", dx), np.float64)
+    dy = np.ascontiguousarray(plain_array("dy", dy), np.float64)
     if dx.ndim != 1 or dx.shape != dy.shape:
         raise ValueError(
             f"`dx` and `dy` must be 1-D and equally long, got shapes {dx.shape} and {dy.shape}"
@@ -101,9 +99,9 @@ def render(
     frames = np.empty((len(dx), height, width))
     translate(frames, blurred, dx - margin, dy - margin)
     depth = 1.0 - 1.0 / scene.contrast
-    return np.log(
-        1.0 - depth * frames if scene.dark_on_bright else 1.0 / scene.contrast + depth * frames
-    )
+    if scene.dark_on_bright:
+        return np.log(1.0 - depth * frames)
+    return np.log(1.0 / scene.contrast + depth * frames)
 
 
 def _checked_image(image: np.ndarray) -> np.ndarray:

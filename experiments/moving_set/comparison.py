@@ -20,7 +20,7 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.resynthesis.calibration import describe
-from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources import read_nmnist
 from experiments.digit_data.mnist import load_mnist
 from experiments.motions.kinds import NMNIST_SENSOR
 from experiments.motions.simulated_digits import simulate_digit
@@ -129,7 +129,8 @@ def describe_motions(
     ]
     offsets = []
     for saccade, direction in zip(saccades, itertools.cycle(directions_deg), strict=False):
-        on, off = (saccade[saccade["p"] == p] for p in (1, 0))
+        on = saccade[saccade["p"] == 1]
+        off = saccade[saccade["p"] == 0]
         if len(on) and len(off):
             apart = complex(on["x"].mean() - off["x"].mean(), on["y"].mean() - off["y"].mean())
             offsets.append(apart * np.exp(-1j * np.radians(direction)))
@@ -143,7 +144,8 @@ def describe_motions(
 
 def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.ndarray]:
     shard: Shard | None = None
-    for motion, image in pairs:  # sorted: each shard is opened once
+    # pairs are sorted, so each shard is opened once
+    for motion, image in pairs:
         path, place = made.locate(motion, image)
         if shard is None or shard.path != path:
             shard = open_shard(path)
@@ -171,12 +173,10 @@ def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]
                 found["test"][number - OFFICIAL_TRAIN - 1] = path
             else:
                 found[part.lower()][number - 1] = path
-    shown = split if found[split] else next((name for name in found if found[name]), None)
-    if shown is None:
-        raise FileNotFoundError(
-            f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin"
-        )
-    return shown, found[shown]
+    for shown in (split, *found):
+        if found[shown]:
+            return shown, found[shown]
+    raise FileNotFoundError(f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin")
 
 
 def _nmnist_directions() -> list[float]:

@@ -101,6 +101,13 @@ def write_manifest(made: MovingMnist) -> None:
 
 
 def read_manifest(folder: Path) -> MovingMnist:
+    """Read the manifest of a set.
+
+    Raises
+    ------
+    FileNotFoundError : the folder has none.
+    ValueError : damaged, or not the manifest of a set.
+    """
     path = folder / MANIFEST
     if not path.is_file():
         raise FileNotFoundError(
@@ -115,21 +122,19 @@ def read_manifest(folder: Path) -> MovingMnist:
         parameters = {name: content["parameters"][name] for name in PARAMETERS}
         moving = motions_of(parameters["kind"])
         names = shard_names(moving, len(parameters["images"]), parameters["recordings_per_shard"])
-        if (
-            content["motions"] != [dataclasses.asdict(motion) for motion in moving]
-            or content["shards"] != names
-        ):
+        motions = [dataclasses.asdict(motion) for motion in moving]
+        if content["motions"] != motions or content["shards"] != names:
             raise ValueError(
                 f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards"
             )
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else error
         raise ValueError(f"{path}: damaged, or not a set of this release: {what}") from None
-    return MovingMnist(
-        folder, tuple(folder / name for name in names), moving, content["parameters"]
-    )
+    shards = tuple(folder / name for name in names)
+    return MovingMnist(folder, shards, moving, content["parameters"])
 
 
 def shard_names(motions: Sequence[Motion], n_images: int, recordings_per_shard: int) -> list[str]:
+    """Names of the files of a set, motion by motion."""
     firsts = range(0, n_images, recordings_per_shard)
     return [f"{m.name}_{first:05}.safetensors" for m in motions for first in firsts]

@@ -30,8 +30,9 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from async_tnt import EVENT_DTYPE
 from async_tnt.base.files import replacing
-from async_tnt.volume.events import EVENT_DTYPE, structured
+from async_tnt.volume.events import structured
 
 COLUMNS = {
     "t": "i4",
@@ -165,7 +166,7 @@ def _check(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> No
             raise ValueError(f"`{name}` must have shape {shape}, got {columns[name].shape}")
     if offsets[0] != 0 or offsets[-1] != t.size or (offsets[1:] < offsets[:-1]).any():
         raise ValueError(f"`offsets` must rise from 0 to {t.size}, the number of events")
-    (width, height) = metadata["sensor"]
+    width, height = metadata["sensor"]
     duration_us = metadata["duration_us"]
     limits = {
         "t": duration_us,

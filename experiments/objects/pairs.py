@@ -89,9 +89,9 @@ def record(
             for shape, place, size, turn, grey in objects:
                 a = (x - place[0]) / size
                 b = (y - place[1]) / size
-                hit = inside(
-                    shape, np.cos(turn) * a + np.sin(turn) * b, np.cos(turn) * b - np.sin(turn) * a
-                )
+                own_x = np.cos(turn) * a + np.sin(turn) * b
+                own_y = np.cos(turn) * b - np.sin(turn) * a
+                hit = inside(shape, own_x, own_y)
                 light = np.where(hit, light * np.exp(grey), light)
             yield np.log(light.reshape(height, SUBPIXELS, width, SUBPIXELS).mean((1, 3)))
 
@@ -114,18 +114,20 @@ def pixel_events(
         if level is None:
             level = light + threshold * rng.uniform(-1, 1, light.shape)
             continue
+        # so many thresholds, and events, each pixel is away from its level
         n = np.trunc((light - level) / threshold).astype(int)
         level = level + n * threshold
         rows, columns = np.nonzero(n)
         many = abs(n[rows, columns])
         t = (step - 1 + rng.random(many.sum())) * window_us / steps
-        parts.append(
-            (t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many))
-        )
+        is_on = n[rows, columns] > 0
+        parts.append((t, columns.repeat(many), rows.repeat(many), is_on.repeat(many)))
+
     height, width = threshold.shape
     n_noise = rng.poisson(noise_hz * width * height * window_us * 1e-6)
-    somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
-    parts.append((window_us * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
+    x = rng.integers(0, width, n_noise)
+    y = rng.integers(0, height, n_noise)
+    parts.append((window_us * rng.random(n_noise), x, y, rng.random(n_noise) < 0.5))
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
@@ -138,15 +140,13 @@ def in_order(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict
 def write(
     folder: Path, n: int, directions: tuple[float, ...], seed: int, session: Session = Session()
 ) -> Path:
-    """`n` recordings of each class, whose directions take turns, as
+    """Write `n` recordings of each class, whose directions take turns, as
     `folder/<class>/<number>.npz`."""
-    return write_classes(
-        folder,
-        CLASSES,
-        n,
-        seed,
-        lambda name, i, rng: record(name, directions[i % len(directions)], rng, session),
-    )
+
+    def recorded(name: str, i: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        return record(name, directions[i % len(directions)], rng, session)
+
+    return write_classes(folder, CLASSES, n, seed, recorded)
 
 
 def write_classes(
@@ -156,10 +156,10 @@ def write_classes(
     seed: int,
     record: Callable[[str, int, np.random.Generator], dict[str, np.ndarray]],
 ) -> Path:
-    """`n` recordings of each class, each with a generator of its own, as
+    """Write `n` recordings of each class, each with a generator of its own, as
     `folder/<class>/<number>.npz`.
 
-    record : of class, number and generator; returns columns.
+    record : called with class, number and generator; returns columns.
     """
     for label, name in enumerate(classes):
         (folder / name).mkdir(parents=True, exist_ok=True)

@@ -26,7 +26,7 @@ from experiments.motions.scene import Scene
 from experiments.motions.simulated_digits import simulate_digit
 from experiments.motions.trajectories import Saccades, Trajectory, nmnist_saccades
 
-SPEEDS = 0.25, 0.5, 1.0, 2.0, 4.0
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Speeds of N-MNIST's saccades, as shares of their own."""
 
 
@@ -48,7 +48,7 @@ class Faster:
 def accuracies(
     models: Sequence[Model], images: np.ndarray, labels: np.ndarray
 ) -> dict[str, dict[str, list[float]]]:
-    """Test -> motion, or speed -> share of windows that each model has right.
+    """Shares of windows that each model has right, by test, and by motion or speed.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ def accuracies(
     found: dict[str, dict[str, list[float]]] = {}
     with progress(2 * len(motions_of()) + len(SPEEDS), "digits in other motions") as bar:
         for test, case, windows, window_us in _windows(images, labels):
-            right = found.setdefault(test, {})[case] = []
+            right = []
             for model in models:
-                pipeline = pipeline_of(
-                    replace(model, config=model.config.replace(window_us=window_us))
-                )
+                config = model.config.replace(window_us=window_us)
+                pipeline = pipeline_of(replace(model, config=config))
                 decided = class_probabilities(pipeline, windows).argmax(1)
                 right.append(float((decided == windows.labels).mean()))
+            found.setdefault(test, {})[case] = right
             bar.update()
     return found
 

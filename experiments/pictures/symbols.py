@@ -16,7 +16,7 @@ PIPS = {"cl": "♣", "di": "♦", "he": "♥", "sp": "♠"}
 CHARACTERS = {character: character for character in string.digits + string.ascii_uppercase}
 """Class of HOTS' characters -> the character."""
 
-UNFIT = "LastResort", "FreeSerifBold"
+UNFIT = ("LastResort", "FreeSerifBold")
 """Names of fonts that draw boxes, or a club as a spade."""
 
 HEIGHT = 96
@@ -24,7 +24,7 @@ HEIGHT = 96
 
 
 def write_mnist(folder: Path, mnist: Path, n: int) -> None:
-    """The first `n` training images of MNIST, `folder/<digit>/<number>.png`."""
+    """Write the first `n` training images of MNIST, `folder/<digit>/<number>.png`."""
     from PIL import Image
 
     images, labels = load_mnist(mnist, "train")
@@ -36,7 +36,7 @@ def write_mnist(folder: Path, mnist: Path, n: int) -> None:
 
 
 def write_glyphs(folder: Path, glyphs: dict[str, str], fonts: Path | None) -> None:
-    """Class -> a character, black on white, by each font that has them all."""
+    """Draw the character of each class, black on white, by each font that has them all."""
     from PIL import Image, ImageDraw
 
     for old in folder.glob("*/*.png"):
@@ -60,9 +60,11 @@ def _fonts(text: str, folder: Path | None) -> list[tuple[str, Any]]:
     for path in sorted((folder or Path(get_data_path(), "fonts/ttf")).rglob("*")):
         if path.suffix.lower() not in (".ttf", ".otf", ".ttc") or path.stem.startswith(UNFIT):
             continue
-        with contextlib.suppress(OSError):  # a font that FreeType refuses
+        # FreeType refuses some fonts
+        with contextlib.suppress(OSError):
             font = ImageFont.truetype(str(path), HEIGHT)
-            missing, *drawn = (bytes(font.getmask(character)) for character in ("\uffff", *text))
+            missing = bytes(font.getmask("\uffff"))
+            drawn = [bytes(font.getmask(character)) for character in text]
             if all(map(any, drawn)) and len({missing, *drawn}) > len(drawn):
                 fonts.setdefault(b"".join(drawn), (path.stem, font))
     return list(fonts.values())

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.networks.models.compiled import CompiledClassifier
-from async_tnt.networks.models.model import Model
+from async_tnt import CompiledClassifier, Model
 from experiments.speed.timing import is_installed
 
 Network = Callable[[np.ndarray], np.ndarray]
@@ -140,8 +139,8 @@ ENGINES = {
 NEEDS = {name: engine.packages for name, engine in ENGINES.items()}
 """Engine -> packages that it needs."""
 
-# which is faster differs from machine to machine
 ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")
+"""Ways of calling onnxruntime. Which one is faster differs from machine to machine."""
 
 
 def dense_networks(model: Model) -> dict[str, Network]:
@@ -155,13 +154,15 @@ def dense_networks(model: Model) -> dict[str, Network]:
 
 
 def left_out(needs: Mapping[str, tuple[str, ...]] = NEEDS) -> dict[str, str]:
-    """Of rows that need packages, those that are not available, and why."""
-    return {row: why for row, packages in needs.items() if (why := _missing(*packages))}
+    """The rows whose packages are not installed, and which these are."""
+    missing = {row: _missing(*packages) for row, packages in needs.items()}
+    return {row: why for row, why in missing.items() if why}
 
 
 def _missing(*packages: str) -> str:
     """A message that names the packages that are not installed; empty if all are."""
     names = [package for package in packages if not is_installed(package)]
-    return (
-        f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""
-    )
+    if not names:
+        return ""
+    verb = "is" if len(names) == 1 else "are"
+    return f"{' and '.join(names)} {verb} not installed"

@@ -14,16 +14,25 @@ from experiments.speed.moments import Moment, Moments
 from experiments.speed.timing import is_installed
 
 WORK = {
-    "ours": "push(packet), fire(): checks, transform and volume of the new events, what changed of the network, "
-    "softmax, a Decision",
-    "ours_onnxruntime": "the same with onnxruntime as the Processor's classifier: the volume is incremental, the "
-    "network is not",
-    "torch": "the window's volume from all its events so far with the transform, one scatter_add_, then torch's "
-    "network, argmax; the events are in tensors beforehand",
-    "eventcv_onnxruntime": "eventcv's voxel grid of all events so far (2 cells an event, whole pixels, no transform), "
-    "as an array, then onnxruntime's network on it, argmax; the events are in its stream "
-    "beforehand. Its volume is another one, so that its answers mean nothing here",
+    "ours": (
+        "push(packet), fire(): checks, transform and volume of the new events, what changed of "
+        "the network, softmax, a Decision"
+    ),
+    "ours_onnxruntime": (
+        "the same with onnxruntime as the Processor's classifier: the volume is incremental, the "
+        "network is not"
+    ),
+    "torch": (
+        "the window's volume from all its events so far with the transform, one scatter_add_, "
+        "then torch's network, argmax; the events are in tensors beforehand"
+    ),
+    "eventcv_onnxruntime": (
+        "eventcv's voxel grid of all events so far (2 cells an event, whole pixels, no "
+        "transform), as an array, then onnxruntime's network on it, argmax; the events are in its "
+        "stream beforehand. Its volume is another one, so that its answers mean nothing here"
+    ),
 }
+"""Way from a packet to a decision -> what it does."""
 NEEDS = {
     "ours_onnxruntime": ("onnx", "onnxruntime"),
     "torch": ("torch", "tnt_reference"),
@@ -47,7 +56,8 @@ class Stream:
         old = len(moment.events) - moment.n_new
         if old > self._n:
             self._processor.push(moment.events[self._n : old])
-        self._packet = moment.events[old:].copy()  # memory of its own, as a driver hands it over
+        # memory of its own, as a driver hands it over
+        self._packet = moment.events[old:].copy()
         self._n = len(moment.events)
 
     def decide(self) -> np.ndarray:

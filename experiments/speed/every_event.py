@@ -8,10 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.networks.models.compiled import CompiledClassifier
-from async_tnt.networks.models.model import Model
-from async_tnt.streaming.decision import Decision
-from async_tnt.streaming.processor import Processor
+from async_tnt import CompiledClassifier, Decision, Model, Processor
 from experiments.speed.backends import Network
 from experiments.speed.interleaved import WorkDiffers, check_logits
 from experiments.speed.timing import interleave, spread, work_clock

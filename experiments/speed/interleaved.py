@@ -133,13 +133,14 @@ def timed(
 
 
 def _catch_up(backend: Backend, moment: Moment) -> None:
-    """The decision before this one, if it was not the previous call."""
+    """Make the decision before this one, if it was not the previous call."""
     if not moment.follows:
         backend.prepare(moment.before)
         backend.decide()
 
 
 def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
+    """Microseconds of a decision, and its logits."""
     backend.prepare(moment)
     started = time.perf_counter()
     logits = backend.decide()
@@ -163,7 +164,8 @@ def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
     scale = max(1.0, float(np.abs(expected).max()))
     differences = {name: float(np.abs(logits - expected).max()) / scale for name, logits in others}
     name, worst = max(differences.items(), key=lambda item: item[1])
-    if not worst <= LOGIT_TOLERANCE:  # also if nan
+    # `not <=` is also true of nan
+    if not worst <= LOGIT_TOLERANCE:
         raise WorkDiffers(
             f"all must give the same logits within {LOGIT_TOLERANCE}, "
             f"got {first} and {name} {worst:.1e} apart at {where}"

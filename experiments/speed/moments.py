@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.volume.config import TNTConfig
-from async_tnt.volume.events import EVENT_DTYPE, structured
+from async_tnt import EVENT_DTYPE, TNTConfig
+from async_tnt.sources import open_recording, sample_recordings
+from async_tnt.volume.events import structured
 
 NEW_EVENTS = (1, 10, 100, 1300)
 """New events between two decisions."""

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.networks.models.compiled import CompiledClassifier
-from async_tnt.networks.models.model import Model
-from async_tnt.volume.volume import TNTVolume
+from async_tnt import CompiledClassifier, Model, TNTVolume
 from experiments.speed.backends import Network
 from experiments.speed.interleaved import Backend, compare
 from experiments.speed.moments import Moment, Moments

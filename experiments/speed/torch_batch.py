@@ -7,10 +7,12 @@ reference).
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import torch
 
-from async_tnt.volume.config import TNTConfig
+from async_tnt import TNTConfig
 
 BORDER_TOLERANCE = 1e-5
 """How far an event may be outside of the grid, in pixels: the rounding of float32 at these sizes;
@@ -24,7 +26,9 @@ def as_tensors(events: np.ndarray, start_us: int) -> Columns:
     """Time since `start_us`, x, y (float32) and sign (float32, -1 or +1) of structured events,
     shape (N,)."""
     dt = torch.from_numpy((events["t"] - start_us).astype(np.float32))
-    x, y, p = (torch.from_numpy(events[name].astype(np.float32)) for name in "xyp")
+    x = torch.from_numpy(events["x"].astype(np.float32))
+    y = torch.from_numpy(events["y"].astype(np.float32))
+    p = torch.from_numpy(events["p"].astype(np.float32))
     return dt, x, y, 2 * p - 1
 
 
@@ -46,14 +50,10 @@ class TorchBatch:
         self.config = config
         width, height = config.grid
         plane = width * height
-        self._corners = torch.tensor(
-            [
-                b * plane + y * width + x
-                for b in (0, min(1, config.bins - 1))
-                for y in (0, 1)
-                for x in (0, 1)
-            ]
-        )[:, None]  # (8, 1); a single bin has no later neighbour, and gets nothing as one
+        # a single bin has no later neighbour: both corners are its own, the second gets nothing
+        later = min(1, config.bins - 1)
+        corners = itertools.product((0, later), (0, 1), (0, 1))
+        self._corners = torch.tensor([b * plane + y * width + x for b, y, x in corners])[:, None]
         self._on_grid = [
             (width - 1) / (config.sensor[0] - 1),
             (height - 1) / (config.sensor[1] - 1),
@@ -73,9 +73,11 @@ class TorchBatch:
             centroid = z.cumsum(0, dtype=torch.float64).div_(n).float()
             place = (z - centroid) / tau + self._centre[side]
             clamped = place.clamp(0, config.grid[side] - 1)
-            keep &= (place - clamped).abs_() <= BORDER_TOLERANCE  # False for the nan of 0 / 0
+            # False for the nan of 0 / 0
+            keep &= (place - clamped).abs_() <= BORDER_TOLERANCE
             moved.append(clamped)
-        some = keep.nonzero()[:, 0]  # indices, computed once, are four times faster than four masks
+        # indices, computed once, are four times faster than four masks
+        some = keep.nonzero()[:, 0]
         b = dt[some] * ((config.bins - 1) / config.window_us)
         return self._splat(b, moved[1][some], moved[0][some], sign[some])
 
@@ -85,9 +87,10 @@ class TorchBatch:
         """V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i), all eight cells of all events in one
         operation."""
         bins = self.config.bins
-        (width, height) = self.config.grid
+        width, height = self.config.grid
         # The lower corner stays one short of the last cell, so that the upper one is in the volume:
-        # an event at u = W - 1 gives all of its weight to the upper. Saves the masks and a padded copy.
+        # an event at u = W - 1 gives all of its weight to the upper. This saves the masks and a
+        # padded copy.
         b0 = b.floor().clamp_(max=max(bins - 2, 0))
         v0 = v.floor().clamp_(max=height - 2)
         u0 = u.floor().clamp_(max=width - 2)

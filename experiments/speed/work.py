@@ -1,4 +1,7 @@
-"""What a compiled network computes, read from its program: see `async_tnt.kernels.network.program`."""
+"""What a compiled network computes, read from its program.
+
+The program's layout is that of `async_tnt.kernels.network.program`.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +36,7 @@ def work_of(network: CompiledClassifier) -> list[tuple[StepWork, int]]:
 
 
 def _products(record: list[int], weights: np.ndarray) -> int:
+    """Multiplications at each place of a step."""
     channels = record[P.OUT_CHANNELS]
     n_runs = record[P.N_RUNS]
     if record[P.KIND] == P.MIX:

@@ -31,9 +31,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from async_tnt import TNTConfig
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.moved_windows import MotionSettings
-from async_tnt.volume.config import Representation, TNTConfig
+from async_tnt.volume.config import Representation
 
 T_MAX = 2.0
 """Scaled time at a window's end, of all rows but the thesis' own and those that say so."""

@@ -44,7 +44,8 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
         labels[FIRST_INDEX + k] = k + 1
     for name, array in (("images-idx3", images), ("labels-idx1", labels)):
         (tmp_path / f"train-{name}-ubyte.gz").write_bytes(gzip.compress(idx_bytes(array), 1))
-    recordings, fewer = (simulate_recordings(tmp_path, n, 0) for n in (4, 2))
+    recordings = simulate_recordings(tmp_path, 4, 0)
+    fewer = simulate_recordings(tmp_path, 2, 0)
     # none of the empty ones
     np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])
     for r, label in enumerate(recordings.labels):

@@ -56,8 +56,8 @@ def test_workers_and_the_size_of_shards_change_no_recording(mnist, made, tmp_pat
     other = build(mnist, tmp_path / "larger", **QUICK | {"recordings_per_shard": 3})
     assert len(other.shards) == 60
     for index, image in ((0, 0), (11, 2), (11, 3), (29, 4)):
-        (path, place) = made.locate(index, image)
-        (other_path, other_place) = other.locate(index, image)
+        path, place = made.locate(index, image)
+        other_path, other_place = other.locate(index, image)
         one = open_shard(path)
         same = open_shard(other_path)
         assert one.recording(place).tolist() == same.recording(other_place).tolist()
@@ -65,7 +65,9 @@ def test_workers_and_the_size_of_shards_change_no_recording(mnist, made, tmp_pat
 
 
 def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, made, copied):
-    missing, cut, flipped = (copied / path.name for path in made.shards[3:6])
+    missing = copied / made.shards[3].name
+    cut = copied / made.shards[4].name
+    flipped = copied / made.shards[5].name
     missing.unlink()
     cut.write_bytes(cut.read_bytes()[:-1])
     flipped.write_bytes(flipped.read_bytes()[:-1] + bytes([flipped.read_bytes()[-1] ^ 0xFF]))
