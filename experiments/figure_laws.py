@@ -70,13 +70,13 @@ def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: 
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     moved = 16.0 * path(t / WINDOW_US)
     y = np.full(N, 100.0)
-    u = [
-        tnt_reference.tnt_coordinates(
-            t, points(0)[0] + dx, y, **AT, t_max=1.0, landmark=landmark, remove_flow=remove_flow
-        ).u.numpy()
-        for dx in (moved, 0 * moved)
-    ]
-    return (u[0] - u[1]) / 16.0
+
+    def place(dx: np.ndarray) -> np.ndarray:
+        how: dict[str, Any] = dict(t_max=1.0, landmark=landmark, remove_flow=remove_flow)
+        x = points(0)[0] + dx
+        return np.asarray(tnt_reference.tnt_coordinates(t, x, y, **AT, **how).u.numpy())
+
+    return (place(moved) - place(0 * moved)) / 16.0
 
 
 def name_of(landmark: str, remove_flow: bool) -> str:
@@ -100,14 +100,12 @@ def draw_motion_terms(path: str) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(10.4, 3.9), sharey=True, layout="constrained")
     colours = ("#000000", "#0072b2", "#d55e00", "#999999", "#009e73")
     f = (np.arange(N) + 1) / N
-    for axis, (title, motion) in zip(
-        axes, (("constant flow", constant), ("a saccade: bell-shaped speed", bell)), strict=True
-    ):
+    motions = {"constant flow": constant, "a saccade: bell-shaped speed": bell}
+    for axis, (title, motion) in zip(axes, motions.items(), strict=True):
         for (landmark, remove_flow), colour in zip(CASES, colours, strict=True):
             label = f"{landmark}, flow removed" if remove_flow else landmark
-            axis.plot(
-                f, shift(motion, landmark, remove_flow), color=colour, label=label, linewidth=2
-            )
+            left = shift(motion, landmark, remove_flow)
+            axis.plot(f, left, color=colour, label=label, linewidth=2)
         axis.axhline(0.5, color="#bbbbbb", linewidth=0.8, linestyle=":", zorder=0)
         axis.set(title=title, xlabel="fraction f of the window", xlim=(0, 1), ylim=(-1.1, 1.6))
         axis.spines[["top", "right"]].set_visible(False)
@@ -144,12 +142,8 @@ def wander_table() -> None:
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     rows = []
     for landmark in ("running", "line"):
-        strays = np.array(
-            [
-                tnt_reference.landmark(landmark, t, *points(seed), **AT).numpy() - 100
-                for seed in range(400)
-            ]
-        )  # (objects, N, 2)
+        found = [tnt_reference.landmark(landmark, t, *points(seed), **AT) for seed in range(400)]
+        strays = np.stack([one.numpy() - 100 for one in found])  # (objects, N, 2)
         rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
@@ -169,14 +163,14 @@ def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, A
     """The volume of a window's events, moved right and up by whole pixels."""
     volume = async_tnt.TNTVolume(async_tnt.TNTConfig(**options))
     volume.open(start_us)
-    volume.update(
-        (window["t"], window["x"].astype(int) + shift, window["y"].astype(int) - shift, window["p"])
-    )
+    x = window["x"].astype(int) + shift
+    y = window["y"].astype(int) - shift
+    volume.update((window["t"], x, y, window["p"]))
     return volume.array.astype(np.float64)
 
 
 def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, Any]) -> np.ndarray:
-    """The same, by any shift."""
+    """The volume by the batch reference, moved by any shift."""
     return tnt_reference.tnt_volume(
         window["t"],
         window["x"] + shift,
@@ -221,6 +215,7 @@ def translation_table() -> None:
 
 
 def t_max_table() -> None:
+    """How many events each t_max keeps, and how large the last quarter of a window becomes."""
     windows = sample_windows()
     at: dict[str, Any] = dict(window_us=105_000, sensor=(34, 34), grid=(34, 34))
     rows = []
@@ -301,9 +296,8 @@ def border_counts() -> str:
                 kept += volume.counts.kept
     return (
         f"{n} events exactly on the border: (x - l) / tau + c puts {outside_a} of them outside in "
-        "float64, "
-        f"(x - l) * (1 / dt) * (window_us / t_max) + c {outside_b}; with the tolerance {kept} are "
-        "kept."
+        f"float64, (x - l) * (1 / dt) * (window_us / t_max) + c {outside_b}; with the tolerance "
+        f"{kept} are kept."
     )
 
 

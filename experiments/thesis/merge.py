@@ -62,12 +62,10 @@ def _merged_differences(there: dict[str, Any], new: dict[str, Any]) -> list[dict
     differences = _replaced(kept, new["differences"], QUESTION)
 
     columns = in_order(difference["column"] for difference in differences)
-    order = [
-        (question, *pair, column)
-        for question, pairs in QUESTIONS.items()
-        for pair in pairs
-        for column in columns
-    ]
+    order: list[tuple[str, ...]] = []
+    for question, pairs in QUESTIONS.items():
+        for pair in pairs:
+            order += [(question, *pair, column) for column in columns]
     differences.sort(key=lambda difference: order.index(_named(difference, QUESTION)))
     adjusted = []
     for _, of_question in groupby(differences, key=lambda difference: difference["question"]):

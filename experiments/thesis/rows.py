@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from async_tnt import TNTConfig
 from async_tnt.training.augment import Augmentation
@@ -197,6 +198,7 @@ GROUPS = {
     "motions": "with motion re-synthesis, an augmentation, and controls of as many steps",
     "representations": "event images instead of volumes, and TNT about `window`",
 }
+"""Group of rows -> what it has."""
 
 
 def _thesis() -> Iterator[Row]:
@@ -246,6 +248,7 @@ def _compared(
 
 
 def _comparison() -> Iterator[Row]:
+    """All inputs, by polarity, with and without translations."""
     for polarity, names in (("signed", INPUTS), ("unsigned", UNSIGNED), ("split", SPLIT)):
         for name in names:
             for translated in (False, True):
@@ -255,6 +258,7 @@ def _comparison() -> Iterator[Row]:
 
 
 def _spans() -> Iterator[Row]:
+    """Rows whose time is scaled from a window's first event to its last."""
     for name, n, words in (
         ("raw", ALL_EVENTS, "from first event to last"),
         ("center", ALL_EVENTS, "from first event to last"),
@@ -265,51 +269,52 @@ def _spans() -> Iterator[Row]:
 
 
 def _motions() -> Iterator[Row]:
-    for name, title, config, motions, trained_on in (
-        ("raw-motions", "raw + re-synthesis", INPUTS["raw"], MotionSettings(), ("all", "1")),
-        (
-            "running-motions",
-            "`running` + re-synthesis",
-            INPUTS["running"],
-            MotionSettings(),
-            ("1",),
-        ),
-        ("raw-8000", f"raw, {STEPS_MORE:,} steps", INPUTS["raw"], None, ("all", "1", "confounded")),
-        (
-            "raw-moved",
-            "raw, re-synthesis only",
-            INPUTS["raw"],
-            MotionSettings(recorded=0.0),
-            ("confounded",),
-        ),
-    ):
-        yield Row(
-            name,
-            "motions",
-            title,
-            config,
-            iterations=STEPS_MORE,
-            trained_on=trained_on,
-            motions=motions,
-        )
+    """Rows with motion re-synthesis, and a control of as many steps."""
+    row = partial(Row, group="motions", iterations=STEPS_MORE)
+    yield row(
+        name="raw-motions",
+        title="raw + re-synthesis",
+        config=INPUTS["raw"],
+        trained_on=("all", "1"),
+        motions=MotionSettings(),
+    )
+    yield row(
+        name="running-motions",
+        title="`running` + re-synthesis",
+        config=INPUTS["running"],
+        trained_on=("1",),
+        motions=MotionSettings(),
+    )
+    yield row(
+        name="raw-8000",
+        title=f"raw, {STEPS_MORE:,} steps",
+        config=INPUTS["raw"],
+        trained_on=("all", "1", "confounded"),
+    )
+    yield row(
+        name="raw-moved",
+        title="raw, re-synthesis only",
+        config=INPUTS["raw"],
+        trained_on=("confounded",),
+        motions=MotionSettings(recorded=0.0),
+    )
 
 
 def _representations() -> Iterator[Row]:
+    """TNT about `window`, and event images, all translated."""
     inputs = {"window": ("`window`", TNTConfig(landmark="window", t_max=T_MAX))}
+    image_config = TNTConfig(transform="none", landmark="center", polarity="split")
     for image, title in IMAGES.items():
-        config = TNTConfig(
-            representation=image, transform="none", landmark="center", polarity="split"
-        )
-        inputs[image] = title, config
-    augmentation = replace(THINNED, translate_px=TRANSLATE_PX)
+        inputs[image] = (title, image_config.replace(representation=image))
+    moved = replace(THINNED, translate_px=TRANSLATE_PX)
     for name, (title, config) in inputs.items():
-        yield Row(
-            f"{name}-translated", "representations", f"{title}, translated", config, augmentation
-        )
+        row = f"{name}-translated"
+        yield Row(row, "representations", f"{title}, translated", config, moved)
 
 
 _PARTS = (_thesis, _comparison, _spans, _motions, _representations)
 ROWS = {row.name: row for make in _PARTS for row in make()}
+"""Name -> row, in the table's order."""
 assert {row.group for row in ROWS.values()} == set(GROUPS)
 
 QUESTIONS: dict[str, tuple[tuple[str, str], ...]] = {
