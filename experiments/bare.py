@@ -1,9 +1,8 @@
 """What `async-tnt train` gives without any option but the sensor's size: the test parts of three
 small data sets.
 
-    python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER] [--seeds
-    N] [--out FOLDER]
-                               [--json FILE]
+    python -m experiments.bare [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
+                               [--seeds N] [--out FOLDER] [--json FILE]
 
 N-MNIST has Train and Test, POKER-DVS pips_train and pips_test; HOTS' characters are those of
 `examples/hots_characters.py`. N-CARS is the recipe `bare` of `experiments.cars`. Finished trainings
@@ -19,9 +18,8 @@ from typing import Any
 
 from async_tnt.base.progress import progress
 from async_tnt.volume.sensor import format_size
-from experiments.bench_timing import machine
-from experiments.made_objects import SENSOR, write
-from experiments.script_options import (
+from experiments.objects.pairs import SENSOR, write
+from experiments.scripts.options import (
     add_count,
     add_folder,
     earlier_report,
@@ -30,14 +28,18 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
 
 SETS = {
     "nmnist": ("N-MNIST", "", "Test", ""),
     "poker": ("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35"),
     "characters": ("HOTS' characters", "Train", "Test", "--sensor 32x32"),
 }
-"""Title, the folder that the command is given, the test part, and options."""
+"""Set -> its title, the folder that the command is given, the test part, and options."""
+
+TESTED = ("accuracy", "recordings", "window_accuracy", "windows")
+"""What the report has of `async-tnt evaluate`."""
 
 
 def measure(
@@ -50,17 +52,12 @@ def measure(
     with progress(seeds, f"training on {title}") as bar:
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
-            record = command(
-                "train", folder / train, *options.split(), "--seed", seed, "--out", model, "--json"
-            )
+            words = [*options.split(), "--seed", seed, "--out", model]
+            record = command("train", folder / train, *words, "--json")
             report = command("evaluate", model, folder / test, "--json")
-            names = "accuracy", "recordings", "window_accuracy", "windows"
-            rows.append(
-                {
-                    **{key: report[key] for key in names},
-                    "multiplications": record["multiplications"],
-                }
-            )
+            row = {name: report[name] for name in TESTED}
+            row["multiplications"] = record["multiplications"]
+            rows.append(row)
             bar.update()
     given = f"async-tnt train {folder.name}/{train}".rstrip("/")
     return {
@@ -96,11 +93,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _quick() -> dict[str, Any]:
+    """The entry of a small made set."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         for part, n, seed in (("train", 6, 0), ("test", 3, 1)):
             write(folder / part, n, (0.0,), seed)
-        parts = "made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1"
+        options = f"--sensor {format_size(SENSOR)} --epochs 1"
+        parts = ("made objects", "train", "test", options)
         return measure(folder, "made", 1, folder / "models", parts)
 
 

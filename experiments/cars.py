@@ -1,7 +1,7 @@
 """N-CARS: accuracy against time on its test part, by the bare command and by other recipes.
 
     python -m experiments.cars N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE]
-    [--picture FILE]
+                               [--picture FILE]
 
 N-CARS is the folder as it is distributed, unpacked. A recipe is one command, `async-tnt train`;
 `bare` has no option but the sensor's size. Finished trainings in --out are kept, interrupted ones
@@ -20,18 +20,14 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt import CompiledRegressor, TNTVolume, load_model
 from async_tnt.base.progress import progress
-from async_tnt.networks.loading import load_model
-from async_tnt.networks.models.compiled import CompiledRegressor
 from async_tnt.sources import open_recording
 from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline, new_figure, note
 from async_tnt.volume.config import LANDMARKS
 from async_tnt.volume.sensor import format_size
-from async_tnt.volume.volume import TNTVolume
-from experiments.bench_every_event import bench_every_event
-from experiments.bench_timing import interleave, machine, spread, work_clock
-from experiments.made_objects import SENSOR, write
-from experiments.script_options import (
+from experiments.objects.pairs import SENSOR, write
+from experiments.scripts.options import (
     add_count,
     earlier_report,
     exit_with,
@@ -39,16 +35,51 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.every_event import bench_every_event
+from experiments.speed.timing import interleave, machine, spread, work_clock
 
 TUNED = "--mirror --epochs 40 --validation 0.05"
+"""Options of `train` in the recipe that was found on held-out training recordings."""
+
 EQUAL = "--mirror --epochs 6 --validation 0.05"
+"""Options of `train` that all recipes of the comparison of inputs share."""
+
 VOLUMES = {"volume": "transform=none"} | {
     name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS
 }
-HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 5.0  # of the picture
-IMAGES = "count", "count_time", "mean_time", "time_surface"
-TRAIN, TEST, SENSOR_SIZE = "n-cars_train", "n-cars_test", "--sensor 120x100"
+"""Input -> its settings in `--volume`, besides representation and bins."""
+
+HEIGHT = 3.4
+"""The picture's height, in inches, as all of these are."""
+
+TOP = 0.6
+"""From the top of the picture to its axes."""
+
+SIDE = 2.2
+"""Height of the axes."""
+
+WIDTH = 4.2
+"""Width of the axes."""
+
+LEFT = 0.75
+"""From the left of the picture to the first axes."""
+
+STEP = 5.0
+"""From the left of the first axes to that of the second."""
+
+IMAGES = ("count", "count_time", "mean_time", "time_surface")
+"""Inputs that are images, one value of a pixel a window."""
+
+TRAIN = "n-cars_train"
+"""Folder of the training part."""
+
+TEST = "n-cars_test"
+"""Folder of the test part."""
+
+SENSOR_SIZE = "--sensor 120x100"
+"""Option of every recipe."""
+
 RECIPES = {
     "tuned": TUNED,
     "bare": "",
@@ -59,15 +90,23 @@ RECIPES = {
     **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
 }
 """Name -> options besides the sensor's size; the first one is drawn."""
+
 N_CARS = {
     "title": "N-CARS",
     "shown_ms": ("10", "20", "30", "50", "100"),
     # complete recordings, see docs/results.md
     "others": {"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},
 }
+"""What the report says of N-CARS itself."""
+
 MADE = {"title": "made objects", "shown_ms": ("5", "50"), "others": {}}
-TIMED = 12  # recordings of the test part
-SMOOTHED = 2.0  # pixels
+"""What the report says of the made set of --quick."""
+
+TIMED = 12
+"""Recordings of the test part whose costs are measured."""
+
+SMOOTHED = 2.0
+"""Standard deviation, in pixels, by which sizes of crops are smoothed."""
 
 
 def measure(
@@ -102,18 +141,15 @@ def measure(
 def with_earlier(
     report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]
 ) -> dict[str, Any]:
-    """A report, and the recipes of an earlier one that it does not have, in the order given, then
-    those without one."""
+    """A report, and the recipes of an earlier one that it does not have: first those that `order`
+    names, in that order."""
     recipes = before["recipes"] | report["recipes"]
-    return {
-        **report,
-        "recipes": {
-            name: recipes[name] for name in dict.fromkeys([*order, *recipes]) if name in recipes
-        },
-    }
+    names = [name for name in dict.fromkeys([*order, *recipes]) if name in recipes]
+    return {**report, "recipes": {name: recipes[name] for name in names}}
 
 
 def _tested(path: Path, test: Path) -> dict[str, Any]:
+    """What a model gets right of the test part."""
     report = command("evaluate", path, test, "--json")
     counts = ("accuracy", "recordings", "window_accuracy", "windows")
     names = (*counts, "calibration_error", "confidence")
@@ -123,12 +159,16 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
     return {"against_time_ms": against_time, **{name: report[name] for name in names}}
 
 
-@cache  # one answer for all recipes
+@cache
 def by_crop_size(train: Path, test: Path) -> float:
-    """Accuracy on the test part of the width and the height of a recording alone: each training
-    recording votes for its class among the sizes around its own. It is what a network could have
-    from the crops, without any object."""
-    ours, others = (_sizes(train), _sizes(test))
+    """Accuracy on the test part of the width and the height of a recording alone, one answer for
+    all recipes.
+
+    Each training recording votes for its class among the sizes around its own. This is what a
+    network could have from the crops, without any object.
+    """
+    ours = _sizes(train)
+    others = _sizes(test)
     side = 1 + max(int(sizes.max()) for sizes in (*ours.values(), *others.values()))
     away = np.arange(side)[:, None] - np.arange(side)
     near = np.exp(-0.5 * (away / SMOOTHED) ** 2)
@@ -137,7 +177,8 @@ def by_crop_size(train: Path, test: Path) -> float:
         table = np.zeros((side, side))
         np.add.at(table, (sizes[:, 0], sizes[:, 1]), 1 / len(sizes))
         votes[name] = near @ table @ near
-    right = total = 0
+    right = 0
+    total = 0
     for name, sizes in others.items():
         most = np.stack([votes[other][sizes[:, 0], sizes[:, 1]] for other in votes]).argmax(0)
         right += int((most == list(votes).index(name)).sum())
@@ -158,20 +199,17 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Of some recordings' first windows: nanoseconds an event in the volume, and a decision after
-    every event."""
+    """Costs on some recordings' first windows: nanoseconds of an event in the volume, and a
+    decision after every event."""
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
-    some = [
-        open_recording(file, sensor=model.config.sensor).read()
-        for file in files[:: -(-len(files) // TIMED)]
-    ]
-    for k, events in enumerate(some):
+    some = []
+    for file in files[:: -(-len(files) // TIMED)]:
+        events = open_recording(file, sensor=model.config.sensor).read()
         events["t"] -= events["t"][0]
-        some[k] = events[events["t"] < model.config.window_us]
-    volume = TNTVolume(
-        model.config, regressor=CompiledRegressor(model) if model.config.needs_regressor else None
-    )
+        some.append(events[events["t"] < model.config.window_us])
+    regressor = CompiledRegressor(model) if model.config.needs_regressor else None
+    volume = TNTVolume(model.config, regressor=regressor)
 
     def absorbed() -> float:
         nanoseconds = 0.0
@@ -195,45 +233,10 @@ def draw(report: dict[str, Any]) -> Any:
     end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
     figure = new_figure(HEIGHT)
     headline(figure, f"{report['title']}, test part, {len(tests)} networks")
-    time, levels = (axes_at(figure, LEFT + STEP * k, TOP, 4.2, SIDE) for k in range(2))
-    for k, test in enumerate(tests):
-        look = {
-            "color": OFF,
-            "linewidth": 1,
-            "alpha": 0.6,
-            "label": "each network" if not k else None,
-        }
-        time.plot(
-            [float(ms) for ms in test["against_time_ms"]],
-            list(test["against_time_ms"].values()),
-            **look,
-        )
-    for name, share in report["others"].items():
-        time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
-        note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 9), ha="right", color=ON)
-    found = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
-    # that windows reach
-    found = [rows for rows in found if all(row["median_ms"] is not None for row in rows)]
-    ms = [np.mean([row["median_ms"] for row in rows]) for rows in found]
-    for name, colour, words in (
-        ("accuracy", OFF, "right of these"),
-        ("decided", GREY, "windows that reach it"),
-    ):
-        levels.plot(
-            ms,
-            [np.mean([row[name] for row in rows]) for rows in found],
-            "o-",
-            color=colour,
-            ms=3,
-            label=words,
-        )
-    for rows, x in zip(found, ms, strict=True):
-        if rows[0]["level"] >= 0.9:
-            right = np.mean([row["accuracy"] for row in rows])
-            aside, align = (-3, "right") if x > ms[-1] / 2 else (4, "left")
-            note(levels, f"{rows[0]['level']:g}", (x, right), (aside, -12), ha=align)
-    time.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 1.02 * end_ms))
-    levels.set(xlabel="median ms until a confidence is reached", xlim=(0, None))
+    time = axes_at(figure, LEFT, TOP, WIDTH, SIDE)
+    levels = axes_at(figure, LEFT + STEP, TOP, WIDTH, SIDE)
+    _draw_time(time, tests, report["others"], end_ms)
+    _draw_levels(levels, tests)
     for axes in (time, levels):
         axes.set_ylim(0.5, 1.02)
         axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
@@ -241,6 +244,47 @@ def draw(report: dict[str, Any]) -> Any:
     time.legend(loc="lower right")
     levels.legend(loc="lower right")
     return figure
+
+
+def _draw_time(
+    axes: Any, tests: Sequence[dict[str, Any]], others: Mapping[str, float], end_ms: float
+) -> None:
+    """Accuracy of each network against time, and of others with the whole recording."""
+    for k, test in enumerate(tests):
+        axes.plot(
+            [float(ms) for ms in test["against_time_ms"]],
+            list(test["against_time_ms"].values()),
+            color=OFF,
+            linewidth=1,
+            alpha=0.6,
+            label="each network" if k == 0 else None,
+        )
+    for name, share in others.items():
+        axes.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
+        down = -3 if share < 0.94 else 9
+        note(axes, name, (end_ms, share), (-6, down), ha="right", color=ON)
+    axes.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 1.02 * end_ms))
+
+
+def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
+    """What each level of confidence costs and buys, in the mean over the networks."""
+    of_levels = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
+    # levels that windows reach
+    of_levels = [rows for rows in of_levels if all(row["median_ms"] is not None for row in rows)]
+    ms = [np.mean([row["median_ms"] for row in rows]) for rows in of_levels]
+    for name, colour, words in (
+        ("accuracy", OFF, "right of these"),
+        ("decided", GREY, "windows that reach it"),
+    ):
+        shares = [np.mean([row[name] for row in rows]) for rows in of_levels]
+        axes.plot(ms, shares, "o-", color=colour, ms=3, label=words)
+    for rows, x in zip(of_levels, ms, strict=True):
+        level = rows[0]["level"]
+        if level >= 0.9:
+            right = np.mean([row["accuracy"] for row in rows])
+            aside, align = (-3, "right") if x > ms[-1] / 2 else (4, "left")
+            note(axes, f"{level:g}", (x, right), (aside, -12), ha=align)
+    axes.set(xlabel="median ms until a confidence is reached", xlim=(0, None))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -284,16 +328,13 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _quick() -> dict[str, Any]:
+    """The report of a small made set."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         for part, n, seed in ((TRAIN, 6, 0), (TEST, 3, 1)):
             write(folder / part, n, (0.0,), seed)
-        return (
-            measure(
-                folder, folder / "models", "bare", 1, f"--sensor {format_size(SENSOR)} --epochs 1"
-            )
-            | MADE
-        )
+        options = f"--sensor {format_size(SENSOR)} --epochs 1"
+        return measure(folder, folder / "models", "bare", 1, options) | MADE
 
 
 if __name__ == "__main__":

@@ -20,19 +20,25 @@ if __name__ == "__main__":  # before any library reads them
 
 from async_tnt import load_model, warmup
 from async_tnt.base.progress import progress
-from experiments import bench_backends as backends
-from experiments import measure_end_to_end as end_to_end
-from experiments.bench_every_event import bench_every_event
-from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
-from experiments.bench_network import bench_network, fastest
-from experiments.bench_timing import is_installed, machine, one_thread
-from experiments.draw_decisions import draw_decisions
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends, end_to_end
+from experiments.speed.drawing import draw_decisions
+from experiments.speed.every_event import bench_every_event
+from experiments.speed.moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.speed.networks import bench_network, fastest
+from experiments.speed.timing import is_installed, machine, one_thread
 
 MODEL = "digits"
+"""The model whose decisions are timed."""
+
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
+"""Packages whose versions the report names."""
+
 FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10}
+"""How much is measured."""
+
 QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1}
+"""How much is measured with --quick."""
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
@@ -44,9 +50,9 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     """
     model = load_model(MODEL)
     recordings = bench_recordings(model.config)
-    windows = [
-        window for events in recordings for window in windows_of(events, model.config.window_us)
-    ]
+    windows = []
+    for events in recordings:
+        windows += windows_of(events, model.config.window_us)
     counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
     with progress(2 + 2 * len(NEW_EVENTS), "compiling") as bar, one_thread(is_installed("torch")):
         warmup(model)
@@ -61,11 +67,8 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
             bar.update(title=f"from packet to decision, new events: {n_new}")
             whole[str(n_new)] = end_to_end.bench_end_to_end(model, way, windows, n_new, **counts)
         bar.update(title="a decision after every event")
-        others = {
-            name: f
-            for name, f in networks.items()
-            if name not in backends.ONNXRUNTIME or name == way
-        }
+        slower = set(backends.ONNXRUNTIME) - {way}
+        others = {name: engine for name, engine in networks.items() if name not in slower}
         n_events = 500 if quick else None
         rates = bench_every_event(
             model, others, recordings, rounds=settings["rounds"], n_events=n_events
@@ -96,13 +99,11 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser("decisions", __doc__, "few rounds", draws=True)
-    return run_script(
-        parser,
-        argv,
-        lambda quick: measure(QUICK if quick else FULL, quick),
-        "decisions",
-        draw_decisions,
-    )
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(QUICK if quick else FULL, quick)
+
+    return run_script(parser, argv, measured, "decisions", draw_decisions)
 
 
 if __name__ == "__main__":

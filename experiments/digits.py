@@ -15,9 +15,9 @@ from pathlib import Path
 
 import torch
 
+from async_tnt import Model, TNTConfig
 from async_tnt.base.package import available_cores
 from async_tnt.base.progress import progress
-from async_tnt.networks.models.model import Model
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.evaluation import evaluate
 from async_tnt.training.fitting import Fitted, fit, moments_ms
@@ -27,12 +27,14 @@ from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
 from async_tnt.training.training_data import TrainingData
-from async_tnt.volume.config import TNTConfig
-from experiments.digits_data import digits_data
-from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
+from experiments.digit_data.recordings import digits_data
+from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 
 CONFIG = TNTConfig(t_max=4.0)
+"""The volumes that `digits` sees."""
+
 SIMULATED = 20_000
+"""Number of simulated recordings to train on."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Step:
 
     Parameters
     ----------
-    epochs, rate : passes over the windows, and the highest learning rate.
+    epochs : passes over the windows.
+    rate : the highest learning rate.
     recorded : share of the windows that an epoch shows as they were recorded.
     variations : other motions of each window.
     augmentation : of all windows.
@@ -61,21 +64,28 @@ class Step:
 
 
 STEPS = {
-    "first": Step(20, 0.002, 0.5),
-    "second": Step(8, 0.001, 0.5),
-    "third": Step(12, 0.001, 0.6),
-    "fourth": Step(8, 0.0005, 0.6, 2, Augmentation(partial=0.5, nothing=0.2)),
+    "first": Step(epochs=20, rate=0.002, recorded=0.5),
+    "second": Step(epochs=8, rate=0.001, recorded=0.5),
+    "third": Step(epochs=12, rate=0.001, recorded=0.6),
+    "fourth": Step(
+        epochs=8,
+        rate=0.0005,
+        recorded=0.6,
+        variations=2,
+        augmentation=Augmentation(partial=0.5, nothing=0.2),
+    ),
     "digits": Step(
-        20,
-        0.001,
-        0.6,
-        2,
-        Augmentation(partial=0.5, nothing=0.15),
-        0.9995,
+        epochs=20,
+        rate=0.001,
+        recorded=0.6,
+        variations=2,
+        augmentation=Augmentation(partial=0.5, nothing=0.15),
+        averaging=0.9995,
         is_taught=True,
         kept=0.27,
     ),
 }
+"""Name of a step -> its training, in order; the last one is the bundled model."""
 
 
 def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model:
@@ -88,13 +98,12 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
             augmentation=step.augmentation,
             averaging=step.averaging,
         )
+        moved = MotionSettings(variations=step.variations, recorded=step.recorded)
         motions = resynthesize(
             data.training,
             data.validation,
             data.config,
-            MotionSettings(variations=step.variations, recorded=step.recorded).for_epochs(
-                step.epochs
-            ),
+            moved.for_epochs(step.epochs),
             out / f"motions-{step.variations}",
             workers=available_cores(),
             progress=progress,
@@ -152,15 +161,13 @@ def main(argv: list[str] | None = None) -> int:
         help="models (default: digits)",
     )
     args = parser.parse_args(argv)
-    folders = (
-        data_folder(args.nmnist, "nmnist", "--nmnist"),
-        data_folder(args.mnist, "mnist", "--mnist"),
-    )
+    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+    mnist = data_folder(args.mnist, "mnist", "--mnist")
     args.out.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(1)  # another number gives slightly different weights
-    model = train_digits(
-        digits_data(*folders, CONFIG, simulated=SIMULATED, progress=progress), STEPS, args.out
-    )
+    # another number gives slightly different weights
+    torch.set_num_threads(1)
+    data = digits_data(nmnist, mnist, CONFIG, simulated=SIMULATED, progress=progress)
+    model = train_digits(data, STEPS, args.out)
     print(
         f"wrote {args.out / 'digits.safetensors'}: {model.record['test']['per_window']:.4f} of "
         "Test's windows right"

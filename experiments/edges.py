@@ -22,19 +22,36 @@ from typing import Any
 import numpy as np
 
 from async_tnt.base.progress import progress
-from async_tnt.sources.files.nmnist import read_nmnist
-from experiments.bench_timing import machine
-from experiments.comparison import recordings_by_image
-from experiments.digit_scene import render
-from experiments.mnist import load_mnist
-from experiments.script_options import add_folder, data_folder, exit_with, run_script, script_parser
-from experiments.trajectories import nmnist_saccades
+from async_tnt.sources import read_nmnist
+from experiments.digit_data.mnist import load_mnist
+from experiments.motions.scene import render
+from experiments.motions.trajectories import nmnist_saccades
+from experiments.moving_set.comparison import recordings_by_image
+from experiments.scripts.options import (
+    add_folder,
+    data_folder,
+    exit_with,
+    run_script,
+    script_parser,
+)
+from experiments.speed.timing import machine
 
 N_RECORDINGS = 1_000
+"""Recordings that are compared with their images."""
+
 ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)
+"""Limits of the bins of the angle between gradient and motion."""
+
 LEAST_GRADIENT = 0.1
-"""Of log luminance per pixel; less is background."""
+"""Least gradient of an edge, in log luminance per pixel; less is background."""
+
+COMPARED = ("signed", "expected", "unsigned")
+"""Images of two saccades that are correlated: of events with their sign, what the gradient lets
+expect, and of events without their sign."""
+
 PATH = nmnist_saccades()
+"""Path of the image in N-MNIST's recordings."""
+
 ENDS_US = (0, 92_000, 222_000, 308_000)
 """N-MNIST's saccades are at rest there."""
 
@@ -49,13 +66,14 @@ def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed and unsigned counts (34, 34) of events, moved along N-MNIST's path to where the image
     is centred."""
     dx, dy = PATH.position(events["t"])
-    x, y = np.rint(events["x"] - dx + 3.0).astype(int), np.rint(events["y"] - dy + 3.0).astype(int)
+    x = np.rint(events["x"] - dx + 3.0).astype(int)
+    y = np.rint(events["y"] - dy + 3.0).astype(int)
     inside = (x >= 0) & (x < 34) & (y >= 0) & (y < 34)
-    place, sign = (34 * y + x)[inside], 2.0 * events["p"][inside] - 1.0
-    signed, unsigned = (
-        np.bincount(place, w, minlength=34 * 34).reshape(34, 34) for w in (sign, np.abs(sign))
-    )
-    return signed, unsigned
+    place = (34 * y + x)[inside]
+    sign = 2.0 * events["p"][inside] - 1.0
+    signed = np.bincount(place, sign, minlength=34 * 34)
+    unsigned = np.bincount(place, minlength=34 * 34).astype(np.float64)
+    return signed.reshape(34, 34), unsigned.reshape(34, 34)
 
 
 def gradient(image: np.ndarray) -> np.ndarray:
@@ -69,7 +87,8 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
     split, found = recordings_by_image(nmnist, "train")
     images, _ = load_mnist(mnist, split)
     shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]
-    towards, bins = directions(), len(ANGLES_DEG) - 1
+    towards = directions()
+    bins = len(ANGLES_DEG) - 1
     events_of, right_of, gradient_of, cosine_of = np.zeros((4, bins))
     correlations: dict[tuple[int, int], list[list[float]]] = {
         pair: [] for pair in combinations(range(3), 2)
@@ -79,9 +98,9 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
             slope = gradient(images[i])
             steepness = np.linalg.norm(slope, axis=-1)
             edges = steepness > LEAST_GRADIENT
-            expected, signed, unsigned = [], [], []
+            images_of: dict[str, list[np.ndarray]] = {name: [] for name in COMPARED}
             recorded = read_nmnist(found[i])
-            # and what follows the last one
+            # the last part, which follows the saccades, is left out
             saccades = np.split(recorded, np.searchsorted(recorded["t"], ENDS_US[1:]))
             for v, saccade in zip(towards, saccades, strict=False):
                 sign, count = moved_back(saccade)
@@ -92,33 +111,26 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
                 right_of += np.bincount(at, ((count + sign * np.sign(change)) / 2)[edges], bins)
                 gradient_of += np.bincount(at, steepness[edges], bins)
                 cosine_of += np.bincount(at, steepness[edges] * cosine, bins)
-                expected.append(change.ravel())
-                signed.append(sign.ravel())
-                unsigned.append(count.ravel())
+                images_of["signed"].append(sign.ravel())
+                images_of["expected"].append(change.ravel())
+                images_of["unsigned"].append(count.ravel())
             for (a, b), values in correlations.items():
-                values.append(
-                    [float(np.corrcoef(of[a], of[b])[0, 1]) for of in (signed, expected, unsigned)]
-                )
+                values.append([float(np.corrcoef(of[a], of[b])[0, 1]) for of in images_of.values()])
             bar.update()
+
+    between = {}
+    for (a, b), values in correlations.items():
+        between[f"{a + 1}-{b + 1}"] = {
+            "angle_deg": float(np.degrees(np.arccos(towards[a] @ towards[b]))),
+            **dict(zip(COMPARED, np.mean(values, axis=0).tolist(), strict=True)),
+        }
     return {
         "recordings": len(shown),
         "angles_deg": ANGLES_DEG,
         "events_per_gradient": (events_of / gradient_of).tolist(),
         "cosine": (cosine_of / gradient_of).tolist(),
         "polarity_as_expected": (right_of / events_of).tolist(),
-        "between_saccades": {
-            f"{a + 1}-{b + 1}": {
-                "angle_deg": float(np.degrees(np.arccos(towards[a] @ towards[b]))),
-                **dict(
-                    zip(
-                        ("signed", "expected", "unsigned"),
-                        np.mean(values, axis=0).tolist(),
-                        strict=True,
-                    )
-                ),
-            }
-            for (a, b), values in correlations.items()
-        },
+        "between_saccades": between,
         "machine": machine(),
     }
 
@@ -129,13 +141,13 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
     add_folder(parser, "--mnist", "MNIST's IDX files (default: $TNT_DATA/mnist)")
     args = parser.parse_args(argv)
-    folders = (
-        data_folder(args.nmnist, "nmnist", "--nmnist"),
-        data_folder(args.mnist, "mnist", "--mnist"),
-    )
-    return run_script(
-        parser, argv, lambda quick: measure(*folders, 50 if quick else N_RECORDINGS), "edges"
-    )
+    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+    mnist = data_folder(args.mnist, "mnist", "--mnist")
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(nmnist, mnist, 50 if quick else N_RECORDINGS)
+
+    return run_script(parser, argv, measured, "edges")
 
 
 if __name__ == "__main__":

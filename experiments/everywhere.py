@@ -2,7 +2,8 @@
 recordings.
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N]
-    [--json FILE] python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
+                                     [--json FILE]
+    python -m experiments.everywhere MODEL --cars N-CARS [--scenes N] [--json FILE]
     python -m experiments.everywhere --write FOLDER [--nmnist N-MNIST] [--mnist MNIST]
 
 The third makes what the bundled `digits-everywhere` is trained on by `async-tnt train FOLDER
@@ -32,13 +33,10 @@ import numpy as np
 
 from async_tnt import Model, Processor, load_model
 from async_tnt.base.progress import progress
-from async_tnt.sources import open_recording
-from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources import open_recording, read_nmnist
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns, on_sensor
-from experiments.bench_timing import machine
-from experiments.drawn_pictures import write_mnist
-from experiments.script_options import (
+from experiments.pictures.symbols import write_mnist
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -46,33 +44,65 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
+from experiments.speed.moments import made_columns, on_sensor
+from experiments.speed.timing import machine
 
-EARLY_US, STARTS_US, NOISE_HZ = 30_000, 50_000, 0.3
+EARLY_US = 30_000
+"""Time after the start of the last object at which an early decision is asked for."""
+
+STARTS_US = 50_000
+"""Time within which all objects of a scene begin."""
+
+NOISE_HZ = 0.3
+"""Events of noise a second, of each pixel."""
+
 N_PICTURES = 10_000
+"""Training images of MNIST that --write adds."""
+
 Truth = list[tuple[str, float, float]]
+"""Class and middle (x, y) in pixels of each object of a scene."""
 
 
 class Kind(NamedTuple):
-    """Of scenes."""
+    """A kind of scenes."""
 
     sensor: tuple[int, int] = (128, 96)
+    """Width and height in pixels."""
     n_objects: int = 3
+    """Objects in a scene."""
     apart: tuple[float, float] = (30.0, np.inf)
-    """Pixels from an object's middle to that of the nearest one before it."""
+    """Least and largest distance, in pixels, from an object's middle to that of the nearest one
+    before it."""
     side: int = 34
-    """Of a recording: so far its middle is from the border, at least half of it."""
+    """Side of a recording, in pixels. Its middle is at least half of it away from the border."""
     within: float = 5.0
+    """Largest distance, in pixels, at which an object counts as found."""
     window_us: int = 105_000
+    """Length of a window."""
 
 
 DIGITS = {
     "three": Kind(),
     "close": Kind(apart=(16.0, np.inf)),
     "overlapping": Kind(apart=(16.0, 24.0)),
-    "eight": Kind((640, 480), 8),
+    "eight": Kind(sensor=(640, 480), n_objects=8),
 }
-CARS = {"cars": Kind((304, 240), 2, (90.0, np.inf), 100, 15.0, 100_000)}
+"""Name -> a kind of scenes of N-MNIST's digits."""
+
+CARS = {
+    "cars": Kind(
+        sensor=(304, 240),
+        n_objects=2,
+        apart=(90.0, np.inf),
+        side=100,
+        within=15.0,
+        window_us=100_000,
+    )
+}
+"""Name -> a kind of scenes of N-CARS' recordings."""
+
 NO_OBJECT = "background"
+"""The class of N-CARS that is no object."""
 
 
 def one_window(path: Path, window_us: int, rng: np.random.Generator) -> np.ndarray:
@@ -116,34 +146,40 @@ def scene(files: list[Path], kind: Kind, rng: np.random.Generator) -> tuple[np.n
 
 
 def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
-    """Uniform over pixels and a window."""
+    """Events of noise, uniform over pixels and a window."""
     n = rng.poisson(NOISE_HZ * kind.sensor[0] * kind.sensor[1] * kind.window_us / 1e6)
     return structured(made_columns(rng, kind.sensor, n, kind.window_us))
 
 
 def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
-    """Right, found, there."""
-    left, objects = list(truth), [found for found in objects if found.label != NO_OBJECT]
+    """How many objects were found where one of their class is, how many were found, and how many
+    there are."""
+    left = list(truth)
+    objects = [found for found in objects if found.label != NO_OBJECT]
     for found in objects:
-        near = [one for one in left if one[0] == found.label]
-        near.sort(key=lambda one: np.hypot(one[1] - found.x, one[2] - found.y))
-        if near and np.hypot(near[0][1] - found.x, near[0][2] - found.y) <= within:
-            left.remove(near[0])
+        distances = {
+            one: float(np.hypot(one[1] - found.x, one[2] - found.y))
+            for one in left
+            if one[0] == found.label
+        }
+        nearest = min(distances, key=lambda one: distances[one], default=None)
+        if nearest is not None and distances[nearest] <= within:
+            left.remove(nearest)
     return np.array([len(truth) - len(left), len(objects), len(truth)])
 
 
 def measure(
     model: Model, files: list[Path], n_objects: int, kind: Kind, seed: int = 0
 ) -> dict[str, float]:
-    """F1 at the end and early, of scenes of n objects together that hold each recording at most
-    once, where there are enough."""
+    """F1 at the end and early, over scenes of `n_objects` together. Each recording is shown once,
+    or again when all have been."""
     rng = np.random.default_rng(seed)
     n_scenes = n_objects // kind.n_objects
-    order = np.concatenate(
-        [rng.permutation(len(files)) for _ in range(-(-n_objects // len(files)))]
-    )
+    n_rounds = -(-n_objects // len(files))
+    order = np.concatenate([rng.permutation(len(files)) for _ in range(n_rounds)])
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
-    total, early = np.zeros(3), np.zeros(3)
+    total = np.zeros(3)
+    early = np.zeros(3)
     for some in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
         events, truth, last_us = scene([files[i] for i in some], kind, rng)
         processor.reset()
@@ -159,8 +195,9 @@ def measure(
 
 
 def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
-    """A window, in the mean."""
-    rng, found = np.random.default_rng(0), 0
+    """Objects that are found in a window of noise, in the mean over `n` windows."""
+    rng = np.random.default_rng(0)
+    found = 0
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     for _ in range(n):
         processor.reset()
@@ -170,7 +207,8 @@ def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
 
 
 def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
-    """`folder/<digit>`: links to recordings, and pictures."""
+    """Write what `digits-everywhere` is trained on: `folder/<digit>` with links to recordings, and
+    pictures."""
     for path in (nmnist / "Train").glob("*/*.bin"):
         link = folder / path.parent.name / path.name
         link.parent.mkdir(parents=True, exist_ok=True)
@@ -201,10 +239,12 @@ def main(argv: list[str] | None = None) -> int:
     if args.cars:
         if args.part:
             parser.error("--part is of N-MNIST: of N-CARS the test part is read")
-        part, kinds = args.cars / "n-cars_test", CARS
+        part = args.cars / "n-cars_test"
+        kinds = CARS
     else:
         nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-        part, kinds = nmnist / (args.part or "Test"), DIGITS
+        part = nmnist / (args.part or "Test")
+        kinds = DIGITS
         if args.write:
             write_data(args.write, nmnist, data_folder(args.mnist, "mnist", "--mnist"))
             return 0

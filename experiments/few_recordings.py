@@ -1,9 +1,8 @@
 """How many real recordings does a classifier need beside pictures, and without? N-MNIST's Test
 against those of Train.
 
-    python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N] [--out
-    FOLDER] [--json FILE]
-                                         [--picture FILE]
+    python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N]
+                                         [--out FOLDER] [--json FILE] [--picture FILE]
 
 Each data set has MNIST's training images, or none, and the first 0, 1, 10, 100 or all recordings of
 each class; `async-tnt train` is given the sensor's size alone. Where it finds pictures, it also
@@ -20,9 +19,8 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.views.figure_style import OFF, ON, axes_at, headline, new_figure
-from experiments.bench_timing import machine
-from experiments.drawn_pictures import write_mnist
-from experiments.script_options import (
+from experiments.pictures.symbols import write_mnist
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -30,16 +28,20 @@ from experiments.script_options import (
     run_script,
     script_parser,
 )
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PER_CLASS = 0, 1, 10, 100, 10_000
-"""Recordings; the last number is more than there are."""
+PER_CLASS = (0, 1, 10, 100, 10_000)
+"""Numbers of recordings of each class; the last one is more than there are."""
+
 FEWEST_ALONE = 10
-"""Without pictures: of fewer none can be held out."""
+"""Fewest recordings of each class without pictures: of fewer none can be held out."""
+
 WAYS = {"pictures and recordings": ON, "recordings alone": OFF}
+"""What is trained on -> its colour."""
 
 
 def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
@@ -60,10 +62,11 @@ def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
 
 def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> dict[str, Any]:
     """Train and test all of them."""
-    n_pictures, options, per_class = (
-        (20, ("--epochs", "1"), (0, 10)) if quick else (60_000, (), PER_CLASS)
-    )
-    write_mnist(pictures := out / "mnist", mnist, n_pictures)
+    n_pictures = 20 if quick else 60_000
+    options = ("--epochs", "1") if quick else ()
+    per_class = (0, 10) if quick else PER_CLASS
+    pictures = out / "mnist"
+    write_mnist(pictures, mnist, n_pictures)
     found: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
     with progress(len(WAYS) * len(per_class), "training") as bar:
         for n in per_class:
@@ -77,19 +80,8 @@ def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> di
                 networks = []
                 for seed in range(seeds):
                     model = out / f"{folder.name}-{seed}.safetensors"
-                    words = [
-                        "train",
-                        folder,
-                        "--sensor",
-                        "34x34",
-                        *options,
-                        "--seed",
-                        seed,
-                        "--out",
-                        model,
-                        "--json",
-                    ]
-                    command(*words)
+                    words = ["--sensor", "34x34", *options, "--seed", seed, "--out", model]
+                    command("train", folder, *words, "--json")
                     report = command("evaluate", model, nmnist / "Test", "--json")
                     networks.append(
                         {name: report[name] for name in ("accuracy", "window_accuracy")}

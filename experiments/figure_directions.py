@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.views.figure_style import OFF, ON, TEXT, headline, new_figure
-from experiments.page_parts import results
-from experiments.script_options import draw_into, exit_with, picture_parser
+from experiments.scripts.options import draw_into, exit_with, picture_parser
+from experiments.tables.parts import results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,7 +23,11 @@ LOOKS: dict[str, dict[str, Any]] = {
     "line-unsigned-translated": {"color": OFF},
     "raw-motions": {"color": "#009E73"},
 }
+"""Row of the table -> how its line is drawn."""
+
 PANELS = {"1/sim": "trained on the first saccade", "all/sim": "trained on all three saccades"}
+"""Column of the table -> title of its panel."""
+
 SACCADES_DEG = {1: 75.0, 2: 308.0, 3: 183.0}
 """Directions of N-MNIST's saccades, by `nmnist_saccades`; y grows downwards."""
 
@@ -40,7 +44,7 @@ def by_direction(per_motion: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
 def draw(report: dict[str, Any]) -> Figure:
     """A polar panel for what was trained on: angle: direction of motion, downwards below; radius:
     accuracy."""
-    from experiments.table_rows import ROWS
+    from experiments.thesis.rows import ROWS
 
     table = report["table"]
     figure = new_figure(5.6)

@@ -27,18 +27,38 @@ from async_tnt.cli.bench import machine
 from async_tnt.networks.models.torch_modules import torch_classifier
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import TEXT, axes_at, headline, new_figure
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIDE, OWN_SIDE, WINDOW_US, T_MAX, BINS = 82, 34, 105_000, 2.0, 9
+SIDE = 82
+"""Width and height of the grid, in pixels: room for a digit that moves."""
+
+OWN_SIDE = 34
+"""Width and height of the grid of `digits`."""
+
+WINDOW_US = 105_000
+"""Length of the window."""
+
+T_MAX = 2.0
+"""Scaled time at the end of the window."""
+
+BINS = 9
+"""Bins of the volume."""
+
 MARGIN = (SIDE - OWN_SIDE) // 2
+"""Pixels between the border of the grid and that of `digits`."""
+
 AT: dict[str, Any] = dict(
     start_us=0, window_us=WINDOW_US, sensor=(SIDE, SIDE), grid=(SIDE, SIDE), bins=BINS
 )
+"""Window, sensor and grid of the reference."""
+
 FLOWS = (0, 1, 2, 3, 5, 8, 13, 16)
-"""In pixels per window, to the right. About the centre, v becomes a translation by v / t_max."""
+"""Flows to the right, in pixels per window. About the centre, a flow v becomes a translation by v /
+t_max."""
+
 INPUTS: dict[str, dict[str, Any]] = {
     "raw": {},
     "TNT, center": {"landmark": "center"},
@@ -46,6 +66,8 @@ INPUTS: dict[str, dict[str, Any]] = {
     "TNT, line": {"landmark": "line"},
     "TNT, line, flow removed": {"landmark": "line", "remove_flow": True},
 }
+"""Name of an input -> its transform in the reference; none for the raw volume."""
+
 LAYERS = {
     "volume": 1,
     "convolution 1": 1,
@@ -55,11 +77,11 @@ LAYERS = {
     "dense 1": 0,
     "logits": 0,
 }
-"""Layer -> pixels a cell, or 0 where it has no place."""
+"""Layer of `digits` -> pixels between its cells; 0 where it has no places."""
 
 
 def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
-    """(1, B, H, W), float64."""
+    """The volume of an input with flow added: (1, B, H, W), float64."""
     events = open_recording(sample_recordings()[3]).read()
     events = events[(events["t"] > 0) & (events["t"] < WINDOW_US)]
     t = torch.from_numpy(events["t"].astype(np.int64))
@@ -77,7 +99,7 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
 
 
 def features(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.Tensor]:
-    """Of each of `LAYERS`."""
+    """The features of each of `LAYERS`."""
     maps = _maps(volume, weights)
     own = _maps(volume[..., MARGIN:-MARGIN, MARGIN:-MARGIN], weights)[-1].flatten(1)
     hidden = F.linear(own, weights["fc1.weight"], weights["fc1.bias"]).relu()
@@ -92,7 +114,7 @@ def _maps(volume: torch.Tensor, weights: dict[str, torch.Tensor]) -> list[torch.
 
 
 def measure(quick: bool = False) -> dict[str, Any]:
-    """Of each input and layer, the equivariance error of each flow."""
+    """The equivariance error of each input, layer and flow."""
     flows = FLOWS[:2] if quick else FLOWS
     tensors = torch_classifier(load_model("digits")).tensors
     weights = {name: tensor.detach().double() for name, tensor in tensors.items()}
@@ -113,11 +135,12 @@ def measure(quick: bool = False) -> dict[str, Any]:
 def _error(
     moved: torch.Tensor, still: torch.Tensor, empty: torch.Tensor, pixels: int, flow: int
 ) -> float:
-    """By the best translation of 0 to `flow` pixels; cells that rolling round the border reaches
-    are left out."""
+    """The error by the best translation of 0 to `flow` pixels. Cells that rolling round the border
+    reaches are left out."""
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
-    most, border = -(-flow // pixels), -(-4 // pixels)
+    most = -(-flow // pixels)
+    border = -(-4 // pixels)
     inner = (..., slice(border, -border), slice(most + border, -border))
     size = (still - empty)[inner].norm()
     return min(float((moved - still.roll(by, -1))[inner].norm() / size) for by in range(most + 1))

@@ -17,14 +17,19 @@ import torch.nn.functional as F
 
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import SMALL, TEXT, headline, new_figure, picture_at, write_at
-from experiments.script_options import draw_into, exit_with, picture_parser
+from experiments.scripts.options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIDE, WINDOW_US = 51, 105_000
-"""Odd, so that a quarter turn moves whole pixels."""
+SIDE = 51
+"""Width and height of the image, in pixels; odd, so that a quarter turn moves whole pixels."""
+
+WINDOW_US = 105_000
+"""Length of the window that is counted."""
+
 Map = Callable[[torch.Tensor], torch.Tensor]
+"""What turns one image into another one, or into features."""
 
 
 class Case(NamedTuple):
@@ -41,7 +46,8 @@ def counted() -> torch.Tensor:
     """(1, 1, SIDE, SIDE): ON minus OFF events of the first saccade of a bundled 3."""
     events = open_recording(sample_recordings()[3]).read()
     events = events[events["t"] < WINDOW_US]
-    image, margin = np.zeros((SIDE, SIDE)), (SIDE - 34) // 2
+    image = np.zeros((SIDE, SIDE))
+    margin = (SIDE - 34) // 2
     np.add.at(image, (events["y"] + margin, events["x"] + margin), 2.0 * events["p"] - 1)
     return torch.from_numpy(image)[None, None]
 
@@ -92,13 +98,14 @@ CASES = (
     Case("moved by 2 px, pooled by 2", moved(2), pooled, pooled, moved(1)),
     Case("moved by 1 px, pooled by 2", moved(1), pooled, pooled, moved(1)),
 )
-"""With f the image: `of(before(f))` beside `expected(after(f))`."""
+"""With f the image: `of(before(f))` is compared with `expected(after(f))`."""
 
 
 def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
     """The features of the transformed image, the transformed features, and their relative
     difference."""
-    one, other = case.of(case.before(image)), case.expected(case.after(image))
+    one = case.of(case.before(image))
+    other = case.expected(case.after(image))
     return one, other, float((one - other).norm() / other.norm())
 
 

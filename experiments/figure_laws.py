@@ -18,13 +18,25 @@ import torch
 
 import async_tnt
 from async_tnt.sources import open_recording, sample_recordings
-from experiments.script_options import exit_with, plain_parser
+from experiments.scripts.options import exit_with, plain_parser
 
 LANDMARKS = ("center", "running", "line", "window")
-CASES = (*((name, False) for name in LANDMARKS), ("line", True))  # landmark, remove_flow
-WINDOW_US, N = 104_000, 1_300
+"""Landmarks that are compared."""
+
+CASES = (*((name, False) for name in LANDMARKS), ("line", True))
+"""Landmark, and whether the flow is removed."""
+
+WINDOW_US = 104_000
+"""Length of a window, in microseconds."""
+
+N = 1_300
+"""Events of a window."""
+
 AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
+"""Window, sensor and grid of the reference."""
+
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
+"""Parts of the window at whose ends the law is measured."""
 
 
 def print_table(head: list[str], rows: list[list[str]]) -> None:
@@ -45,7 +57,8 @@ def bell(f: np.ndarray) -> np.ndarray:
 def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """An object: events at random in a disc of radius 10 px about the grid's centre, x and y."""
     rng = np.random.default_rng(seed)
-    radius, angle = 10 * np.sqrt(rng.random(N)), 2 * np.pi * rng.random(N)
+    radius = 10 * np.sqrt(rng.random(N))
+    angle = 2 * np.pi * rng.random(N)
     return 100 + radius * np.cos(angle), 100 + radius * np.sin(angle)
 
 
@@ -57,13 +70,13 @@ def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: 
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     moved = 16.0 * path(t / WINDOW_US)
     y = np.full(N, 100.0)
-    u = [
-        tnt_reference.tnt_coordinates(
-            t, points(0)[0] + dx, y, **AT, t_max=1.0, landmark=landmark, remove_flow=remove_flow
-        ).u.numpy()
-        for dx in (moved, 0 * moved)
-    ]
-    return (u[0] - u[1]) / 16.0
+
+    def place(dx: np.ndarray) -> np.ndarray:
+        how: dict[str, Any] = dict(t_max=1.0, landmark=landmark, remove_flow=remove_flow)
+        x = points(0)[0] + dx
+        return np.asarray(tnt_reference.tnt_coordinates(t, x, y, **AT, **how).u.numpy())
+
+    return (place(moved) - place(0 * moved)) / 16.0
 
 
 def name_of(landmark: str, remove_flow: bool) -> str:
@@ -87,14 +100,12 @@ def draw_motion_terms(path: str) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(10.4, 3.9), sharey=True, layout="constrained")
     colours = ("#000000", "#0072b2", "#d55e00", "#999999", "#009e73")
     f = (np.arange(N) + 1) / N
-    for axis, (title, motion) in zip(
-        axes, (("constant flow", constant), ("a saccade: bell-shaped speed", bell)), strict=True
-    ):
+    motions = {"constant flow": constant, "a saccade: bell-shaped speed": bell}
+    for axis, (title, motion) in zip(axes, motions.items(), strict=True):
         for (landmark, remove_flow), colour in zip(CASES, colours, strict=True):
             label = f"{landmark}, flow removed" if remove_flow else landmark
-            axis.plot(
-                f, shift(motion, landmark, remove_flow), color=colour, label=label, linewidth=2
-            )
+            left = shift(motion, landmark, remove_flow)
+            axis.plot(f, left, color=colour, label=label, linewidth=2)
         axis.axhline(0.5, color="#bbbbbb", linewidth=0.8, linestyle=":", zorder=0)
         axis.set(title=title, xlabel="fraction f of the window", xlim=(0, 1), ylim=(-1.1, 1.6))
         axis.spines[["top", "right"]].set_visible(False)
@@ -131,12 +142,8 @@ def wander_table() -> None:
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     rows = []
     for landmark in ("running", "line"):
-        strays = np.array(
-            [
-                tnt_reference.landmark(landmark, t, *points(seed), **AT).numpy() - 100
-                for seed in range(400)
-            ]
-        )  # (objects, N, 2)
+        found = [tnt_reference.landmark(landmark, t, *points(seed), **AT) for seed in range(400)]
+        strays = np.stack([one.numpy() - 100 for one in found])  # (objects, N, 2)
         rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
@@ -156,14 +163,14 @@ def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, A
     """The volume of a window's events, moved right and up by whole pixels."""
     volume = async_tnt.TNTVolume(async_tnt.TNTConfig(**options))
     volume.open(start_us)
-    volume.update(
-        (window["t"], window["x"].astype(int) + shift, window["y"].astype(int) - shift, window["p"])
-    )
+    x = window["x"].astype(int) + shift
+    y = window["y"].astype(int) - shift
+    volume.update((window["t"], x, y, window["p"]))
     return volume.array.astype(np.float64)
 
 
 def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, Any]) -> np.ndarray:
-    """The same, by any shift."""
+    """The volume by the batch reference, moved by any shift."""
     return tnt_reference.tnt_volume(
         window["t"],
         window["x"] + shift,
@@ -187,7 +194,8 @@ def translation_table() -> None:
     """
     inside = []
     for k, window in enumerate(sample_windows()):
-        x, y = window["x"].astype(int), window["y"].astype(int)
+        x = window["x"].astype(int)
+        y = window["y"].astype(int)
         inside.append((window[(x >= 2) & (x < 32) & (y >= 2) & (y < 32)], k % 3 * 105_000))
     rows = []
     for landmark, remove_flow in CASES:
@@ -207,16 +215,23 @@ def translation_table() -> None:
 
 
 def t_max_table() -> None:
+    """How many events each t_max keeps, and how large the last quarter of a window becomes."""
     windows = sample_windows()
     at: dict[str, Any] = dict(window_us=105_000, sensor=(34, 34), grid=(34, 34))
     rows = []
     for t_max in (0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0):
         kept_by = {}
         for landmark in ("center", "running", "line"):
-            kept, quarter, spread, spread_raw, inverse = [], [], [], [], []
+            kept = []
+            quarter = []
+            spread = []
+            spread_raw = []
+            inverse = []
             for k, window in enumerate(windows):
                 start_us = k % 3 * 105_000
-                t, x, y = window["t"], window["x"], window["y"]
+                t = window["t"]
+                x = window["x"]
+                y = window["y"]
                 u, _, keep = tnt_reference.tnt_coordinates(
                     t, x, y, start_us=start_us, **at, t_max=t_max, landmark=landmark
                 )
@@ -226,11 +241,13 @@ def t_max_table() -> None:
                 spread.append(u.numpy()[late].std())
                 spread_raw.append(x[quarter[-1] == 3].std())
                 inverse.append((105_000 / (t_max * (t - start_us)[late])).mean())  # 1 / tau
-            keep_all, quarter_all = np.concatenate(kept), np.concatenate(quarter)
+            keep_all = np.concatenate(kept)
+            quarter_all = np.concatenate(quarter)
             kept_by[landmark] = keep_all.mean()
             if landmark == "running":
                 lost = [1 - keep_all[quarter_all == q].mean() for q in range(4)]
-                shrunk, expected = np.mean(spread) / np.mean(spread_raw), np.mean(inverse)
+                shrunk = np.mean(spread) / np.mean(spread_raw)
+                expected = np.mean(inverse)
         rows.append(
             [
                 f"{t_max:g}",
@@ -255,7 +272,10 @@ def t_max_table() -> None:
 def border_counts() -> str:
     """Events that lie exactly on the border by exact arithmetic, and how float64 decides over
     them."""
-    n = outside_a = outside_b = kept = 0
+    n = 0
+    outside_a = 0
+    outside_b = 0
+    kept = 0
     for window_us in (800, 1_000, 10_000, 50_000, 100_000, 105_000):
         config = async_tnt.TNTConfig(window_us=window_us, landmark="center", transform="tnt")
         for t_max in (0.7, 1.0, 2.0, 3.0, 3.7, 8.0, 16.0):
@@ -276,9 +296,8 @@ def border_counts() -> str:
                 kept += volume.counts.kept
     return (
         f"{n} events exactly on the border: (x - l) / tau + c puts {outside_a} of them outside in "
-        "float64, "
-        f"(x - l) * (1 / dt) * (window_us / t_max) + c {outside_b}; with the tolerance {kept} are "
-        "kept."
+        f"float64, (x - l) * (1 / dt) * (window_us / t_max) + c {outside_b}; with the tolerance "
+        f"{kept} are kept."
     )
 
 

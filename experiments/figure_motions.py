@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.networks.loading import load_model
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt import TNTVolume, load_model
+from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import (
     OFF,
     ON,
@@ -34,15 +34,22 @@ from async_tnt.views.figure_window import (
     layers_of_window,
     transform_words,
 )
-from async_tnt.volume.volume import TNTVolume
-from experiments.script_options import draw_into, exit_with, picture_parser
+from experiments.scripts.options import draw_into, exit_with, picture_parser
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 N_SLICES = 4
-# the mean path: parts of the window, and the least share of events in one
-MEAN_PARTS, MEAN_SHARE = 12, 0.03
+"""Largest number of bins of a volume that are drawn."""
+
+MEAN_PARTS = 12
+"""Parts of the window between which the mean path is drawn."""
+
+AT_REST_PX = 0.5
+"""Flow, in pixels in a window, below which the words say that nothing moves."""
+
+MEAN_SHARE = 0.03
+"""Least share of the events in a part; those of emptier parts are left out of the path."""
 
 
 def draw_motions(first: Window, second: Window) -> Figure:
@@ -69,10 +76,9 @@ def draw_motions(first: Window, second: Window) -> Figure:
         raw = axes_at(figure, 1.09, top, 2.08, 2.52)
         tnt = axes_at(figure, 3.38, top, 2.08, 2.52, sharex=raw, sharey=raw)
         _draw_along(raw, tnt, window, axis)
+        words = f"window {window.number}: {direction(flow, axis)}"
         look = {"rotation": 90, "ha": "center", "fontweight": "bold"}
-        write_at(
-            figure, 0.21, top + 1.26, f"window {window.number}: {direction(flow, axis)}", **look
-        )
+        write_at(figure, 0.21, top + 1.26, words, **look)
         if window is second:
             raw.set_xlabel("time in the window (ms)")
             tnt.set_xlabel("time in the window (ms)")
@@ -99,18 +105,17 @@ def busiest_bins(volumes: np.ndarray, n_bins: int) -> list[int]:
     weight = volumes.sum(axis=(0, -2, -1)).reshape(-1, n_bins).sum(axis=0)  # (B,)
     step = max(1, (n_bins - 1) // (2 * N_SLICES))
     n_shown = min(N_SLICES, n_bins)
-    runs = [
-        list(range(k, k + step * (n_shown - 1) + 1, step))
-        for k in range(n_bins - step * (n_shown - 1))
-    ]
+    length = step * (n_shown - 1)
+    runs = [list(range(k, k + length + 1, step)) for k in range(n_bins - length)]
     return max(runs, key=lambda run: weight[run].sum())
 
 
 def direction(flow: np.ndarray, axis: int) -> str:
     """The direction of a flow (x, y) along the drawn axis; y grows downwards."""
-    if abs(flow[axis]) < 0.5:  # pixels in a window
+    if abs(flow[axis]) < AT_REST_PX:
         return f"at rest along {'xy'[axis]}"
-    return "moving " + (("left", "right"), ("up", "down"))[axis][int(flow[axis] > 0)]
+    back, forth = ("left", "right") if axis == 0 else ("up", "down")
+    return f"moving {forth if flow[axis] > 0 else back}"
 
 
 def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
@@ -136,14 +141,15 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
     part = (MEAN_PARTS * window.time_ms / (window.subject.config.window_us / 1e3)).astype(int)
     parts = [part == k for k in range(MEAN_PARTS)]
     enough = max(10, MEAN_SHARE * kept.size)
-    means = [
-        (window.time_ms[p & kept].mean(), place[p & kept].mean())
-        for p in parts
-        if p.sum() >= enough and kept[p].mean() > 0.9
-    ]
+    means_ms = []
+    means = []
+    for of_part in parts:
+        if of_part.sum() >= enough and kept[of_part].mean() > 0.9:
+            means_ms.append(window.time_ms[of_part & kept].mean())
+            means.append(place[of_part & kept].mean())
     if len(means) > 1:
-        axes.plot(*zip(*means, strict=True), color="white", lw=4.5, solid_capstyle="round")
-        axes.plot(*zip(*means, strict=True), color="black", lw=2, solid_capstyle="round")
+        axes.plot(means_ms, means, color="white", lw=4.5, solid_capstyle="round")
+        axes.plot(means_ms, means, color="black", lw=2, solid_capstyle="round")
 
 
 def flow_of(window: Window) -> tuple[float, float]:
@@ -165,7 +171,8 @@ def main(argv: list[str] | None = None) -> int:
         "--model", default="digits", help="a bundled model or a file (default: %(default)s)"
     )
     args = parser.parse_args(argv)
-    path, model = sample_recordings()[args.digit], load_model(args.model)
+    path = sample_recordings()[args.digit]
+    model = load_model(args.model)
     subject = Subject(path.name, open_recording(path).read(), model.config, model, args.model)
     draw_into(args.picture, draw_motions, subject.window(1), subject.window(2), dpi=150)
     return 0

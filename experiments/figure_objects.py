@@ -13,10 +13,13 @@ import numpy as np
 
 from async_tnt import load_model, stream
 from async_tnt.views.figure_objects import draw_objects
-from experiments.script_options import draw_into, exit_with, picture_parser
+from experiments.scripts.options import draw_into, exit_with, picture_parser
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples/several_digits.py"
+"""The example whose scene is drawn."""
+
 TIMES_MS = 90, 200, 400
+"""Times at which the objects are drawn."""
 
 
 def main(argv: list[str] | None = None) -> int:

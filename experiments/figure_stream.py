@@ -20,20 +20,43 @@ from async_tnt.base.checks import needs_extra
 from async_tnt.base.files import check_writable, replacing
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.views.figure_style import OFF, ON
-from experiments.script_options import exit_with, plain_parser
+from experiments.scripts.options import exit_with, plain_parser
 
 if TYPE_CHECKING:
     from PIL import Image
 
 DIGITS = (3, 7, 8)
-STEP_US, SHOWN_US, DURATION_US = 5_000, 15_000, 315_000
-SIDE, WIDTH, HEIGHT = 7, 560, 264  # of a pixel; of the picture
-INK, PALE = "#333333", "#d8d8d8"
+"""Digits whose recordings follow each other."""
+
+STEP_US = 5_000
+"""Time between two frames, in microseconds."""
+
+SHOWN_US = 15_000
+"""How long an event is shown, in microseconds."""
+
+DURATION_US = 315_000
+"""How long each recording lasts, in microseconds."""
+
+SIDE = 7
+"""Width and height of a pixel of the sensor in the picture."""
+
+WIDTH = 560
+"""Width of the picture, in pixels."""
+
+HEIGHT = 264
+"""Height of the picture, in pixels."""
+
+INK = "#333333"
+"""Colour of words."""
+
+PALE = "#d8d8d8"
+"""Colour of frames."""
 
 
 def moments() -> Iterator[tuple[np.ndarray, Decision | None, float]]:
-    """Of each frame: the events shown, the newest decision, and the seconds so far."""
-    processor, before_us = Processor(load_model("digits"), every_us=1_000, start_us=0), 0
+    """The events that each frame shows, the newest decision, and the seconds so far."""
+    processor = Processor(load_model("digits"), every_us=1_000, start_us=0)
+    before_us = 0
     for digit in DIGITS:
         events = open_recording(sample_recordings()[digit]).read()
         events = events[events["t"] < DURATION_US]
@@ -52,27 +75,29 @@ def frame(events: np.ndarray, decision: Decision | None, seconds: float) -> Imag
 
     image = Image.new("RGB", (WIDTH, HEIGHT), "white")
     draw: Any = ImageDraw.Draw(image)
-    small, large = ImageFont.load_default(13), ImageFont.load_default(44)
+    small = ImageFont.load_default(13)
+    large = ImageFont.load_default(44)
     draw.rectangle((12, 12, 12 + 34 * SIDE, 12 + 34 * SIDE), outline=PALE)
     for event in events:
-        x, y = 12 + SIDE * int(event["x"]), 12 + SIDE * int(event["y"])
+        x = 12 + SIDE * int(event["x"])
+        y = 12 + SIDE * int(event["y"])
         draw.rectangle((x + 1, y + 1, x + SIDE - 1, y + SIDE - 1), fill=ON if event["p"] else OFF)
-    classes, left, top = load_model("digits").classes, 290, 52
-    probabilities = (
-        np.full(len(classes), 1 / len(classes)) if decision is None else decision.probabilities
-    )
+    classes = load_model("digits").classes
+    left = 290
+    top = 52
+    if decision is None:
+        probabilities = np.full(len(classes), 1 / len(classes))
+    else:
+        probabilities = decision.probabilities
     best = int(probabilities.argmax())
     for k, (name, probability) in enumerate(zip(classes, probabilities, strict=True)):
         y = top + 20 * k
         sure = k == best and probability >= 0.5
         draw.text((left, y), name, fill=INK, font=small)
-        draw.rectangle(
-            (left + 18, y + 3, left + 18 + int(170 * probability), y + 14),
-            fill=INK if sure else PALE,
-        )
-    draw.text(
-        (left, 16), f"{1e3 * seconds:.0f} ms, a decision every millisecond", fill=INK, font=small
-    )
+        bar = (left + 18, y + 3, left + 18 + int(170 * probability), y + 14)
+        draw.rectangle(bar, fill=INK if sure else PALE)
+    time = f"{1e3 * seconds:.0f} ms, a decision every millisecond"
+    draw.text((left, 16), time, fill=INK, font=small)
     if probabilities[best] >= 0.5:
         draw.text((left + 210, top + 60), classes[best], fill=INK, font=large)
     return image

@@ -24,17 +24,27 @@ from async_tnt.resynthesis import MotionPath, Reconstruction
 from async_tnt.resynthesis.moving_image import cell_for
 from async_tnt.resynthesis.reconstruction import SPAN
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels, part_of
-from async_tnt.sources.files.nmnist import read_nmnist
-from experiments import made_hands
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import machine
-from experiments.digits_data import SACCADE_US
-from experiments.script_options import add_count, add_folder, exit_with, run_script, script_parser
+from async_tnt.sources import read_nmnist
+from experiments.digit_data.recordings import SACCADE_US
+from experiments.objects import hands
+from experiments.scripts.options import add_count, add_folder, exit_with, run_script, script_parser
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import machine
 
 SIDE = 34
-RATES = 1.0, 0.2
-FEWEST, MOST = 50, 3_000
-FIRST, SECOND = made_hands.SESSIONS
+"""Width and height of the sensor of N-MNIST, in pixels."""
+
+RATES = (1.0, 0.2)
+"""Shares of the events that are kept."""
+
+FEWEST = 50
+"""Least number of events in a window of noise."""
+
+MOST = 3_000
+"""Largest number of events in a window of noise."""
+
+FIRST, SECOND = hands.SESSIONS
+
 HANDS = {
     "session 1": FIRST,
     "session 2": SECOND,
@@ -43,9 +53,10 @@ HANDS = {
     "growing by 12 %": replace(FIRST, nearer=0.12),
     "growing by 25 %": replace(FIRST, nearer=0.25),
 }
-"""Turning and growing in a swing: standard deviations."""
+"""Title -> a session of hand motion; turning and growing are standard deviations in a swing."""
+
 PARTS = np.arange(1, 17) / 16
-"""Of a window, at whose ends a path's places are looked at."""
+"""Times in a window, as shares of its length, at which a path's places are looked at."""
 
 
 def paths_of(
@@ -75,9 +86,8 @@ def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
 def saccades(folder: Path, n: int) -> dict[str, Any]:
     """N-MNIST's saccades, at each rate."""
     rng = np.random.default_rng(0)
-    files = [
-        Path(name) for name in rng.permutation(sorted(map(str, folder.glob("Train/*/*.bin"))))[:n]
-    ]
+    every = sorted(map(str, folder.glob("Train/*/*.bin")))
+    files = [Path(name) for name in rng.permutation(every)[:n]]
     if not files:
         raise FileNotFoundError(f"no recordings {folder}/Train/<digit>/*.bin")
     n = len(files)
@@ -86,10 +96,9 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
 
     def cut(file: Path, from_us: int, until_us: int, rate: float, start_us: int) -> Columns:
         events = read_nmnist(file)
-        kept = (
-            (events["t"] >= from_us) & (events["t"] < until_us) & (rng.random(len(events)) < rate)
-        )
-        return _columns((events["t"][kept] - start_us, *(events[name][kept] for name in "xyp")))
+        inside = (events["t"] >= from_us) & (events["t"] < until_us)
+        kept = events[inside & (rng.random(len(events)) < rate)]
+        return _columns((kept["t"] - start_us, kept["x"], kept["y"], kept["p"]))
 
     for rate in RATES:
         for saccade in range(3):
@@ -99,10 +108,11 @@ def saccades(folder: Path, n: int) -> dict[str, Any]:
             paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, pixels)
             ends = np.median([path.positions[-1] for path in paths], axis=0)
             true = angles.setdefault(saccade, np.arctan2(ends[1], ends[0]))
-            rows[f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"] = judged(
-                paths, np.full(n, true)
-            )
-    third, rate = SACCADE_US // 3, min(RATES)
+            title = f"N-MNIST, saccade {saccade + 1}, {rate:.0%} of the events"
+            rows[title] = judged(paths, np.full(n, true))
+
+    third = SACCADE_US // 3
+    rate = min(RATES)
     starts = third * (np.arange(n) % 9)
     wide = [
         cut(file, start - third, start + 2 * third, rate, start)
@@ -120,13 +130,14 @@ def swings(n: int) -> dict[str, Any]:
     """Made hand motion, in all directions."""
     rows = {}
     for k, (title, session) in enumerate(HANDS.items()):
-        windows, angles = [], 2 * np.pi * np.arange(n) / n
+        windows = []
+        angles = 2 * np.pi * np.arange(n) / n
         for i, angle in enumerate(angles):
-            name = list(made_hands.SHAPES)[i % len(made_hands.SHAPES)]
-            made = made_hands.record(name, float(angle), np.random.default_rng((k, i)), session)
+            name = list(hands.SHAPES)[i % len(hands.SHAPES)]
+            made = hands.record(name, float(angle), np.random.default_rng((k, i)), session)
             windows.append(_columns(made[c] for c in "txyp"))
-        pixels = measure_pixels(windows, made_hands.SENSOR, made_hands.WINDOW_US)
-        paths = paths_of(windows, made_hands.SENSOR, made_hands.WINDOW_US, pixels)
+        pixels = measure_pixels(windows, hands.SENSOR, hands.WINDOW_US)
+        paths = paths_of(windows, hands.SENSOR, hands.WINDOW_US, pixels)
         rows[f"hand motion, {title}"] = judged(paths, angles)
     return rows
 
@@ -155,7 +166,8 @@ def _pairs(n: int, rng: np.random.Generator) -> list[np.ndarray]:
 def _hot_pixels(n: int, rng: np.random.Generator) -> list[np.ndarray]:
     t, x, y, p = _uniform(n, rng)
     hot = rng.integers(0, SIDE, (rng.integers(1, 6), 2))[:, :, None]
-    which, often = rng.integers(0, len(hot), n), rng.random(n) < 0.7
+    which = rng.integers(0, len(hot), n)
+    often = rng.random(n) < 0.7
     return [t, np.where(often, hot[which, 0, 0], x), np.where(often, hot[which, 1, 0], y), p]
 
 
@@ -166,6 +178,7 @@ NOISE: dict[str, Callable[[int, np.random.Generator], Sequence[np.ndarray]]] = {
     "pairs": _pairs,
     "hot pixels": _hot_pixels,
 }
+"""Name -> what makes so many events of noise."""
 
 
 def noise_windows(kind: str, n: int, rng: np.random.Generator) -> list[Columns]:
@@ -176,13 +189,13 @@ def noise_windows(kind: str, n: int, rng: np.random.Generator) -> list[Columns]:
 
 def noise(n: int) -> dict[str, Any]:
     """Windows in which nothing moves."""
-    rng, rows = np.random.default_rng(0), {}
+    rng = np.random.default_rng(0)
+    rows = {}
     for kind in NOISE:
-        paths = paths_of(noise_windows(kind, n, rng), (SIDE, SIDE), SACCADE_US, MeasuredPixels())
-        rows[f"noise, {kind}"] = {
-            "windows": n,
-            "found": float(np.mean([not path.refused for path in paths])),
-        }
+        windows = noise_windows(kind, n, rng)
+        paths = paths_of(windows, (SIDE, SIDE), SACCADE_US, MeasuredPixels())
+        found = float(np.mean([not path.refused for path in paths]))
+        rows[f"noise, {kind}"] = {"windows": n, "found": found}
     return rows
 
 
@@ -203,12 +216,11 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: left out)")
     add_count(parser, "--windows", 200, "of each kind")
     args = parser.parse_args(argv)
-    return run_script(
-        parser,
-        argv,
-        lambda quick: measure(args.nmnist, 8 if quick else args.windows),
-        "found_paths",
-    )
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(args.nmnist, 8 if quick else args.windows)
+
+    return run_script(parser, argv, measured, "found_paths")
 
 
 if __name__ == "__main__":

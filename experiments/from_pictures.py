@@ -2,19 +2,19 @@
 cameras.
 
     python -m experiments.from_pictures [--nmnist N-MNIST] [--poker POKER-DVS] [--characters FOLDER]
-    [--made]
-                                        [--fonts FOLDER] [--seeds N] [--out FOLDER] [--json FILE]
+                                        [--made] [--fonts FOLDER] [--seeds N] [--out FOLDER]
+                                        [--json FILE]
 
 nmnist      MNIST's training images; N-MNIST's Test, with what Train has of the official test part
             (numbers above 60,000), and simulated motions, speeds and bright digits
-            (`moving_digits.py`); the first network, with its test in its record, becomes
+            (`pictures/moving_digits.py`); the first network, with its test in its record, becomes
             FOLDER/digits-from-pictures.safetensors
 poker       card pips, drawn with fonts; both parts of POKER-DVS, whose recordings are crops that
             follow a pip
 characters  ten digits and 26 letters, drawn with fonts; both parts of HOTS' characters, as of
             `examples/hots_characters.py`
 made        ten pictures of each of six objects, with backgrounds, and recordings of others
-            (`made_pictures.py`)
+            (`pictures/made.py`)
 
 Each network is trained by `async-tnt train PICTURES` with the options that its row states, and
 reads the recordings once. Finished trainings in --out are kept, interrupted ones resume, and what
@@ -40,11 +40,10 @@ from async_tnt.training.held_out import Split
 from async_tnt.training.plan import Plan
 from async_tnt.training.volume_choice import VolumeChoice
 from async_tnt.training.work import Work
-from experiments import made_pictures, moving_digits
-from experiments.bench_timing import machine
-from experiments.drawn_pictures import CHARACTERS, PIPS, write_glyphs, write_mnist
-from experiments.mnist import load_mnist
-from experiments.script_options import (
+from experiments.digit_data.mnist import load_mnist
+from experiments.pictures import made, moving_digits
+from experiments.pictures.symbols import CHARACTERS, PIPS, write_glyphs, write_mnist
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -54,8 +53,9 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.table_data import OFFICIAL
-from experiments.unseen_motions import command
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
+from experiments.thesis.data import OFFICIAL
 
 TITLES = {
     "nmnist": "N-MNIST",
@@ -63,12 +63,16 @@ TITLES = {
     "characters": "HOTS' characters",
     "made": "made objects",
 }
+"""Set -> its name in the table."""
+
 TESTS = {
     "nmnist": ["official"],
     "poker": ["pips_train", "pips_test"],
     "characters": ["Train", "Test"],
     "made": ["Test"],
 }
+"""Set -> the folders whose recordings are tested."""
+
 OPTIONS = {
     # 20 of 28 pixels are a digit's, and 28 of the sensor's 34 a picture's; of so many pictures more
     # epochs and a wider network learn more, and a few tell how well
@@ -77,11 +81,14 @@ OPTIONS = {
     "characters": "--sensor 32x32",
     "made": "--sensor 48x48 --size 0.7-1",
 }
+"""Set -> options of `train`."""
+
 FOLLOWING = {"poker": VolumeChoice.of(window_us=25_000), "characters": VolumeChoice.of()}
 """Sets whose recordings are crops that follow the object, which no option simulates: what
 `train_following` is given with the options."""
+
 SENSORS = {"poker": (35, 35), "characters": (32, 32)}
-"""Sensors of these, (width, height) in pixels."""
+"""Sensors of these sets, (width, height) in pixels."""
 
 
 def train_following(
@@ -115,14 +122,14 @@ def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: P
     elif name == "poker":
         write_glyphs(folder, PIPS, fonts)
     elif name == "made":
-        made_pictures.write_pictures(folder, 10, 0)
+        made.write_pictures(folder, 10, 0)
     else:
         write_glyphs(folder, CHARACTERS, fonts)
 
 
 def link_official(nmnist: Path, out: Path) -> None:
     """`out/official/<digit>`: links to N-MNIST's recordings of the official test part, see
-    `table_data`."""
+    `thesis/data.py`."""
     for path in [*nmnist.glob("Test/*/*.bin"), *nmnist.glob("Train/*/*.bin")]:
         if path.parts[-3] == "Test" or int(path.stem) > OFFICIAL[0]:
             link = out / "official" / path.parent.name / path.name
@@ -141,7 +148,8 @@ def measure(
         for seed in range(seeds):
             model = out / f"{name}{seed}.safetensors"
             words = [*OPTIONS[name].split(), *more, "--seed", seed, "--out", model, "--json"]
-            began, is_new = time.monotonic(), not model.exists()
+            began = time.monotonic()
+            is_new = not model.exists()
             if name in FOLLOWING:
                 epochs = int(more[1]) if more else None
                 record = train_following(name, pictures, seed, epochs, model)
@@ -180,9 +188,8 @@ def test_moving(networks: list[dict[str, Any]], out: Path, mnist: Path, n: int) 
     """What the networks have of `n` simulated digits; also writes the model to bundle."""
     models = [load_model(out / f"models/nmnist{seed}.safetensors") for seed in range(len(networks))]
     tested = {"recordings of": "N-MNIST's official test part", **networks[0], "minutes": None}
-    replace(models[0], record={**models[0].record, "test": tested}).save(
-        out / "digits-from-pictures.safetensors"
-    )
+    bundled = replace(models[0], record={**models[0].record, "test": tested})
+    bundled.save(out / "digits-from-pictures.safetensors")
     images, labels = load_mnist(mnist, "test")
     return moving_digits.accuracies(models, images[:n], labels[:n])
 
@@ -206,11 +213,12 @@ def main(argv: list[str] | None = None) -> int:
     )
     args = parser.parse_args(argv)
     out = args.out or Path("pictures/quick" if args.quick else "pictures")
-    if not (folders := {name: getattr(args, name) for name in TITLES if getattr(args, name)}):
+    folders = {name: getattr(args, name) for name in TITLES if getattr(args, name)}
+    if not folders:
         parser.error(f"give one of --{', --'.join(TITLES)}")
     if args.made:
         folders["made"] = out / "recordings"
-        made_pictures.write_recordings(folders["made"] / "Test", 30, 1)
+        made.write_recordings(folders["made"] / "Test", 30, 1)
     report = earlier_report(args, {"sets": {}})
     for name, folder in folders.items():
         pictures = out / name

@@ -26,28 +26,35 @@ from async_tnt import CompiledClassifier, Model, TNTConfig, warmup
 from async_tnt.base.progress import progress
 from async_tnt.training.networks import conv4, residual, thesis
 from async_tnt.views.figure_style import LARGE, SMALL, TEXT, axes_at, headline, new_figure, write_at
-from experiments import bench_backends as backends
-from experiments.bench_every_event import bench_every_event
-from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
-from experiments.bench_network import bench_network
-from experiments.bench_timing import machine, one_thread
-from experiments.draw_decisions import NETWORKS as LOOKS
-from experiments.draw_decisions import draw_lines, lay_axis
-from experiments.measure_touched import bench_touched
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends
+from experiments.speed.drawing import NETWORKS as LOOKS
+from experiments.speed.drawing import draw_lines, lay_axis
+from experiments.speed.every_event import bench_every_event
+from experiments.speed.moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.speed.networks import bench_network
+from experiments.speed.timing import machine, one_thread
+from experiments.speed.touched import bench_touched
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FULL = {"blocks": 30, "decisions_a_block": 40, "rounds": 5, "moments": 400}
+"""How much is measured."""
+
 QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "moments": 40}
+"""How much is measured with --quick."""
+
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino")
-NOT_DRAWN = "onnxruntime_run"  # the binding is as fast or faster
+"""Packages whose versions the report names."""
+
+NOT_DRAWN = "onnxruntime_run"
+"""Row that the picture leaves out: the binding is as fast or faster."""
 
 
 def gesture(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Of the kind that is common for DVS gestures: a 2x2 stem of stride 2, 3x3 convolutions,
-    average pools, dense."""
+    """A network as is common for DVS gestures: a 2x2 stem of stride 2, 3x3 convolutions, average
+    pools, dense."""
     layers: list[nn.Module] = [nn.Conv2d(channels, 16, 2, 2), nn.ReLU()]
     for n_inputs, n_filters in ((16, 16), (16, 32), (32, 32), (32, 64)):
         layers += [nn.Conv2d(n_inputs, n_filters, 3, padding=1), nn.ReLU(), nn.AvgPool2d(2)]
@@ -75,7 +82,8 @@ NETWORKS: dict[str, tuple[Callable[..., nn.Module], TNTConfig, int]] = {
 
 
 def made_model(name: str) -> Model:
-    """With torch's initial weights, and statistics that keep the numbers of all layers alive."""
+    """A model with torch's initial weights, and statistics that keep the numbers of all layers
+    alive."""
     build, config, n_classes = NETWORKS[name]
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -101,11 +109,9 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
             warmup(model)
             networks = backends.dense_networks(model)
             recordings = bench_recordings(model.config)
-            windows = [
-                window
-                for events in recordings
-                for window in windows_of(events, model.config.window_us)
-            ]
+            windows = []
+            for events in recordings:
+                windows += windows_of(events, model.config.window_us)
             counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
             times = {}
             for n_new in NEW_EVENTS:
@@ -152,32 +158,22 @@ def draw_incremental(report: dict[str, Any]) -> Figure:
     x = 0.62
     for name, (label, colour) in looks.items():
         if name in report["networks"]["thesis"]["network"]["1"]["in_blocks"]["us"]:
-            write_at(
-                figure, x, 4.28, label.replace("\n", " "), fontsize=SMALL, color=colour, va="bottom"
-            )
+            words = label.replace("\n", " ")
+            write_at(figure, x, 4.28, words, fontsize=SMALL, color=colour, va="bottom")
             x += 1.75
-    write_at(
-        figure,
-        6.9,
-        4.28,
-        report["machine"]["cpu"] + ", one thread",
-        fontsize=SMALL,
-        color=TEXT,
-        va="bottom",
-    )
+    where = f"{report['machine']['cpu']}, one thread"
+    write_at(figure, 6.9, 4.28, where, fontsize=SMALL, color=TEXT, va="bottom")
     return figure
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser("incremental", __doc__, "a few decisions of each", draws=True)
-    return run_script(
-        parser,
-        argv,
-        lambda quick: measure(QUICK if quick else FULL, quick),
-        "incremental",
-        draw_incremental,
-    )
+
+    def measured(quick: bool) -> dict[str, Any]:
+        return measure(QUICK if quick else FULL, quick)
+
+    return run_script(parser, argv, measured, "incremental", draw_incremental)
 
 
 if __name__ == "__main__":

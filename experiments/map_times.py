@@ -36,23 +36,44 @@ import numpy as np
 import torch
 from torch import nn
 
-from async_tnt import EVENT_DTYPE, Model, Processor, load_model
+from async_tnt import EVENT_DTYPE, Decision, Model, Processor, load_model
 from async_tnt.base.progress import progress
 from async_tnt.sources import open_recording, sample_recordings
-from experiments import bench_backends as backends
-from experiments.bench_interleaved import WorkDiffers
-from experiments.bench_timing import latency, machine, no_collector, one_thread
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends
+from experiments.speed.interleaved import WorkDiffers
+from experiments.speed.timing import latency, machine, no_collector, one_thread
 
-SENSORS = (128, 96), (304, 240), (640, 480)
-SIDE, OBJECTS, MOMENTS = 34, 3, 300
-SPEED_SENSOR, RATE, EVERY_US = (320, 240), 1_000_000, 1_000
+SENSORS = ((128, 96), (304, 240), (640, 480))
+"""Width and height of the sensors that are compared, in pixels."""
+
+SIDE = 34
+"""Width and height of a recording, in pixels."""
+
+OBJECTS = 3
+"""Number of recordings that stand on the sensor; under load from one to so many."""
+
+A_WINDOW = 1_400
+"""Events of a window."""
+
+MOMENTS = 300
+"""Number of moments that are timed."""
+
+SPEED_SENSOR = (320, 240)
+"""Width and height of the sensor under load."""
+
+RATE = 1_000_000
+"""Events a second under load."""
+
+EVERY_US = 1_000
+"""Time between decisions under load, in microseconds."""
 
 
 def four(channels: int) -> nn.Module:
     """Four convolutions, a place for 8x8 pixels; nothing is likely, as few objects are there to be
     found."""
-    widths, strides = (channels, 16, 32, 32, 48), (2, 2, 2, 1)
+    widths = (channels, 16, 32, 32, 48)
+    strides = (2, 2, 2, 1)
     layers: list[nn.Module] = []
     for k, stride in enumerate(strides):
         layers += [nn.Conv2d(widths[k], widths[k + 1], 3, stride, 1), nn.ReLU()]
@@ -63,7 +84,7 @@ def four(channels: int) -> nn.Module:
 
 
 def models() -> dict[str, Model]:
-    """Name -> for any sensor."""
+    """The models by name, each for any sensor."""
     bundled = load_model("digits-everywhere")
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -83,10 +104,10 @@ def moving(
         events = open_recording(sample_recordings()[k]).read()
         events = np.tile(events, -(-n // (n_objects * len(events))))[: n // n_objects]
         events["t"] = np.arange(len(events)) * duration_us // len(events)
-        path = rng.uniform(0, 2 * room, 2) + np.outer(
-            events["t"], speed * 1e-6 * np.sqrt([0.5, 0.5])
-        )
-        path = np.abs(path % (2 * room) - room).astype(int)  # back and forth
+        diagonal = np.sqrt([0.5, 0.5])
+        path = rng.uniform(0, 2 * room, 2) + np.outer(events["t"], speed * 1e-6 * diagonal)
+        # back and forth
+        path = np.abs(path % (2 * room) - room).astype(int)
         events["x"] += path[:, 0].astype(np.uint16)
         events["y"] += path[:, 1].astype(np.uint16)
         parts.append(events)
@@ -95,39 +116,42 @@ def moving(
 
 
 def check(model: Model, events: np.ndarray, networks: dict[str, backends.Network]) -> None:
-    """The same objects and maps.
+    """Check that objects and maps are the same either way.
 
     Raises
     ------
-    WorkDiffers : they are not.
+    WorkDiffers : objects or maps differ.
     """
-    at_once, in_parts = (Processor(model, start_us=0) for _ in range(2))
+    at_once = Processor(model, start_us=0)
+    in_parts = Processor(model, start_us=0)
     at_once.push(events)
     for part in np.array_split(events, 50):
         in_parts.push(part)
         in_parts.fire()
-    one, other, volume = at_once.fire(), in_parts.fire(), at_once.volume()
-    # but for an object's number, which depends on earlier decisions
-    found, again = (
-        [replace(thing, id=0) for thing in decision.objects or ()] for decision in (one, other)
-    )
-    if found != again:
+    decision = at_once.fire()
+    if _objects(decision) != _objects(in_parts.fire()):
         raise WorkDiffers("objects depend on how the events are cut")
+    volume = at_once.volume()
     for name, network in networks.items():
-        away = float(np.abs(network(volume) - one.logits).max())
+        away = float(np.abs(network(volume) - decision.logits).max())
         if away > (0.0 if name == "dense" else 1e-4):
             raise WorkDiffers(f"the map of {name} is {away:g} away from ours")
 
 
+def _objects(decision: Decision) -> list[Any]:
+    """The objects of a decision without their numbers, which depend on earlier decisions."""
+    return [replace(found, id=0) for found in decision.objects or ()]
+
+
 def times(model: Model, n_moments: int) -> dict[str, Any]:
-    """Case -> microseconds."""
+    """Microseconds of each case."""
     networks = backends.dense_networks(model)
     networks = {name: networks[name] for name in ("dense", "onnxruntime_run") if name in networks}
-    events = moving(
-        model.config.sensor, OBJECTS, 1_400 * n_moments, model.config.window_us * n_moments, 20.0
-    )
+    duration_us = model.config.window_us * n_moments
+    events = moving(model.config.sensor, OBJECTS, A_WINDOW * n_moments, duration_us, 20.0)
     check(model, events[:1_300], networks)
-    followed, fresh = Processor(model, start_us=0), Processor(model, start_us=0)
+    followed = Processor(model, start_us=0)
+    fresh = Processor(model, start_us=0)
     measured: dict[str, list[float]] = {}
 
     def timed(name: str, work: Callable[[Any], object], on: object) -> None:
@@ -140,7 +164,7 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
 
     with no_collector():
         for k in range(n_moments):
-            of_moment = events[1_400 * k : 1_400 * (k + 1)]
+            of_moment = events[A_WINDOW * k : A_WINDOW * (k + 1)]
             decide(followed)(of_moment[:299])
             # as in a stream: a dense pass before would have emptied the caches
             decide(followed)(of_moment[299].item())
@@ -158,27 +182,16 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
 
 def ssla_rt(program: str, weights: str, *, n_moments: int) -> dict[str, float]:
     """Microseconds of an event in SSLA-RT."""
-    events = moving(SENSORS[1], OBJECTS, 1_400 * n_moments, 105_000 * n_moments, 20.0)
+    events = moving(SENSORS[1], OBJECTS, A_WINDOW * n_moments, 105_000 * n_moments, 20.0)
     with TemporaryDirectory() as folder:
-        np.save(
-            path := f"{folder}/events.npy",
-            np.stack([events[name] for name in "txyp"], 1).astype(np.float32),
-        )
-        words = [
-            program,
-            "--weights",
-            weights,
-            "--warmup",
-            str(len(events) // 10),
-            "--events",
-            path,
-        ]
+        path = f"{folder}/events.npy"
+        np.save(path, np.stack([events[name] for name in "txyp"], 1).astype(np.float32))
+        words = [program, "--weights", weights, "--events", path]
+        words += ["--warmup", str(len(events) // 10)]
         printed = subprocess.run(words, stdout=subprocess.PIPE, check=True, text=True).stdout
     us = {"ns": 1e-3, "us": 1.0, "ms": 1e3}
-    found = {
-        name: float(n) * us[unit]
-        for name, n, unit in re.findall(r"(p50|p99) +: ([\d.]+) (.s)", printed)
-    }
+    rows = re.findall(r"(p50|p99) +: ([\d.]+) (.s)", printed)
+    found = {name: float(n) * us[unit] for name, n, unit in rows}
     return {"median": found["p50"], "p99": found["p99"]}
 
 
@@ -198,16 +211,16 @@ def load(model: Model, n_objects: int, seconds: float) -> float:
 
 def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
     """The whole report."""
-    n_moments, seconds = (20, 0.05) if quick else (MOMENTS, 1.0)
+    n_moments = 20 if quick else MOMENTS
+    seconds = 0.05 if quick else 1.0
     rows: dict[str, Any] = {}
     found = models()
     with progress(len(found) * (len(SENSORS) + OBJECTS), "times") as bar, one_thread(True):
         for name, model in found.items():
             rows[name] = {"times_us": {}, "load": {}}
             for sensor in SENSORS:
-                rows[name]["times_us"]["x".join(map(str, sensor))] = times(
-                    model.for_sensor(sensor), n_moments
-                )
+                size = "x".join(map(str, sensor))
+                rows[name]["times_us"][size] = times(model.for_sensor(sensor), n_moments)
                 bar.update()
             for n_objects in range(1, OBJECTS + 1):
                 rows[name]["load"][str(n_objects)] = load(model, n_objects, seconds)

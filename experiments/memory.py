@@ -11,7 +11,6 @@ memory grew by more than the limit.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 
@@ -19,28 +18,25 @@ import numpy as np
 
 from async_tnt import Processor, load_model, warmup
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import machine
-from experiments.script_options import add_json, exit_with, plain_parser, write_outputs
+from experiments.scripts.options import add_json, exit_with, plain_parser, write_outputs
+from experiments.speed.memory import resident_mb
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import machine
 
 MODEL = "digits"
+"""The model that decides."""
+
 FIRST = 1_000_000
+"""Number of events after which the first memory is noted."""
+
 PACKET = 1300
+"""Events of a packet."""
+
 PACKETS_A_WINDOW = 13
-SINGLES = 50  # events of one packet in each window that come one by one
+"""Packets of each window."""
 
-
-def resident_mb() -> float:
-    """Resident memory of this process in MB (2^20 bytes); if the system does not report it, its
-    peak."""
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-    except OSError:
-        import resource
-
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak / (2**20 if sys.platform == "darwin" else 2**10)
+SINGLES = 50
+"""Events of one packet in each window that come one by one."""
 
 
 def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
@@ -81,11 +77,18 @@ def main(argv: list[str] | None = None) -> int:
     model = load_model(MODEL)
     warmup(model)
     processor = Processor(model, every_us=20_000)
-    rng, n, config = np.random.default_rng(0), PACKET * PACKETS_A_WINDOW, model.config
+    rng = np.random.default_rng(0)
+    n = PACKET * PACKETS_A_WINDOW
+    config = model.config
     window = structured(made_columns(rng, config.sensor, n, config.window_us))
     window["t"][0] = 0
-    first_mb, n_events, n_decisions, start_us = None, 0, 0, 0
-    started = shown = time.perf_counter()
+
+    first_mb = None
+    n_events = 0
+    n_decisions = 0
+    start_us = 0
+    started = time.perf_counter()
+    shown = started
     while n_events < args.events:
         n_decisions += push_window(processor, window, start_us)
         start_us += model.config.window_us
@@ -94,11 +97,9 @@ def main(argv: list[str] | None = None) -> int:
             first_mb = resident_mb()
         if time.perf_counter() - shown > 2:
             shown = time.perf_counter()
-            print(
-                f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB",
-                file=sys.stderr,
-                flush=True,
-            )
+            so_far = f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB"
+            print(so_far, file=sys.stderr, flush=True)
+
     last_mb = resident_mb()
     if processor.counts.received != n_events:
         raise RuntimeError(

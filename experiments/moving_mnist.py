@@ -7,6 +7,7 @@ import json
 import math
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from async_tnt.base.files import check_folder
@@ -15,39 +16,49 @@ from async_tnt.base.progress import progress
 from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.resynthesis.calibration import side_by_side
-from experiments.comparison import compare, recordings_by_image
-from experiments.digit_scene import Scene
-from experiments.motions import KINDS
-from experiments.moving_mnist_set import build
-from experiments.nmnist_files import write_nmnist
-from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
-from experiments.set_manifest import MANIFEST, MovingMnist
+from experiments.digit_data.nmnist_files import write_nmnist
+from experiments.motions.kinds import KINDS
+from experiments.motions.scene import Scene
+from experiments.moving_set.build import build
+from experiments.moving_set.comparison import compare, recordings_by_image
+from experiments.moving_set.manifest import MANIFEST, MovingMnist
+from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
+
+Columns = Mapping[str, dict[str, float]]
+"""Title of a column of statistics -> name of a number -> the number."""
 
 DESCRIPTION = """\
-Simulate N-MOVING-MNIST: every digit of MNIST in front of an event camera of 34 x 34 pixels, under each of 30
-motions (10 directions x 3, 5 and 8 pixels) in one window of 105 ms. The folder gets one .safetensors file per
-motion and 1,000 images, with the simulated optical flow, and set.json, which records how they were made.
+Simulate N-MOVING-MNIST: every digit of MNIST in front of an event camera of 34 x 34 pixels, under
+each of 30 motions (10 directions x 3, 5 and 8 pixels) in one window of 105 ms. The folder gets one
+.safetensors file per motion and 1,000 images, with the simulated optical flow, and set.json, which
+records how they were made.
 
-The 10,000 test images give 300,000 recordings: some 3 GB, in minutes. Stop with Ctrl-C, give the same
-command again, and it resumes. The same seed gives the same files, for any number of workers.
+The 10,000 test images give 300,000 recordings: some 3 GB, in minutes. Stop with Ctrl-C, give the
+same command again, and it resumes. The same seed gives the same files, for any number of workers.
 
-At the end it prints statistics of real N-MNIST recordings, of simulations of the same images under N-MNIST's own
-motion, and of this set, side by side.
+At the end it prints statistics of real N-MNIST recordings, of simulations of the same images under
+N-MNIST's own motion, and of this set, side by side.
 """
 EPILOG = """\
 examples:
-  python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20       a first look: seconds
-  python -m experiments.moving_mnist --mnist MNIST --out moving-test              the whole test set
-  python -m experiments.moving_mnist --mnist MNIST --out bells --motions bell     the same paths, a saccade's speed
-  python -m experiments.moving_mnist --mnist MNIST --out thesis --motions constant-from-centre --bright-on-dark
-                                             as the thesis seems to have moved its digits
-  python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20 --bin as-nmnist
-  async-tnt run as-nmnist/000deg-5px/7/00001.bin
+  a first look, in seconds:
+    python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20
+  the whole test set:
+    python -m experiments.moving_mnist --mnist MNIST --out moving-test
+  the same paths, with a saccade's speed:
+    python -m experiments.moving_mnist --mnist MNIST --out bells --motions bell
+  as the thesis seems to have moved its digits:
+    python -m experiments.moving_mnist --mnist MNIST --out thesis --motions constant-from-centre \\
+        --bright-on-dark
+  also in N-MNIST's format:
+    python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20 --bin as-nmnist
+    async-tnt run as-nmnist/000deg-5px/7/00001.bin
 MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz and their labels.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add all options."""
     add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
     parser.add_argument(
         "--out",
@@ -63,10 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--motions",
         choices=KINDS,
         default="constant",
-        help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a saccade; both pass the "
-        "sensor's centre at half time, or start there (-from-centre); beyond: 14 px, 5 px and "
-        "back, or round a loop; "
-        "nmnist: N-MNIST's three saccades, 308 ms "
+        help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a "
+        "saccade; both pass the sensor's centre at half time, or start there (-from-centre); "
+        "beyond: 14 px, 5 px and back, or round a loop; nmnist: N-MNIST's three saccades, 308 ms "
         "(default: %(default)s)",
     )
     parser.add_argument(
@@ -89,15 +99,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_folder(
         parser,
         "--bin",
-        "also write each recording in N-MNIST's own format: FOLDER/<motion>/<digit>/<image, from "
-        "1>.bin",
+        "also write each recording in N-MNIST's own format: "
+        "FOLDER/<motion>/<digit>/<image, from 1>.bin",
     )
     add_folder(
         parser,
         "--nmnist",
         "N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin, to compare with (default: "
-        "$TNT_DATA/nmnist "
-        "where it exists)",
+        "$TNT_DATA/nmnist where it exists)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
 
@@ -108,15 +117,14 @@ def main(argv: list[str] | None = None) -> int:
     add_arguments(parser)
     args = parser.parse_args(argv)
     mnist = data_folder(args.mnist, "mnist", "--mnist")
-    root = os.environ.get("TNT_DATA")
-    nmnist = None
-    if args.nmnist is not None or (root and (Path(root) / "nmnist").is_dir()):
-        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+    nmnist = _nmnist_folder(args.nmnist)
     for folder in (args.out, args.bin):
         if folder is not None:
             check_folder(folder, (MANIFEST,))
     if nmnist is not None:
-        recordings_by_image(nmnist, args.split)  # raises before the long work rather than after it
+        # raises before the long work rather than after it
+        recordings_by_image(nmnist, args.split)
+
     started = time.monotonic()
     try:
         made = build(
@@ -136,42 +144,62 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         kept = f"finished shards are kept in {args.out}. Give the same command again to resume."
         raise KeyboardInterrupt(f"interrupted; {kept}") from None
-    n_bytes = sum(path.stat().st_size for path in made.shards)
+
     if args.json:
-        numbers = {
-            title: {name: value if math.isfinite(value) else None for name, value in column.items()}
-            for title, column in columns.items()
-        }
-        answer = {
-            "out": str(args.out),
-            "recordings": len(made),
-            "shards": len(made.shards),
-            "bytes": n_bytes,
-        }
-        say(
-            json.dumps(
-                {
-                    **answer,
-                    "seconds": round(seconds, 3),
-                    "motions": args.motions,
-                    "statistics": numbers,
-                }
-            )
-        )
-        return 0
-    say(
-        f"{args.out}: {len(made)} recordings ({len(made.parameters['images'])} images, "
-        f"{len(made.motions)} motions) in "
-        f"{len(made.shards)} files, {n_bytes / 1e6:.1f} MB; {seconds:.1f} s"
-    )
-    if args.bin is not None:
-        say(f"{args.bin}: the same in N-MNIST's format")
-    say(*side_by_side(columns).splitlines())
-    shown = "the set's first images" if nmnist is None else "the images of the first column"
-    say(f"simulated: {shown} under N-MNIST's own motion")
-    if nmnist is None:
-        note("no N-MNIST to compare with; give --nmnist FOLDER")
+        say(json.dumps(_as_json(made, columns, args.motions, seconds)))
+    else:
+        _print(made, columns, seconds, exported=args.bin, compared=nmnist is not None)
     return 0
+
+
+def _nmnist_folder(given: Path | None) -> Path | None:
+    """N-MNIST to compare with: as given, or in $TNT_DATA; None where it is in neither."""
+    root = os.environ.get("TNT_DATA")
+    if given is None and not (root and (Path(root) / "nmnist").is_dir()):
+        return None
+    return data_folder(given, "nmnist", "--nmnist")
+
+
+def _size(made: MovingMnist) -> int:
+    """Bytes of all shards."""
+    return sum(path.stat().st_size for path in made.shards)
+
+
+def _as_json(
+    made: MovingMnist, columns: Columns, motions: str, seconds: float
+) -> dict[str, object]:
+    """The answer of --json. A number that is not finite is null."""
+    statistics = {
+        title: {name: value if math.isfinite(value) else None for name, value in column.items()}
+        for title, column in columns.items()
+    }
+    return {
+        "out": str(made.folder),
+        "recordings": len(made),
+        "shards": len(made.shards),
+        "bytes": _size(made),
+        "seconds": round(seconds, 3),
+        "motions": motions,
+        "statistics": statistics,
+    }
+
+
+def _print(
+    made: MovingMnist, columns: Columns, seconds: float, *, exported: Path | None, compared: bool
+) -> None:
+    """What was made, and the statistics side by side."""
+    say(
+        f"{made.folder}: {len(made)} recordings ({len(made.parameters['images'])} images, "
+        f"{len(made.motions)} motions) in {len(made.shards)} files, {_size(made) / 1e6:.1f} MB; "
+        f"{seconds:.1f} s"
+    )
+    if exported is not None:
+        say(f"{exported}: the same in N-MNIST's format")
+    say(*side_by_side(columns).splitlines())
+    shown = "the images of the first column" if compared else "the set's first images"
+    say(f"simulated: {shown} under N-MNIST's own motion")
+    if not compared:
+        note("no N-MNIST to compare with; give --nmnist FOLDER")
 
 
 def export(made: MovingMnist, folder: Path) -> None:

@@ -32,20 +32,31 @@ from typing import Any
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
+from async_tnt.sources import UdpSource
 from async_tnt.sources.files.playback import wait_until
 from async_tnt.sources.live.datagrams import encode
-from async_tnt.sources.live.udp import UdpSource
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import latency, machine
-from experiments.script_options import add_count, add_json, exit_with, plain_parser, write_outputs
+from experiments.scripts.options import add_count, add_json, exit_with, plain_parser, write_outputs
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import latency, machine
 
 EVERY_US = 5_000
+"""Time between two decisions under load, in microseconds."""
+
 SILENCE_S = 2.0
-EVENTS = 100  # of a datagram: 1300 bytes fit Ethernet
+"""Seconds without a datagram after which the stream has ended."""
+
+EVENTS = 100
+"""Events of a datagram: 1300 bytes, which fit Ethernet."""
+
 WAYS = ("plain_socket", "packet", "decision")
+"""Ways of receiving that are compared."""
+
 SHARE_S = 1e-4
-BUFFER_BYTES = 1 << 22  # of the system, for datagrams that wait
+"""The sender sends what is due in so many seconds at once, one datagram at least."""
+
+BUFFER_BYTES = 1 << 22
+"""Size of the buffer of the system for datagrams that wait."""
 
 
 # -- the other process -----------------------------------------------------------------------------
@@ -75,7 +86,9 @@ def send_load(port: int, seconds: float, rate: float) -> dict[str, Any]:
     # the last is due at the end
     offset_us = (np.arange(n) * (1e6 / rate)).astype(np.int64) - round(n * 1e6 / rate)
     n_shares = max(1, round(seconds * rate / n))
-    n_datagrams = n_bytes = n_refused = 0
+    n_datagrams = 0
+    n_bytes = 0
+    n_refused = 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.connect(("127.0.0.1", port))  # so that a refusal is reported
         started_ns = time.monotonic_ns()
@@ -134,7 +147,8 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                     # it came with the one before: we were a round late
                     if n_events[way] > k * EVENTS:
                         continue
-                    if (packet := source.receive(30)) is None:
+                    packet = source.receive(30)
+                    if packet is None:
                         raise RuntimeError("the sender sent nothing for 30 seconds")
                     n_events[way] += len(packet)
                     n_decided = len(processor.push(packet)) if way == "decision" else 1

@@ -2,8 +2,7 @@
 patches, edges, objects.
 
     python -m experiments.nothing [--model NAME|FILE] [--poker POKER-DVS] [--characters FOLDER]
-    [--cars N-CARS]
-                                  [--json FILE] [--quick]
+                                  [--cars N-CARS] [--json FILE] [--quick]
 
 Windows have the times of the bundled recordings' events, which stand somewhere else. `train` shows
 noise, events of one polarity, hot pixels, rectangular patches and straight edges to its networks;
@@ -21,15 +20,19 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.networks.loading import load_model
+from async_tnt import Processor, load_model
 from async_tnt.sources import open_recording, sample_recordings
 from async_tnt.sources.files.labelled_recordings import recordings_under
-from async_tnt.streaming.processor import Processor
-from experiments.bench_moments import on_sensor
-from experiments.bench_timing import machine
-from experiments.script_options import add_folder, exit_with, run_script, script_parser
+from experiments.scripts.options import add_folder, exit_with, run_script, script_parser
+from experiments.speed.moments import on_sensor
+from experiments.speed.timing import machine
 
-SURE, SURER = 0.9, 0.99
+SURE = 0.9
+"""Confidence at which a window counts as decided."""
+
+SURER = 0.99
+"""Higher confidence that is asked for, too."""
+
 Place = tuple[np.ndarray, np.ndarray, np.ndarray]
 """x, y, p of each event; x and y may lie off the sensor."""
 
@@ -60,17 +63,17 @@ def hot_pixels(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 def patch(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
     n = len(share)
     width, height = rng.uniform(0.15 * side, 0.45 * side, 2)
-    x, y = (
-        rng.uniform(0, side - width) + width * rng.random(n),
-        rng.uniform(0, side - height) + height * rng.random(n),
-    )
+    x = rng.uniform(0, side - width) + width * rng.random(n)
+    y = rng.uniform(0, side - height) + height * rng.random(n)
     return x, y, rng.random(n) < rng.random()
 
 
 def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    """Flickers: ON and OFF take turns."""
-    n, radius = len(share), rng.uniform(0.1, 0.25) * side
-    far, angle = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
+    """Events all over a disc that flickers: ON and OFF take turns."""
+    n = len(share)
+    radius = rng.uniform(0.1, 0.25) * side
+    far = radius * np.sqrt(rng.random(n))
+    angle = rng.uniform(0, 2 * np.pi, n)
     x, y = rng.uniform(radius, side - radius, 2)
     return (
         x + far * np.cos(angle),
@@ -80,7 +83,8 @@ def disc(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 
 def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    n, angle = len(share), rng.uniform(0, 2 * np.pi)
+    n = len(share)
+    angle = rng.uniform(0, 2 * np.pi)
     along = rng.uniform(-1, 1, n) * side
     across = rng.uniform(0.3, 1.0) * side * (share - 0.5) + rng.normal(0, 0.5, n)
     x = side / 2 + across * np.cos(angle) - along * np.sin(angle)
@@ -92,15 +96,16 @@ def edge(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
 
 
 def corner(share: np.ndarray, side: int, rng: np.random.Generator) -> Place:
-    """Of a dark rectangle that moves: one side is ON, the other OFF."""
-    n, turn = len(share), rng.uniform(0, np.pi / 2)
-    along, first = rng.uniform(0, side, n), rng.random(n) < 0.5
+    """Two sides of a dark rectangle that moves: one is ON, the other OFF."""
+    n = len(share)
+    turn = rng.uniform(0, np.pi / 2)
+    along = rng.uniform(0, side, n)
+    first = rng.random(n) < 0.5
     moved = rng.uniform(0.2, 0.6) * side * (share - 0.5)
-    u, v = (
-        np.where(first, along, 0) + moved,
-        np.where(first, 0, along) + moved * rng.choice([-1, 1]),
-    )
-    x, y = np.cos(turn) * u - np.sin(turn) * v, np.sin(turn) * u + np.cos(turn) * v
+    u = np.where(first, along, 0) + moved
+    v = np.where(first, 0, along) + moved * rng.choice([-1, 1])
+    x = np.cos(turn) * u - np.sin(turn) * v
+    y = np.sin(turn) * u + np.cos(turn) * v
     return side / 2 + x, side / 2 + y, first
 
 
@@ -114,6 +119,7 @@ KINDS: dict[str, Callable[[np.ndarray, int, np.random.Generator], Place]] = {
     "a flickering disc (tested only)": disc,
     "a corner (tested only)": corner,
 }
+"""What stands in a window -> what makes its events."""
 
 
 def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, Any]:
@@ -129,12 +135,9 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
             for k in range(n_windows)
         )
         rows[name] = _share(processor, windows)
+    known = processor.classes or ()
     for name, folder in folders.items():
-        files = [
-            path
-            for path in recordings_under(folder)
-            if path.parent.name not in (processor.classes or ())
-        ]
+        files = [path for path in recordings_under(folder) if path.parent.name not in known]
         objects = _objects(files, config.sensor[0], config.window_us, n_windows)
         rows[f"{name} (tested only)"] = _share(processor, objects)
     return {"machine": machine(), "model": Path(model).name, "sure": SURE, "rows": rows}
@@ -143,7 +146,7 @@ def measure(model: str, folders: dict[str, Path], n_windows: int) -> dict[str, A
 def _of_kind(
     kind: Any, events: np.ndarray, side: int, window_us: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """The first window of a recording, elsewhere."""
+    """The first window of a recording, with its events at the places that `kind` makes."""
     t = events["t"] - events["t"][0]
     t = t[t < window_us]
     x, y, p = kind(t / window_us, side, rng)
@@ -164,7 +167,8 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
 
 
 def _share(processor: Processor, windows: Iterator[np.ndarray]) -> dict[str, Any]:
-    last, highest = [], []
+    last = []
+    highest = []
     for events in windows:
         processor.reset()
         probabilities = [

@@ -13,29 +13,27 @@ import re
 from collections.abc import Callable
 
 from async_tnt.base.files import write_text
-from experiments import (
-    accuracy_tables,
-    dataset_tables,
-    decision_tables,
-    results_sections,
-    thesis_tables,
-)
-from experiments.page_parts import ROOT
-from experiments.script_options import exit_with, plain_parser
+from experiments.scripts.options import exit_with, plain_parser
+from experiments.tables import accuracy, datasets, decisions, differences, sections, thesis
+from experiments.tables.parts import ROOT
 
 SHORT = (
-    accuracy_tables.accuracy,
-    dataset_tables.cars_in_short,
-    decision_tables.speed,
-    thesis_tables.unseen_motion,
-    thesis_tables.thesis_answers,
+    accuracy.accuracy,
+    datasets.cars_in_short,
+    decisions.speed,
+    thesis.unseen_motion,
+    differences.thesis_answers,
 )
 """What README and the page of results have of other tables."""
+
 TABLES = {
     make.__name__: make
-    for make in (*SHORT, *(t for part in results_sections.SECTIONS for t in part.tables))
+    for make in (*SHORT, *(t for part in sections.SECTIONS for t in part.tables))
 }
+"""Name between the markers of a page -> what writes the table."""
+
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+"""A table of a page, between its markers."""
 
 
 def written(page: str) -> str:
@@ -57,7 +55,7 @@ def written(page: str) -> str:
 PAGES: dict[str, Callable[[str], str]] = {
     "README.md": written,
     "docs/results.md": written,
-    "experiments/RESULTS.md": lambda before: results_sections.page(),
+    "experiments/RESULTS.md": lambda before: sections.page(),
 }
 """Path -> what is made of its present text."""
 

@@ -1,9 +1,8 @@
 """Which volume `async-tnt train` takes by default: candidates on five data sets, held-out data.
 
     python -m experiments.recipes [--cars N-CARS] [--nmnist N-MNIST] [--poker POKER-DVS]
-    [--characters FOLDER]
-                                  [--sets NAME ...] [--candidates NAME ...] [--seeds N] [--out
-                                  FOLDER] [--json FILE]
+                                  [--characters FOLDER] [--sets NAME ...] [--candidates NAME ...]
+                                  [--seeds N] [--out FOLDER] [--json FILE]
 
 No test part is read: N-CARS, N-MNIST and POKER-DVS hold out the last recordings of each class of
 their training parts; HOTS' characters, of which there is one recording each, their last 35 ms;
@@ -33,9 +32,8 @@ from async_tnt.training.settings import default_config, settings_for
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.volume_choice import VolumeChoice
 from async_tnt.training.work import Work
-from experiments.bench_timing import machine
-from experiments.made_objects import SENSOR, WINDOW_US, Session, write
-from experiments.script_options import (
+from experiments.objects.pairs import SENSOR, WINDOW_US, Session, write
+from experiments.scripts.options import (
     add_count,
     add_folder,
     add_json,
@@ -45,8 +43,10 @@ from experiments.script_options import (
     print_tables,
     write_outputs,
 )
+from experiments.speed.timing import machine
 
 SPLIT = {"transform": "none", "polarity": "split"}
+"""Settings that all candidates share."""
 
 
 CANDIDATES: dict[str, dict[str, Any]] = {
@@ -57,8 +57,9 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "3 bins": {"representation": "volume", "bins": 3, **SPLIT},
 }
 """Name -> fields of `TNTConfig`."""
+
 EPOCHS = {"cars": 10, "nmnist": 10}
-"""Of large sets, for every candidate; of the others those that are the default."""
+"""Set -> epochs for every candidate. Sets that are not named have those that are the default."""
 
 
 def read(
@@ -82,13 +83,14 @@ def characters(folder: Path, config: Any) -> TrainingData:
 
 
 def sessions(folder: Path, config: Any) -> TrainingData:
-    """Made in `folder`."""
-    parts = {}
-    for k, session in enumerate((Session(), Session(0.28, 0.2, 2.0, 0.8, (6.0, -4.0)))):
-        made = write(
-            folder / f"session{k}", 60, tuple(np.pi / 4 * np.arange(8)), seed=k, session=session
-        )
-        parts[k] = read(made, config.replace(window_us=WINDOW_US), sensor=SENSOR, validation=0.0)
+    """Windows of two made sessions: the first to learn from, the second is held out."""
+    other_day = Session(threshold=0.28, mismatch=0.2, noise_hz=2.0, size=0.8, place=(6.0, -4.0))
+    directions = tuple(np.pi / 4 * np.arange(8))
+    parts = []
+    for k, session in enumerate((Session(), other_day)):
+        made = write(folder / f"session{k}", 60, directions, seed=k, session=session)
+        config_of_set = config.replace(window_us=WINDOW_US)
+        parts.append(read(made, config_of_set, sensor=SENSOR, validation=0.0))
     return replace(parts[0], validation=parts[1].training)
 
 
@@ -99,6 +101,7 @@ SETS: dict[str, Callable[[Path, Any], TrainingData]] = {
     "characters": characters,
     "sessions": sessions,
 }
+"""Set -> what reads its folder."""
 
 
 def measure(
@@ -147,9 +150,8 @@ def main(argv: list[str] | None = None) -> int:
     add_json(parser)
     args = parser.parse_args(argv)
     torch.set_num_threads(1)
-    names = args.sets or [
-        name for name in SETS if name == "sessions" or getattr(args, name) is not None
-    ]
+    given = [name for name in SETS if name == "sessions" or getattr(args, name) is not None]
+    names = args.sets or given
     report = earlier_report(args, {"sets": {}}) | {"machine": machine("torch")}
     for name in names:
         _measure_set(name, args, report)
@@ -158,6 +160,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _measure_set(name: str, args: argparse.Namespace, report: dict[str, Any]) -> None:
+    """Measure the candidates that the report does not have yet; writes it after each."""
     folder = args.out / "sessions" if name == "sessions" else getattr(args, name)
     if folder is None:
         raise FileNotFoundError(f"no folder of {name}: give --{name}")

@@ -21,15 +21,18 @@ import numpy as np
 from async_tnt import Processor, TNTConfig, TNTVolume, bundled_models, load_model
 from async_tnt.cli.bench import machine
 from async_tnt.sources import open_recording, sample_recordings
-from experiments.page_parts import results
-from experiments.script_options import add_json, exit_with, plain_parser, write_outputs
+from experiments.scripts.options import add_json, exit_with, plain_parser, write_outputs
+from experiments.tables.parts import results
 
 PREFIXES = (1, 10, 100, 1_000, 100_000)
+"""Numbers of events after which a volume is looked at."""
+
 WINDOW_US = 105_000
+"""Length of a window."""
 
 
 def configs() -> Iterator[TNTConfig]:
-    """Of the volumes."""
+    """The configurations of the volumes."""
     for landmark, polarity in itertools.product(
         ("center", "running", "line"), ("signed", "unsigned", "split")
     ):
@@ -43,7 +46,7 @@ def configs() -> Iterator[TNTConfig]:
 
 
 def digests() -> dict[str, str]:
-    """Of all volumes, and of the logits of each bundled model."""
+    """Digests of all volumes, and of the logits of each bundled model."""
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     volumes = hashlib.sha256()
     for config in configs():

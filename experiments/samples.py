@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.mnist import load_mnist
-from experiments.nmnist_files import write_nmnist
-from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
-from experiments.simulated_digits import simulate_digit
+from experiments.digit_data.mnist import load_mnist
+from experiments.digit_data.nmnist_files import write_nmnist
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.scripts.options import add_folder, data_folder, exit_with, plain_parser
 
 FIRST_SAMPLE = 2_000
 """Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings

@@ -21,12 +21,18 @@ import numpy as np
 
 from async_tnt import Model, load_model, warmup
 from async_tnt.base.progress import progress
-from experiments import bench_backends as backends
-from experiments.bench_timing import machine, spread
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed import backends
+from experiments.speed.timing import machine, spread
 
-MODEL, ROUNDS = "digits", 5
+MODEL = "digits"
+"""The model that decides."""
+
+ROUNDS = 5
+"""Processes of each way."""
+
 PACKAGES = ("torch", "onnx", "onnxruntime")
+"""Packages whose versions the report names."""
 
 WORK = {
     "ours_cold": "ours, with an empty NUMBA_CACHE_DIR: everything is compiled",
@@ -34,7 +40,10 @@ WORK = {
     "onnxruntime": "onnxruntime: import, a session of the exported network, its first answer",
     "torch": "torch: import, the same network from the model's file, its first answer",
 }
+"""Way -> what it does."""
+
 NEEDS = {"onnxruntime": ("onnx", "onnxruntime"), "torch": ("torch", "tnt_reference")}
+"""Way -> packages that it needs."""
 
 _OURS = """
 from async_tnt import Processor, load_model
@@ -47,6 +56,8 @@ processor.push_one(1000, 1, 1, 1)
 processor.fire()
 step("decision")
 """
+"""Program of the two rows of ours, inside of `_AROUND`."""
+
 _ONNXRUNTIME = """
 import numpy as np
 import os
@@ -54,19 +65,24 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 step("import")
 options = onnxruntime.SessionOptions()
-options.intra_op_num_threads = options.inter_op_num_threads = 1
-session = onnxruntime.InferenceSession(arguments["onnx"], options, providers=["CPUExecutionProvider"])
+options.intra_op_num_threads = 1
+options.inter_op_num_threads = 1
+providers = ["CPUExecutionProvider"]
+session = onnxruntime.InferenceSession(arguments["onnx"], options, providers=providers)
 step("load")
 session.run(["logits"], {"volume": np.zeros(arguments["shape"], np.float32)})
 step("decision")
 """
+"""Program of onnxruntime."""
+
 _TORCH = """
 import torch
 from safetensors.torch import load_file
 from tnt_reference import Classifier
 step("import")
 torch.set_num_threads(1)
-weights = {name: w for name, w in load_file(arguments["model"]).items() if not name.startswith("regressor.")}
+tensors = load_file(arguments["model"])
+weights = {name: w for name, w in tensors.items() if not name.startswith("regressor.")}
 widths = tuple(len(weights[layer + ".bias"]) for layer in ("conv1", "conv2", "fc1"))
 channels, height, width = arguments["shape"][1:]
 network = Classifier(channels, (width, height), len(weights["fc2.bias"]), widths).eval()
@@ -76,21 +92,27 @@ with torch.inference_mode():
     network(torch.zeros(arguments["shape"])).argmax()
 step("decision")
 """
+"""Program of torch."""
+
 _AROUND = """
 import json, sys, time
-arguments, seconds, last = json.loads(sys.argv[1]), {{}}, time.perf_counter()
+arguments = json.loads(sys.argv[1])
+seconds = {{}}
+last = time.perf_counter()
 def step(name):
     global last
     now = time.perf_counter()
-    seconds[name], last = now - last, now
+    seconds[name] = now - last
+    last = now
 {body}
 print(json.dumps(seconds))
 """
+"""Program around these: prints the seconds of each step as JSON."""
 
 
 def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
-    """Time starts, interleaved: each round has one process of each row, the cold one with a cache
-    folder of its own.
+    """Time starts: each round has one process of each row, the cold one with a cache folder of its
+    own.
 
     A first round, which fills the system's file cache, is discarded. Without `cold` nothing is
     compiled: `ours_warm` takes the cache as this process has it.
@@ -116,7 +138,9 @@ def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
             for name in rows if k % 2 else reversed(rows):
                 if k == 0 and name == "ours_cold":
                     continue
-                cache = folder / (f"cold {k}" if name == "ours_cold" else "warm") if cold else None
+                cache = None
+                if cold:
+                    cache = folder / (f"cold {k}" if name == "ours_cold" else "warm")
                 for step, taken in _start(name, arguments, cache).items():
                     if k:
                         seconds[name].setdefault(step, []).append(taken)
@@ -133,6 +157,7 @@ def left_out(cold: bool) -> dict[str, str]:
 
 
 def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str, float]:
+    """Seconds of each step of one process, of all steps, and of the whole process."""
     body = {"onnxruntime": _ONNXRUNTIME, "torch": _TORCH}.get(name, _OURS)
     settings = {
         "OMP_NUM_THREADS": "1",
@@ -143,7 +168,8 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
         cache.mkdir(exist_ok=True)
         settings["NUMBA_CACHE_DIR"] = str(cache)
     environment = os.environ | settings
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has its bytecode
+    # an installed package has its bytecode
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, "-c", _AROUND.format(body=body), json.dumps(arguments)]
     started = time.perf_counter()
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
@@ -156,7 +182,8 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
 
 def measure(quick: bool) -> dict[str, Any]:
     """All starts, as one JSON object."""
-    model, rounds = load_model(MODEL), 1 if quick else ROUNDS
+    model = load_model(MODEL)
+    rounds = 1 if quick else ROUNDS
     warmup(model)
     found = bench_starts(model, rounds, cold=not quick)
     about: dict[str, Any] = {
@@ -170,9 +197,8 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
-    return run_script(
-        script_parser("starts", __doc__, "one round, nothing compiled"), argv, measure, "starts"
-    )
+    parser = script_parser("starts", __doc__, "one round, nothing compiled")
+    return run_script(parser, argv, measure, "starts")
 
 
 if __name__ == "__main__":

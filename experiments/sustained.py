@@ -1,8 +1,8 @@
 """What this machine sustains with a model: events a second, delays under load, and what becomes of
 too many.
 
-    python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20] [--picture
-    FILE]
+    python -m experiments.sustained [--model digits] [--every-events 1] [--seconds 20]
+                                    [--picture FILE]
 
 First the processor time of a stream by its rate, in packets of a millisecond, with a decision after
 every few events; the sustained rate is where that takes one core. Then streams come in real time,
@@ -23,30 +23,44 @@ from async_tnt import Processor, load_model, warmup
 from async_tnt.cli.options import positive_int
 from async_tnt.sources import KeepUp, open_recording, sample_recordings
 from async_tnt.views.figure_style import HIGHLIGHTS, axes_at, headline, new_figure
-from experiments.bench_timing import machine
-from experiments.memory import resident_mb
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed.memory import resident_mb
+from experiments.speed.timing import machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATES = (10_000, 20_000, 50_000, 100_000)
+"""Rates, in events a second, at which the share of a core is measured; the first one also warms
+up."""
+
 LOADS = (0.1, 0.25, 0.5, 0.75, 1.0, 2.0, 10.0)
+"""Rates of the streams, divided by the rate that takes a core."""
+
 PERCENTILES = (50.0, 99.0, 99.9)
-PACKET_US, MAX_DELAY_US = 1_000, 50_000
+"""Percentiles of the delays in the report."""
+
+PACKET_US = 1_000
+"""Time that a packet covers."""
+
+MAX_DELAY_US = 50_000
+"""Delay from which on `KeepUp` skips events."""
 
 
 def packets(rate: float, seconds: float, started: float | None = None) -> Iterator[np.ndarray]:
     """Packets of a millisecond, of a bundled recording's events over and over, each in new memory;
     in real time since `started`, or at once."""
     events = open_recording(sample_recordings()[3]).read()
-    n, before = max(1, round(rate * PACKET_US * 1e-6)), 0
+    n = max(1, round(rate * PACKET_US * 1e-6))
+    before = 0
     for k in range(round(seconds * 1e6 / PACKET_US)):
         packet = events[np.arange(before, before + n) % len(events)]
         packet["t"] = k * PACKET_US + np.arange(n) * PACKET_US // n
         before += n
-        if started is not None and (ahead_s := due_s(started, packet) - time.monotonic()) > 0:
-            time.sleep(ahead_s)
+        if started is not None:
+            ahead_s = due_s(started, packet) - time.monotonic()
+            if ahead_s > 0:
+                time.sleep(ahead_s)
         yield packet
 
 
@@ -68,7 +82,9 @@ def share_of_core(processor: Processor, rate: float, seconds: float) -> float:
 def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, Any]:
     """A stream in real time: delays in milliseconds, what was decided, and what was skipped."""
     processor.reset()
-    delays_us, n_decisions, before_mb = [], 0, resident_mb()
+    delays_us = []
+    n_decisions = 0
+    before_mb = resident_mb()
     started = time.monotonic()
     reader = KeepUp(
         packets(rate, seconds, started), processor, max_delay_us=MAX_DELAY_US, copy=False
@@ -94,11 +110,12 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
 def measure(
     name: str, every_events: int, seconds: float, loads: tuple[float, ...]
 ) -> dict[str, Any]:
-    """All of it."""
+    """The sustained rate, and streams at each load of it."""
     model = load_model(name)
     warmup(model)
     processor = Processor(model, every_events=every_events)
-    share_of_core(processor, RATES[0], 1.0)  # warm
+    # warm
+    share_of_core(processor, RATES[0], 1.0)
     shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
     an_event, at_rest = map(float, np.polyfit(RATES, shares, 1))
     sustained = (1.0 - at_rest) / an_event
@@ -148,12 +165,9 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
 
     def measured(quick: bool) -> dict[str, Any]:
-        return measure(
-            args.model,
-            args.every_events,
-            1.0 if quick else args.seconds,
-            LOADS[::5] if quick else LOADS,
-        )
+        if quick:
+            return measure(args.model, args.every_events, 1.0, LOADS[::5])
+        return measure(args.model, args.every_events, args.seconds, LOADS)
 
     return run_script(parser, argv, measured, "sustained", draw)
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,82 +15,106 @@ from async_tnt.base.package import available_cores
 from async_tnt.cli.options import command_words, positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.training.settings import TrainSettings
-from experiments.bench_timing import machine
-from experiments.page_parts import read_json
-from experiments.script_options import (
+from experiments.scripts.options import (
     add_folder,
     data_folder,
     exit_with,
     plain_parser,
     writable_file,
 )
-from experiments.table_rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
+from experiments.tables.parts import read_json
+from experiments.thesis.rows import GROUPS, INPUTS, ROWS, SETS, TRAINED_ON, Run, runs_of
 
-DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
+DESCRIPTION = f"""\
+The thesis' experiment: networks that saw digits move in one way, tested in other motions.
 
 Rows, in groups (--list names them all, and trains nothing):
 
-{chr(10).join(f"  {name:<11} {text}" for name, text in GROUPS.items())}
+{chr(10).join(f"  {name:<15} {text}" for name, text in GROUPS.items())}
 
 Columns, trained on / tested on:
 
-  all/all   all three saccades of N-MNIST / all three, of other digits
-  1/all     the first saccade only        / all three, of other digits
-  1/others  the first saccade only        / the second and third, of other digits
-  1/train   the first saccade only        / all three, of the digits trained on
-  .../sim ...  the same                   / N-MOVING-MNIST, nine sets of 30 simulated motions, made in --out
-  confounded: each digit in one saccade only, 0-3 in the first, 4-6 in the second, 7-9 in the third
+  all/all     all three saccades of N-MNIST / all three, of other digits
+  1/all       the first saccade only        / all three, of other digits
+  1/others    the first saccade only        / the second and third, of other digits
+  1/train     the first saccade only        / all three, of the digits trained on
+  .../sim ... the same                      / N-MOVING-MNIST, nine sets of 30 simulated motions,
+                                              made in --out
+  confounded  each digit in one saccade only, 0-3 in the first, 4-6 in the second, 7-9 in the third
 
-Rows are compared seed by seed and digit by digit; the results hold each difference with its 95 % interval, and which
-of them hold when all are asked at once (Holm's method).
+Rows are compared seed by seed and digit by digit. The results hold each difference with its 95 %
+interval, and which of them hold when all are asked at once (Holm's method).
 
-A network is validated on held-out digits of its training motion, and tested only at the end. Checkpoints and results
-of all networks are kept in --out: stop with Ctrl-C, give the same command again, and it resumes.
+A network is validated on held-out digits of its training motion, and tested only at the end.
+Checkpoints and results of all networks are kept in --out: stop with Ctrl-C, give the same command
+again, and it resumes.
 """
 EPILOG = """\
 examples:
-  python -m experiments.thesis_table --smoke --nmnist N-MNIST --mnist MNIST    everything in a minute or two
-  python -m experiments.thesis_table --list                                    the networks, and their steps
-  python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows thesis --out table
-                                                                               the thesis' own rows
-  python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows raw line --seeds 0 1 --images 100
-  python -m experiments.thesis_table --rows raw-span raw --into experiments/results/table.json
-                                                                               the pages' results, rows at a time
+  everything in a minute or two:
+    python -m experiments.thesis_table --smoke --nmnist N-MNIST --mnist MNIST
+  the networks, and their steps:
+    python -m experiments.thesis_table --list
+  the thesis' own rows:
+    python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows thesis --out table
+  two rows with two seeds, tested on fewer images:
+    python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows raw line --seeds 0 1 \\
+        --images 100
+  the pages' results, rows at a time:
+    python -m experiments.thesis_table --rows raw-span raw --into experiments/results/table.json
 """
+
+SMOKE_ITERATIONS = 30
+"""Most steps of a network with --smoke."""
+
+SMOKE_IMAGES = 20
+"""Most images to simulate with --smoke."""
+
+SMOKE_PER_DIGIT = 8
+"""Recordings of each digit with --smoke."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    data = parser.add_argument_group("data")
+    """Add all options."""
+    _add_data(parser.add_argument_group("data"))
+    _add_rows(parser.add_argument_group("what to train"))
+    _add_training(parser.add_argument_group("training"))
+    _add_results(parser.add_argument_group("results"))
+
+
+def _add_data(group: argparse._ArgumentGroup) -> None:
     add_folder(
-        data,
+        group,
         "--nmnist",
         "N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: "
         "$TNT_DATA/nmnist)",
     )
-    add_folder(data, "--mnist", "MNIST's IDX files, to simulate from (default: $TNT_DATA/mnist)")
-    data.add_argument(
+    add_folder(group, "--mnist", "MNIST's IDX files, to simulate from (default: $TNT_DATA/mnist)")
+    group.add_argument(
         "--images",
         type=positive_int,
         default=500,
         metavar="N",
         help="test images of MNIST to simulate, that no training recording shows (default: 500)",
     )
-    what = parser.add_argument_group("what to train")
-    what.add_argument(
+
+
+def _add_rows(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
         "--rows",
         nargs="+",
         choices=[*GROUPS, *ROWS],
         metavar="ROW",
-        help="rows, or groups of them: " + ", ".join(GROUPS) + " (default: all groups)",
+        help=f"rows, or groups of them: {', '.join(GROUPS)} (default: all groups)",
     )
-    what.add_argument(
+    group.add_argument(
         "--trained-on",
         nargs="+",
         choices=TRAINED_ON,
         default=list(TRAINED_ON),
         help=f"only networks trained on these (default: {' '.join(TRAINED_ON)})",
     )
-    what.add_argument(
+    group.add_argument(
         "--seeds",
         nargs="+",
         type=whole_number,
@@ -99,51 +122,56 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="of weights, order and augmentation (default: 0 1 2 3 4)",
     )
-    what.add_argument("--list", action="store_true", help="print the networks, and stop")
-    how = parser.add_argument_group("training")
-    how.add_argument(
+    group.add_argument("--list", action="store_true", help="print the networks, and stop")
+
+
+def _add_training(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
         "--iterations",
         type=positive_int,
         metavar="N",
         help="steps of the optimizer for each network (default: each row's, see --list)",
     )
-    how.add_argument(
+    group.add_argument(
         "--batch", type=positive_int, default=64, metavar="N", help="windows per step (default: 64)"
     )
-    how.add_argument(
+    group.add_argument(
         "--workers",
         type=positive_int,
         metavar="N",
-        help="networks trained at a time, one thread each (default: all cores; 1 where torch sees a GPU)",
+        help="networks trained at a time, one thread each (default: all cores; 1 where torch sees "
+        "a GPU)",
     )
-    how.add_argument(
+    group.add_argument(
         "--smoke",
         action="store_true",
-        help="try everything in a minute or two: five rows, 8 recordings a digit, 30 steps, seed 0, 20 simulated "
-        "digits",
+        help="try everything in a minute or two: five rows, 8 recordings a digit, 30 steps, seed "
+        "0, 20 simulated digits",
     )
-    out = parser.add_argument_group("results")
+
+
+def _add_results(group: argparse._ArgumentGroup) -> None:
     add_folder(
-        out, "--out", "networks, results.json, table.md (default: table; with --smoke: table-smoke)"
+        group,
+        "--out",
+        "networks, results.json, table.md (default: table; with --smoke: table-smoke)",
     )
-    out.add_argument(
+    group.add_argument(
         "--into",
         type=writable_file,
         metavar="FILE",
-        help="put the results into this one, too, which has those of other rows: experiments/results/table.json",
+        help="put the results into this one, too, which has those of other rows: "
+        "experiments/results/table.json",
     )
-    out.add_argument("--json", action="store_true", help="print the results as one JSON object")
+    group.add_argument("--json", action="store_true", help="print the results as one JSON object")
 
 
 def main(argv: list[str] | None = None) -> int:
     """Train, test, compare, and write. Returns the exit code 0."""
-    parser = plain_parser("thesis_table", DESCRIPTION, EPILOG)
-    add_arguments(parser)
-    args = parser.parse_args(argv)
-    if args.smoke:
-        args.rows, args.seeds = args.rows or list(INPUTS), args.seeds[:1]
-        args.iterations, args.images = min(args.iterations or 30, 30), min(args.images, 20)
-    if not (runs := runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))):
+    args = _parsed(argv)
+    seeds = list(dict.fromkeys(args.seeds))
+    runs = runs_of(args.rows or GROUPS, args.trained_on, seeds)
+    if not runs:
         raise ValueError(
             f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}"
         )
@@ -152,90 +180,100 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     with needs_extra("test", "the table needs torch and SciPy"):
         import scipy  # noqa: F401
-        import torch
+        import torch  # noqa: F401
         from tnt_reference import Classifier  # noqa: F401
-    from experiments.table_data import RealFolder, make_set
-    from experiments.table_factors import effects
-    from experiments.table_merge import merged
-    from experiments.table_numbers import aggregate, differences, markdown_table
-    from experiments.table_runs import right_of, run_networks
 
-    args.out = args.out or Path("table-smoke" if args.smoke else "table")
     check_folder(args.out, ("results.json", "table.md"))
     if args.into is not None:
-        read_json(args.into)  # a wrong file shows now
-    per_digit = 8 if args.smoke else None
+        # a wrong file shows now
+        read_json(args.into)
+    record, seconds = _measured(runs, args)
+    _write(record, args)
+    if args.json:
+        say(json.dumps(record))
+    else:
+        say(*_tables(record).splitlines(), *_in_words(record, args, seconds))
+    return 0
+
+
+def _parsed(argv: list[str] | None) -> argparse.Namespace:
+    """The options, with what --smoke changes."""
+    parser = plain_parser("thesis_table", DESCRIPTION, EPILOG)
+    add_arguments(parser)
+    args = parser.parse_args(argv)
+    if args.smoke:
+        args.rows = args.rows or list(INPUTS)
+        args.seeds = args.seeds[:1]
+        args.iterations = min(args.iterations or SMOKE_ITERATIONS, SMOKE_ITERATIONS)
+        args.images = min(args.images, SMOKE_IMAGES)
+    args.out = args.out or Path("table-smoke" if args.smoke else "table")
+    return args
+
+
+def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any], float]:
+    """Train and test the networks; returns the record, and the seconds that it took."""
+    import torch
+
+    from experiments.thesis.data import RealFolder, make_set
+    from experiments.thesis.record import record_of
+    from experiments.thesis.runs import right_of, run_networks
+
+    # a missing or damaged file shows before anything is trained
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-    # now, so that a missing or damaged file shows before anything is trained
-    real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit)
+    if args.smoke:
+        real = RealFolder(nmnist, validation=0.25, per_digit=SMOKE_PER_DIGIT)
+    else:
+        real = RealFolder(nmnist)
     data = real.read()
     args.out.mkdir(parents=True, exist_ok=True)
     mnist = data_folder(args.mnist, "mnist", "--mnist")
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
-    simulated = {
-        name: make_set(
-            name, mnist, args.out / "simulated" / name.replace(" ", "-"), data, args.images, workers
-        )
-        for name in SETS
-    }
+    simulated = {}
+    for name in SETS:
+        folder = args.out / "simulated" / name.replace(" ", "-")
+        simulated[name] = make_set(name, mnist, folder, data, args.images, workers)
+
     note(*_listed(runs, args.iterations))
+    networks = args.out / "networks"
     settings = TrainSettings(iterations=args.iterations, batch=args.batch)
     started = time.monotonic()
-    results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
-    table, right = aggregate(results), right_of(results, args.out / "networks")
-    by_name = {Run(r["row"], r["trained_on"], r["seed"]).name: r for r in results}
-    record = {
-        "command": command_words(
-            "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
-            args,
-            add_arguments,
-            leave_out=("into", "json", "workers"),
-        ),
-        "data": {
-            **data.description,
-            "simulated": {name: made.parameters for name, made in simulated.items()},
-        },
-        "rows": {
-            name: {
-                "config": ROWS[name].config.to_dict(),
-                "augmentation": asdict(ROWS[name].augmentation),
-                "iterations": args.iterations or ROWS[name].iterations,
-                "span_events": ROWS[name].span,
-                "motions": {
-                    r["trained_on"]: r["motions"]
-                    for r in results
-                    if r["row"] == name and r["motions"]
-                },
-            }
-            for name in table
-        },
-        "settings": {
-            name: value for name, value in results[0]["settings"].items() if name != "iterations"
-        },
-        "seeds": list(dict.fromkeys(run.seed for run in runs)),
-        "machine": machine("torch"),
-        "table": table,
-        "differences": differences(right),
-        "effects": effects(right),
-        "validation": {name: r["validation"] for name, r in by_name.items()},
-        "curves": {
-            name: [{k: round(n, 6) for k, n in row.items()} for row in r["history"]]
-            for name, r in by_name.items()
-            if ROWS[r["row"]].group == "long"
-        },
-    }
+    results = run_networks(runs, real, simulated, settings, networks, workers)
+    command = command_words(
+        "python -m experiments.thesis_table --nmnist N-MNIST --mnist MNIST",
+        args,
+        add_arguments,
+        leave_out=("into", "json", "workers"),
+    )
+    record = record_of(
+        runs,
+        results,
+        right_of(results, networks),
+        data,
+        simulated,
+        iterations=args.iterations,
+        command=command,
+    )
+    return record, time.monotonic() - started
+
+
+def _write(record: dict[str, Any], args: argparse.Namespace) -> None:
+    """The files of --out and --into."""
+    from experiments.thesis.merge import merged
+
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
-    groups = dict.fromkeys(ROWS[name].group for name in table)
-    tables = "\n\n".join(markdown_table(table, [group]) for group in groups)
-    write_text(args.out / "table.md", tables + "\n")
+    write_text(args.out / "table.md", _tables(record) + "\n")
     if args.into is not None:
         there = read_json(args.into)
         write_text(args.into, json.dumps(merged(there, record), indent=1) + "\n")
-    if args.json:
-        say(json.dumps(record))
-    else:
-        say(*tables.splitlines(), *_in_words(record, args, time.monotonic() - started))
-    return 0
+
+
+def _tables(record: dict[str, Any]) -> str:
+    """The table of each group of rows, in Markdown."""
+    from experiments.thesis.numbers import markdown_table
+
+    table = record["table"]
+    groups = dict.fromkeys(ROWS[name].group for name in table)
+    return "\n\n".join(markdown_table(table, [group]) for group in groups)
 
 
 def _listed(runs: list[Run], iterations: int | None) -> list[str]:
@@ -243,7 +281,8 @@ def _listed(runs: list[Run], iterations: int | None) -> list[str]:
     steps."""
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
-        row, of = ROWS[name], [run for run in runs if run.row == name]
+        row = ROWS[name]
+        of = [run for run in runs if run.row == name]
         on = ", ".join(dict.fromkeys(run.trained_on for run in of))
         seeds = len({run.seed for run in of})
         steps = f"{iterations or row.iterations:,} steps"
@@ -254,23 +293,24 @@ def _listed(runs: list[Run], iterations: int | None) -> list[str]:
 
 
 def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> list[str]:
+    """What the printed tables show, and where the results are."""
     data = record["data"]
+    n_seeds = len(record["seeds"])
+    fewer = []
+    for name, columns in record["table"].items():
+        n = min(len(part["seeds"]) for part in columns.values())
+        if n < n_seeds:
+            fewer.append(f"{name} {n}")
     seeds = ", ".join(map(str, record["seeds"]))
-    counts = {
-        name: min(len(part["seeds"]) for part in columns.values())
-        for name, columns in record["table"].items()
-    }
-    fewer = ", ".join(f"{name} {n}" for name, n in counts.items() if n < len(record["seeds"]))
+    but = f" (fewer: {', '.join(fewer)})" if fewer else ""
     return [
         "",
-        f"mean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; windows per "
-        f"step: {args.batch}.",
+        f"mean ± deviation over seeds {seeds}{but}; windows per step: {args.batch}.",
         f"N-MNIST: {data['training_recordings']} recordings to train on, "
-        f"{data['held_out_recordings']} held out, "
-        f"{data['test_recordings']} to test on; the split is {data['split']}.",
+        f"{data['held_out_recordings']} held out, {data['test_recordings']} to test on; the split "
+        f"is {data['split']}.",
         f"{', '.join(data['simulated'])}: 30 simulated motions each of {args.images} MNIST test "
-        "images that no "
-        "training recording shows.",
+        "images that no training recording shows.",
         f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} "
         "minutes)",
     ]

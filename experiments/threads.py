@@ -14,24 +14,39 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from async_tnt import Processor, TNTVolume, load_model
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import interleave, machine, spread
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import interleave, machine, spread
 
 MODEL = "digits"
-PACKETS = 100, 1_000, 10_000, 400_000
-N_EVENTS, PASSES, ROUNDS = 400_000, 50, 9
+"""The model that decides."""
+
+PACKETS = (100, 1_000, 10_000, 400_000)
+"""Events of a packet."""
+
+N_EVENTS = 400_000
+"""Events of a stream."""
+
+PASSES = 50
+"""How often a stream is pushed in one work."""
+
+ROUNDS = 9
+"""How often each work is timed."""
+
 Work = Callable[[], object]
+"""What one thread does."""
 
 
 def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[str, Work]:
-    """One stream through each."""
+    """What one stream takes: as a volume, with decisions at the ends of windows, and with one every
+    millisecond."""
     packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
     takers: dict[str, Any] = {
         "volume": TNTVolume(model.config),
@@ -54,7 +69,7 @@ def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[st
 
 
 def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
-    """Of both works."""
+    """Seconds of both works, in two threads or one after the other."""
     started = time.perf_counter()
     if in_threads:
         threads = [threading.Thread(target=work) for work in pair]
@@ -71,17 +86,19 @@ def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
 def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
     """The time of one after the other, divided by that of both at once."""
     both = {
-        str(in_threads): (lambda in_threads=in_threads: seconds(pair, in_threads))
-        for in_threads in (False, True)
+        "one after the other": partial(seconds, pair, in_threads=False),
+        "in threads": partial(seconds, pair, in_threads=True),
     }
     measured = interleave(both, rounds)
-    return spread(measured["False"] / measured["True"])
+    return spread(measured["one after the other"] / measured["in threads"])
 
 
 def wake_us(n: int = 2_000) -> float:
     """Median microseconds until a thread that waits for a lock runs on: what it costs to wait for
     Python's lock."""
-    there, back, took = threading.Lock(), threading.Lock(), []
+    there = threading.Lock()
+    back = threading.Lock()
+    took = []
 
     def answer() -> None:
         for _ in range(n):
@@ -104,24 +121,23 @@ def wake_us(n: int = 2_000) -> float:
 def measure(quick: bool) -> dict[str, Any]:
     """The whole report."""
     model = load_model(MODEL)
-    n, n_passes, rounds = (20_000, 10, 2) if quick else (N_EVENTS, PASSES, ROUNDS)
+    n = 20_000 if quick else N_EVENTS
+    n_passes = 10 if quick else PASSES
+    rounds = 2 if quick else ROUNDS
+    columns = [
+        made_columns(np.random.default_rng(seed), model.config.sensor, n, n) for seed in (0, 1)
+    ]
     report: dict[str, Any] = {"model": MODEL, "machine": machine(), "wake_us": wake_us()}
     for packet in PACKETS:
-        one, other = (
-            works(
-                model,
-                structured(made_columns(np.random.default_rng(seed), model.config.sensor, n, n)),
-                packet,
-                n_passes,
-            )
-            for seed in (0, 1)
-        )
+        one = works(model, structured(columns[0]), packet, n_passes)
+        other = works(model, structured(columns[1]), packet, n_passes)
         for case in one:
             report.setdefault(case, {})[str(packet)] = speed_up((one[case], other[case]), rounds)
     return report
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Measure, print and write."""
     parser = script_parser("threads", __doc__, "few events")
     return run_script(parser, argv, measure, "threads")
 

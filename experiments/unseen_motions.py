@@ -1,13 +1,12 @@
 """Recognizing objects in motions that were not recorded: with and without motion re-synthesis.
 
     python -m experiments.unseen_motions [--set NAME] [--seeds N] [--out FOLDER] [--nmnist N-MNIST]
-    [--mnist MNIST]
-                                         [--json FILE]
+                                         [--mnist MNIST] [--json FILE]
 
 hands      eight objects that a hand swings by two or three pixels in front of a sensor of 128x128,
-           made by a renderer and pixels of their own (`made_hands.py`); also tested in a second
+           made by a renderer and pixels of their own (`objects/hands.py`); also tested in a second
            session
-saccades   N-MNIST's digits with a fifth of their events (`thinned_saccades.py`)
+saccades   N-MNIST's digits with a fifth of their events (`digit_data/thinned_saccades.py`)
 volumes    the same, re-synthesized, with different volumes
 whole      all recordings of N-MNIST with all of their events, the first saccade re-synthesized;
            also tested in the 30 constant motions of N-MOVING-MNIST (*sim*, 3,000 images that no
@@ -24,9 +23,6 @@ Finished trainings in --out are kept, and interrupted ones resume.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -42,10 +38,10 @@ from async_tnt.base.progress import progress
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.pipeline import pipeline_of
 from async_tnt.volume.sensor import format_size
-from experiments import made_hands, thinned_saccades
-from experiments.bench_timing import machine
-from experiments.digits_data import CLASSES, SACCADE_US
-from experiments.script_options import (
+from experiments.digit_data import thinned_saccades
+from experiments.digit_data.recordings import CLASSES, SACCADE_US
+from experiments.objects import hands
+from experiments.scripts.options import (
     add_count,
     add_folder,
     data_folder,
@@ -54,15 +50,31 @@ from experiments.script_options import (
     script_parser,
     write_outputs,
 )
-from experiments.table_data import RealFolder, make_set, simulated_windows
+from experiments.scripts.processes import command
+from experiments.speed.timing import machine
+from experiments.thesis.data import RealFolder, make_set, simulated_windows
 
 EIGHTHS = tuple(np.pi / 4 * np.arange(8))
-RIGHT, OTHERS = (0.0,), EIGHTHS[1:]
-OF_NMNIST = "saccades", "volumes", "whole"
+"""All directions of hand motion, in radians."""
+
+RIGHT = (0.0,)
+"""The direction that is recorded."""
+
+OTHERS = EIGHTHS[1:]
+"""The directions that are not recorded."""
+
+OF_NMNIST = ("saccades", "volumes", "whole")
+"""Sets that are made of N-MNIST."""
+
 N_IMAGES = 3_000
-SETS = "hands", *OF_NMNIST
-MOVED = "--motions", "resynthesized"
-HARDLY = 0.03
+"""Images that are simulated in other motions."""
+
+SETS = ("hands", *OF_NMNIST)
+"""Names of the sets."""
+
+MOVED = ("--motions", "resynthesized")
+"""Option of `train` for motion re-synthesis."""
+
 VOLUMES = {
     "counts": ("--volume", "representation=count,polarity=split,transform=none"),
     "5 bins": ("--volume", "representation=volume,bins=5,polarity=split,transform=none"),
@@ -76,6 +88,7 @@ VOLUMES = {
         "representation=volume,bins=9,polarity=split,transform=tnt,landmark=running,t_max=4",
     ),
 }
+"""Name of a volume -> option of `train`."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +97,12 @@ class MadeSet:
 
     Parameters
     ----------
-    write : of folder, number of recordings of each class, directions, and seed.
+    write : called with folder, number of recordings of each class, directions, and seed.
     n_train, n_test : recordings of each class; None: all.
     modes : name -> directions to train on, and options of `train`.
     tests : name -> directions and how they are written.
-    simulated : of models, a folder and a number of images: accuracy of each in simulated motions;
-        None: not asked.
+    simulated : called with models, a folder and a number of images; gives the accuracy of each
+        model in simulated motions. None: not asked.
     """
 
     classes: tuple[str, ...]
@@ -105,14 +118,13 @@ class MadeSet:
 
 def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
     """The sets; those of saccades need the folder of N-MNIST, `whole` also that of MNIST."""
-    hand, other_hand = (
-        partial(made_hands.write, session=session) for session in made_hands.SESSIONS
-    )
+    hand = partial(hands.write, session=hands.SESSIONS[0])
+    other_hand = partial(hands.write, session=hands.SESSIONS[1])
     made = {
         "hands": MadeSet(
-            tuple(made_hands.SHAPES),
-            made_hands.SENSOR,
-            made_hands.WINDOW_US,
+            tuple(hands.SHAPES),
+            hands.SENSOR,
+            hands.WINDOW_US,
             hand,
             160,
             40,
@@ -128,9 +140,8 @@ def sets(nmnist: Path | None, mnist: Path | None = None) -> dict[str, MadeSet]:
         ),
     }
     if nmnist is not None:
-        learned, tested = (
-            partial(thinned_saccades.write, source=nmnist / part) for part in ("Train", "Test")
-        )
+        learned = partial(thinned_saccades.write, source=nmnist / "Train")
+        tested = partial(thinned_saccades.write, source=nmnist / "Test")
         made["saccades"] = MadeSet(
             CLASSES,
             thinned_saccades.SENSOR,
@@ -188,30 +199,22 @@ def measure(made: MadeSet, seeds: int, out: Path, extra: tuple[str, ...] = ()) -
                 objects = out / f"{'one' if is_one else 'all'}-{seed}"
                 made.write(objects, made.n_train, directions, first + (not is_one))
                 model = out / f"{mode.replace(' ', '-')}{seed}.safetensors"
-                words = [
-                    "train",
-                    objects,
-                    "--sensor",
-                    format_size(made.sensor),
-                    "--window-us",
-                    made.window_us,
-                ]
+                words = ["--sensor", format_size(made.sensor), "--window-us", made.window_us]
                 words += [*options, "--seed", seed, "--out", model, "--json", *extra]
-                records.append(command(*words).get("motions"))
-                results[mode].append(
-                    {
-                        test: command("evaluate", model, where, "--json")["accuracy"]
-                        for test, where in tests.items()
-                    }
-                )
+                records.append(command("train", objects, *words).get("motions"))
+                row = {}
+                for test, where in tests.items():
+                    row[test] = command("evaluate", model, where, "--json")["accuracy"]
+                results[mode].append(row)
                 bar.update()
+
     if made.simulated is not None:
         for mode, rows in results.items():
             models = [out / f"{mode}{seed}.safetensors" for seed in range(seeds)]
-            for row, right in zip(
-                rows, made.simulated(models, out / "sim", made.n_train or N_IMAGES), strict=True
-            ):
+            shares = made.simulated(models, out / "sim", made.n_train or N_IMAGES)
+            for row, right in zip(rows, shares, strict=True):
                 row["simulated motions"] = right
+
     return {
         "classes": made.classes,
         "recordings": {
@@ -244,29 +247,6 @@ def _in_simulated_motions(
     return [float(np.concatenate(found).mean()) for found in right]
 
 
-def command(*words: object) -> dict[str, Any]:
-    """What `async-tnt` prints as JSON."""
-    done = subprocess.run(
-        [sys.executable, "-m", "async_tnt", *map(str, words)], stdout=subprocess.PIPE, check=True
-    )
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
-
-
-def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
-    """In each test of other motions: the share of the gap between training on one and on all
-    directions that re-synthesis closes; none where there is no such comparison, or hardly a gap."""
-    if "all directions" not in accuracy:
-        return {}
-    means = {
-        mode: {test: found["mean"] for test, found in tests.items()}
-        for mode, tests in accuracy.items()
-    }
-    one, moved, every = (means[mode] for mode in ("recorded", "resynthesized", "all directions"))
-    gaps = {test: every[test] - one[test] for test in one if test != "recorded motion"}
-    return {test: (moved[test] - one[test]) / gap for test, gap in gaps.items() if gap > HARDLY}
-
-
 def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:
     return {test: [row[test] for row in rows] for test in rows[0]}
 
@@ -287,13 +267,14 @@ def main(argv: list[str] | None = None) -> int:
     add_folder(parser, "--mnist", "of its four files, for whole (default: $TNT_DATA/mnist)")
     args = parser.parse_args(argv)
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist") if args.set in OF_NMNIST else None
-    made = sets(
-        nmnist, data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None
-    )[args.set]
+    mnist = data_folder(args.mnist, "mnist", "--mnist") if args.set == "whole" else None
+    made = sets(nmnist, mnist)[args.set]
     with TemporaryDirectory() as name:
-        out = args.out or Path(name if args.quick else f"unseen_{args.set}")
-        few = replace(made, n_train=10, n_test=7), 1, out, ("--epochs", "3")
-        report = measure(*few) if args.quick else measure(made, args.seeds, out)
+        if args.quick:
+            few = replace(made, n_train=10, n_test=7)
+            report = measure(few, 1, args.out or Path(name), ("--epochs", "3"))
+        else:
+            report = measure(made, args.seeds, args.out or Path(f"unseen_{args.set}"))
     write_outputs(args, report)
     print_tables(report, f"unseen_{args.set}")
     return 0

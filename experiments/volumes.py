@@ -17,22 +17,34 @@ import numpy as np
 from async_tnt import TNTConfig, TNTVolume, warmup
 from async_tnt.base.progress import progress
 from async_tnt.volume.events import structured
-from experiments.bench_moments import made_columns
-from experiments.bench_timing import interleave, machine, spread, work_clock
-from experiments.script_options import exit_with, run_script, script_parser
+from experiments.scripts.options import exit_with, run_script, script_parser
+from experiments.speed.moments import made_columns
+from experiments.speed.timing import interleave, machine, spread, work_clock
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
+"""Width and height of the sensors, each also the grid of its volume."""
+
 PACKETS = (10, 100, 1300)
+"""Events of a packet."""
+
 CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
 """How camera drivers commonly pack an event: 14 bytes, t not aligned."""
+
 N_WHOLE = 400_000
-# in full, with --quick; whole packets of every size, many short rounds
-N_EVENTS, ROUNDS = (26_000, 13_000), (31, 5)
+"""Events of the window on the largest sensor that is opened, filled and read."""
+
+N_EVENTS = (26_000, 13_000)
+"""Events of a window, in full and with --quick: whole packets of every size."""
+
+ROUNDS = (31, 5)
+"""Rounds, in full and with --quick: many short ones."""
 
 
 def measure(quick: bool) -> dict[str, Any]:
     """All sensors, as one JSON object."""
-    rng, rounds, found = np.random.default_rng(0), ROUNDS[quick], []
+    rng = np.random.default_rng(0)
+    rounds = ROUNDS[quick]
+    found = []
     with progress(len(GRIDS) + 1, "compiling") as bar:
         warmup()
         for grid in GRIDS:
@@ -98,7 +110,8 @@ def _singles(volume: TNTVolume, columns: Sequence[np.ndarray]) -> Callable[[], f
     def run() -> float:
         volume.open(0)
         started = work_clock()
-        for t, x, y, p in rows:  # the loop itself, some 20 ns, is in the figure: a user has it too
+        # the loop itself, some 20 ns, is in the figure: a user has it, too
+        for t, x, y, p in rows:
             volume.update_one(t, x, y, p)
         return 1e9 * (work_clock() - started) / len(rows)
 

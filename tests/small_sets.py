@@ -9,7 +9,7 @@ import numpy as np
 
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.recording import sample_recordings
-from experiments.nmnist_files import write_nmnist
+from experiments.digit_data.nmnist_files import write_nmnist
 
 
 def write_small_nmnist(folder: Path, *, n_train: int, first_number: int) -> Path:

@@ -6,7 +6,7 @@ import importlib
 import pytest
 from small_sets import write_small_mnist, write_small_nmnist
 
-from experiments.script_options import exit_with
+from experiments.scripts.options import exit_with
 
 
 @pytest.fixture(scope="session")

@@ -8,11 +8,11 @@ from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig
 from async_tnt.volume.events import structured
-from experiments import bench_network as network
-from experiments import measure_end_to_end as end_to_end
-from experiments.bench_interleaved import Timed, WorkDiffers, timed
-from experiments.bench_moments import Moments, made_columns
-from experiments.bench_timing import spread
+from experiments.speed import end_to_end
+from experiments.speed import networks as network
+from experiments.speed.interleaved import Timed, WorkDiffers, timed
+from experiments.speed.moments import Moments, made_columns
+from experiments.speed.timing import spread
 
 WINDOW_US = 1000
 SMALL = random_model(
@@ -85,7 +85,8 @@ def test_ratios_are_paired_and_by_hand():
         "ours": np.array([[1.0, 2.0, 9.0], [4.0, 4.0, 4.0]]),
         "other": np.array([[3.0, 2.0, 9.0], [8.0, 20.0, 12.0]]),
     }
-    paired, of_blocks = (Timed(us, call_by_call=mode).report() for mode in (True, False))
+    paired = Timed(us, call_by_call=True).report()
+    of_blocks = Timed(us, call_by_call=False).report()
     assert paired["ratio"]["other"]["median"] == np.median([3, 1, 1, 2, 5, 3])
     assert of_blocks["ratio"]["other"]["median"] == np.mean([3 / 2, 12 / 4])
     assert of_blocks["us"] == paired["us"] and paired["us"]["ours"]["median"] == 4.0
@@ -102,9 +103,12 @@ def test_ratios_are_paired_and_by_hand():
 @pytest.mark.parametrize("n_new", [1, 7])
 def test_ours_sees_exactly_the_new_events(n_new):
     moments = Moments([window(60), window(40, 1)], WINDOW_US, n_new)
-    feed, seen = network.Feed(SMALL), []
-    ours, whole = network.Incremental(SMALL, feed), network.Dense(CompiledClassifier(SMALL), feed)
-    stream, push = end_to_end.Stream(SMALL), Processor.push
+    feed = network.Feed(SMALL)
+    seen = []
+    ours = network.Incremental(SMALL, feed)
+    whole = network.Dense(CompiledClassifier(SMALL), feed)
+    stream = end_to_end.Stream(SMALL)
+    push = Processor.push
     for block in moments.blocks(3, moments.a_lap // 2):  # through both windows, and again
         for moment in block:
             if not moment.follows:
@@ -128,7 +132,7 @@ def test_batch_processing_equals_the_reference(settings):
     """A figure beside a wrong batch computation would mean nothing."""
     torch = pytest.importorskip("torch")
     from async_tnt.checking.reference import reference_volume
-    from experiments.bench_torch_batch import TorchBatch, as_tensors
+    from experiments.speed.torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
     events = structured(

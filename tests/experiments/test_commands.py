@@ -15,10 +15,10 @@ from small_sets import write_small_mnist
 import experiments
 from async_tnt.cli.options import volume_of
 from experiments import decisions, edges
-from experiments.mnist import load_mnist
-from experiments.nmnist_files import write_nmnist
-from experiments.page_parts import RESULTS
-from experiments.simulated_digits import simulate_digit
+from experiments.digit_data.mnist import load_mnist
+from experiments.digit_data.nmnist_files import write_nmnist
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.tables.parts import RESULTS
 
 COMMANDS = [
     path
@@ -83,7 +83,8 @@ def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_nmnist(path, simulate_digit(image, np.random.default_rng(i)))
     report = edges.measure(tmp_path / "nmnist", mnist, 20)
-    events, right = report["events_per_gradient"], report["polarity_as_expected"]
+    events = report["events_per_gradient"]
+    right = report["polarity_as_expected"]
     assert report["recordings"] == 20 and min(right[:4]) > 0.9 > right[-1]
     assert events[0] > events[3] > 2 * events[5]
     assert events[3] / events[0] == pytest.approx(
@@ -104,10 +105,8 @@ def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(incremental, "NETWORKS", two)
     words = ["--quick", "--json", str(tmp_path / "i.json"), "--picture", str(tmp_path / "i.png")]
     assert incremental.main(words) == 0
-    report, text = (
-        json.loads((tmp_path / "i.json").read_text(encoding="utf-8")),
-        capsys.readouterr().out,
-    )
+    report = json.loads((tmp_path / "i.json").read_text(encoding="utf-8"))
+    text = capsys.readouterr().out
     assert list(report["networks"]) == list(two) and all(name in text for name in two)
     for row in report["networks"].values():
         counts = [row["touched"][n]["multiplications"] for n in ("1", "10", "100", "1300", "whole")]

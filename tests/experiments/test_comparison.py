@@ -7,11 +7,12 @@ import pytest
 from async_tnt.resynthesis.calibration import side_by_side
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import EVENT_DTYPE
-from experiments.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
-from experiments.mnist import load_mnist
-from experiments.simulated_digits import simulate_digit
+from experiments.digit_data.mnist import load_mnist
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.moving_set.comparison import SACCADE_CUTS_US, _nmnist_directions, describe_motions
 
-ALONG, ACROSS = "ON - OFF centroid, along the motion", "ON - OFF centroid, across the motion"
+ALONG = "ON - OFF centroid, along the motion"
+ACROSS = "ON - OFF centroid, across the motion"
 
 
 def test_centroids_along_and_across_the_motion_by_hand():
@@ -26,8 +27,8 @@ def test_centroids_along_and_across_the_motion_by_hand():
 
 
 def test_simulations_are_like_the_real_recordings_of_the_same_images(data):
-    """Of N-MNIST's first 60: the same pixels, polarity and saccade, and far more so than of another
-    image."""
+    """N-MNIST's first 60 have the same pixels, polarity and saccade as their simulations, and are
+    far more alike than recordings of different images."""
     if not (data / "mnist").is_dir():
         pytest.skip(f"no mnist in {data}")
     paths = sorted((data / "nmnist" / "Train").glob("*/00*.bin"), key=lambda path: path.stem)[:60]
@@ -37,14 +38,12 @@ def test_simulations_are_like_the_real_recordings_of_the_same_images(data):
         simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i))
         for i, path in enumerate(paths)
     ]
-    expected, got = (
-        describe_motions(some, SACCADE_CUTS_US, _nmnist_directions()) for some in (real, simulated)
-    )
+    expected = describe_motions(real, SACCADE_CUTS_US, _nmnist_directions())
+    got = describe_motions(simulated, SACCADE_CUTS_US, _nmnist_directions())
+    both = side_by_side({"real": expected, "simulated": got})
     for name in expected:
         close = {"abs": 0.65} if name.startswith("ON - OFF") else {"rel": 0.12}
-        assert got[name] == pytest.approx(expected[name], **close), side_by_side(
-            {"real": expected, "simulated": got}
-        )
+        assert got[name] == pytest.approx(expected[name], **close), both
 
     def count_map(events):
         counts = np.zeros((3, 2, 34, 34))

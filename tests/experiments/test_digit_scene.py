@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.digit_scene import Scene, render, translate
-from experiments.trajectories import Saccade
+from experiments.motions.scene import Scene, render, translate
+from experiments.motions.trajectories import Saccade
 
 SHARP = Scene(contrast=4.0, gamma=1.0, blur_px=0.0)
 POINT = np.zeros((3, 4))
@@ -28,8 +28,10 @@ def test_a_point_moves_along_x_and_y_and_is_split_bilinearly():
 def test_translate_equals_the_sum_over_the_image_that_defines_it():
     rng = np.random.default_rng(0)
     image = rng.random((4, 5))  # no background around it: every border pixel counts
-    dx, dy = rng.uniform(-6.0, 8.0, 60), rng.uniform(-6.0, 8.0, 60)
-    dx[:5], dy[:5] = [0.0, 1.0, -1.0, 1e3, 4.0], [0.0, -1.0, 2.0, 3.0, -1e15]
+    dx = rng.uniform(-6.0, 8.0, 60)
+    dy = rng.uniform(-6.0, 8.0, 60)
+    dx[:5] = [0.0, 1.0, -1.0, 1e3, 4.0]
+    dy[:5] = [0.0, -1.0, 2.0, 3.0, -1e15]
     frames = np.full((60, 7, 8), np.nan)
     translate(frames, image, dx, dy)
 
@@ -63,7 +65,8 @@ def test_gamma_is_applied_to_the_image_and_uint8_reaches_full_scale_at_255():
 
 
 def test_blur_keeps_the_light_and_has_the_stated_width():
-    frame, x = shown(POINT, 12.0, 12.0, Scene(contrast=4.0, gamma=1.0, blur_px=1.5)), np.arange(34)
+    frame = shown(POINT, 12.0, 12.0, Scene(contrast=4.0, gamma=1.0, blur_px=1.5))
+    x = np.arange(34)
     np.testing.assert_allclose([frame.sum(), frame.sum(0) @ x, frame.sum(1) @ x], [1.0, 14.0, 13.0])
     # cut off at 3.3 standard deviations
     assert abs(np.sqrt(frame.sum(0) @ (x - 14.0) ** 2) - 1.5) < 0.05

@@ -11,14 +11,14 @@ from small_sets import idx_bytes
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.base.progress import Bar
-from experiments.digits import CONFIG, STEPS, train_digits
-from experiments.digits_data import (
+from experiments.digit_data.recordings import (
     FIRST_INDEX,
     digits_data,
     read_nmnist_folder,
     recording_numbers,
     simulate_recordings,
 )
+from experiments.digits import CONFIG, STEPS, train_digits
 
 
 def test_a_folder_is_read_in_order_with_its_labels(nmnist):
@@ -44,7 +44,8 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
         labels[FIRST_INDEX + k] = k + 1
     for name, array in (("images-idx3", images), ("labels-idx1", labels)):
         (tmp_path / f"train-{name}-ubyte.gz").write_bytes(gzip.compress(idx_bytes(array), 1))
-    recordings, fewer = (simulate_recordings(tmp_path, n, 0) for n in (4, 2))
+    recordings = simulate_recordings(tmp_path, 4, 0)
+    fewer = simulate_recordings(tmp_path, 2, 0)
     # none of the empty ones
     np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])
     for r, label in enumerate(recordings.labels):
@@ -63,7 +64,7 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
 def test_each_step_continues_the_one_before_and_the_last_is_tested(
     nmnist, mnist, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("experiments.digits_data.FIRST_INDEX", 10)
+    monkeypatch.setattr("experiments.digit_data.recordings.FIRST_INDEX", 10)
     monkeypatch.setattr("experiments.digits.available_cores", lambda: 1)
     monkeypatch.setattr("async_tnt.training.resynthesis.N_CALIBRATION", 12)
     data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=Bar)

@@ -8,11 +8,13 @@ pytest.importorskip("matplotlib", reason="its fonts draw the pictures (extra `pl
 
 from async_tnt import load_model
 from async_tnt.simulation.pictures import read_picture
-from experiments import dataset_tables, few_recordings, made_pictures, moving_digits
-from experiments.drawn_pictures import PIPS, write_glyphs, write_mnist
+from experiments import few_recordings
+from experiments.digit_data.mnist import load_mnist
 from experiments.from_pictures import link_official
-from experiments.mnist import load_mnist
-from experiments.trajectories import nmnist_saccades
+from experiments.motions.trajectories import nmnist_saccades
+from experiments.pictures import made, moving_digits
+from experiments.pictures.symbols import PIPS, write_glyphs, write_mnist
+from experiments.tables import datasets
 
 
 def test_fonts_draw_the_same_symbols_each_in_its_way(tmp_path):
@@ -21,7 +23,8 @@ def test_fonts_draw_the_same_symbols_each_in_its_way(tmp_path):
     assert len(files["cl"]) >= 3 and all(names == files["cl"] for names in files.values())
     drawn = {path.read_bytes() for path in tmp_path.glob("*/*.png")}
     assert len(drawn) > 0.9 * sum(map(len, files.values()))
-    heart, spade = (read_picture(tmp_path / name / files["he"][0]).cover for name in ("he", "sp"))
+    heart = read_picture(tmp_path / "he" / files["he"][0]).cover
+    spade = read_picture(tmp_path / "sp" / files["he"][0]).cover
     # two lobes, and a tip
     assert heart[: len(heart) // 4].mean() > 0.6 > 0.4 > spade[: len(spade) // 4].mean()
     write_glyphs(tmp_path / "alike", {"a": "a", "also a": "a"}, None)
@@ -30,10 +33,10 @@ def test_fonts_draw_the_same_symbols_each_in_its_way(tmp_path):
 
 def test_made_objects_differ_and_repeat(tmp_path):
     for folder in ("a", "b"):
-        made_pictures.write_pictures(tmp_path / folder, 1, 0)
-    made_pictures.write_recordings(tmp_path / "c", 1, 0)
+        made.write_pictures(tmp_path / folder, 1, 0)
+    made.write_recordings(tmp_path / "c", 1, 0)
     paths = sorted((tmp_path / "a").glob("*/*.jpg"))
-    assert [path.parent.name for path in paths] == list(made_pictures.CLASSES)
+    assert [path.parent.name for path in paths] == list(made.CLASSES)
     for path in paths:
         assert path.read_bytes() == (tmp_path / "b" / path.parent.name / path.name).read_bytes()
         assert read_picture(path).ground is None  # a photograph
@@ -81,7 +84,7 @@ def test_pictures_and_the_first_recordings_of_each_class(mnist, nmnist, tmp_path
         {"per_class": n, "networks": [{"accuracy": 0.9, "window_accuracy": 0.8}]} for n in (0, 10)
     ]
     report = {"ways": {"pictures and recordings": rows, "recordings alone": rows[1:]}}
-    assert dataset_tables.few_recordings(report).endswith(
+    assert datasets.few_recordings(report).endswith(
         "| 0 | .800 / .900 | - |\n| 10 | .800 / .900 | .800 / .900 |"
     )
     few_recordings.draw(report).savefig(tmp_path / "drawn.png")

@@ -27,7 +27,8 @@ def simulate(experiment, mnist, tmp_path):
 def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simulate, tmp_path):
     """Simulations in N-MNIST's layout stand for N-MNIST: numbered from 1 under Test, as
     officially."""
-    nmnist, out = tmp_path / "nmnist", tmp_path / "moving"
+    nmnist = tmp_path / "nmnist"
+    out = tmp_path / "moving"
     assert simulate("--digits", 8, "--motions", "nmnist", "--bin", nmnist)[0] == 0
     (nmnist / "nmnist").rename(nmnist / "Test")
     code, printed, _ = simulate(

@@ -7,12 +7,12 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments.mnist import load_mnist
-from experiments.motions import motions_of
-from experiments.moving_mnist_set import build, open_set
-from experiments.shards import open_shard
-from experiments.simulated_digits import simulate_digit
-from experiments.trajectories import ConstantVelocity
+from experiments.digit_data.mnist import load_mnist
+from experiments.motions.kinds import motions_of
+from experiments.motions.simulated_digits import simulate_digit
+from experiments.motions.trajectories import ConstantVelocity
+from experiments.moving_set.build import build, open_set
+from experiments.moving_set.shards import open_shard
 
 QUICK = {"which": range(5), "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 
@@ -35,7 +35,8 @@ def test_each_recording_is_simulated_with_its_own_seed(mnist, made):
     images, labels = load_mnist(mnist, "test")
     for index, image in ((0, 0), (7, 3), (29, 4)):
         motion = motions_of("constant")[index]
-        angle, speed = np.radians(motion.direction_deg), motion.distance_px / 0.105
+        angle = np.radians(motion.direction_deg)
+        speed = motion.distance_px / 0.105
         trajectory = ConstantVelocity.towards(motion.direction_deg, speed)
         rng = np.random.default_rng((0, index, image))
         expected = simulate_digit(images[image], rng, trajectory=trajectory, frame_us=5_250.0)
@@ -55,17 +56,18 @@ def test_workers_and_the_size_of_shards_change_no_recording(mnist, made, tmp_pat
     other = build(mnist, tmp_path / "larger", **QUICK | {"recordings_per_shard": 3})
     assert len(other.shards) == 60
     for index, image in ((0, 0), (11, 2), (11, 3), (29, 4)):
-        (path, place), (other_path, other_place) = (
-            made.locate(index, image),
-            other.locate(index, image),
-        )
-        one, same = open_shard(path), open_shard(other_path)
+        path, place = made.locate(index, image)
+        other_path, other_place = other.locate(index, image)
+        one = open_shard(path)
+        same = open_shard(other_path)
         assert one.recording(place).tolist() == same.recording(other_place).tolist()
         assert one.image[place] == same.image[other_place] == image
 
 
 def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, made, copied):
-    missing, cut, flipped = (copied / path.name for path in made.shards[3:6])
+    missing = copied / made.shards[3].name
+    cut = copied / made.shards[4].name
+    flipped = copied / made.shards[5].name
     missing.unlink()
     cut.write_bytes(cut.read_bytes()[:-1])
     flipped.write_bytes(flipped.read_bytes()[:-1] + bytes([flipped.read_bytes()[-1] ^ 0xFF]))

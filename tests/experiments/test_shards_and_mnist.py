@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from made import random_events
 from small_sets import idx_bytes
 
-from experiments.mnist import load_mnist
-from experiments.shards import open_shard, write_shard
+from experiments.digit_data.mnist import load_mnist
+from experiments.moving_set.shards import open_shard, write_shard
 
 RECORDINGS = [random_events(n, seed=n, duration_us=1_000) for n in (5, 0, 9, 3)]
 FLOW = np.arange(8.0).reshape(4, 1, 2)
@@ -75,7 +75,8 @@ def test_what_breaks_a_rule_is_not_written(tmp_path, changes, message):
 @given(data=st.data())
 def test_damaged_shards_are_refused_or_keep_the_rules(data, tmp_path_factory):
     whole = write(tmp_path_factory.getbasetemp() / "whole").read_bytes()
-    path, raw = tmp_path_factory.getbasetemp() / "damaged", bytearray(whole)
+    path = tmp_path_factory.getbasetemp() / "damaged"
+    raw = bytearray(whole)
     for _ in range(data.draw(st.integers(1, 4))):
         place = data.draw(st.integers(0, max(0, len(raw) - 1)))
         raw[place : place + data.draw(st.integers(0, 16))] = data.draw(
@@ -90,7 +91,8 @@ def test_damaged_shards_are_refused_or_keep_the_rules(data, tmp_path_factory):
         check(shard)
 
 
-IMAGES, LABELS = np.arange(3 * 784).reshape(3, 28, 28) % 256, np.arange(3)
+IMAGES = np.arange(3 * 784).reshape(3, 28, 28) % 256
+LABELS = np.arange(3)
 
 
 def write_mnist(folder, images, labels):

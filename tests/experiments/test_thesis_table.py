@@ -1,5 +1,6 @@
 """The thesis' table: what is compared, the numbers brought together, and its command."""
 
+import itertools
 import json
 import shutil
 from dataclasses import asdict
@@ -16,19 +17,25 @@ from async_tnt import Processor, TNTConfig, TNTVolume, load_model  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.volume.events import structured  # noqa: E402
 from experiments import thesis_table  # noqa: E402
-from experiments.moving_mnist_set import open_set  # noqa: E402
-from experiments.page_parts import results  # noqa: E402
-from experiments.table_data import (  # noqa: E402
+from experiments.moving_set.build import open_set  # noqa: E402
+from experiments.tables.parts import results  # noqa: E402
+from experiments.thesis.data import (  # noqa: E402
     RealFolder,
     saccade,
     shown_test_images,
     spanned,
     trained_on,
 )
-from experiments.table_factors import FACTORS, effects  # noqa: E402
-from experiments.table_merge import merged  # noqa: E402
-from experiments.table_numbers import aggregate, differences, holm, interval, markdown_table  # noqa: E402
-from experiments.table_rows import QUESTIONS, ROWS, SETS, Run  # noqa: E402
+from experiments.thesis.factors import FACTORS, effects  # noqa: E402
+from experiments.thesis.merge import merged  # noqa: E402
+from experiments.thesis.numbers import (  # noqa: E402
+    aggregate,
+    differences,
+    holm,
+    interval,
+    markdown_table,
+)
+from experiments.thesis.rows import QUESTIONS, ROWS, SETS, Run  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +45,11 @@ def mnist(tmp_path_factory):
 
 
 def test_pairs_that_are_compared_differ_in_one_thing():
-    assert {name for pairs in QUESTIONS.values() for pair in pairs for name in pair} <= set(ROWS)
-    for row, against in (pair for pairs in QUESTIONS.values() for pair in pairs):
-        a, b = ROWS[row], ROWS[against]
+    compared = list(itertools.chain.from_iterable(QUESTIONS.values()))
+    assert set(itertools.chain.from_iterable(compared)) <= set(ROWS)
+    for row, against in compared:
+        a = ROWS[row]
+        b = ROWS[against]
         assert a.iterations == b.iterations
         if a.config.representation != "volume":  # another input: no transform, and split
             assert (a.augmentation, a.config.transform) == (b.augmentation, "none")
@@ -124,7 +133,8 @@ def test_results_put_into_a_file_of_more_rows():
     """What is new replaces, what is not stays, and p is adjusted over both."""
     old = results("table")
     assert merged(old, old) == old
-    row, column = "thesis-tnt", "all/sim"
+    row = "thesis-tnt"
+    column = "all/sim"
     before = next(d for d in old["differences"] if (d["row"], d["column"]) == (row, column))
     effect = {**old["effects"][0], "mean": 0.5, "p": 0.0}
     cells = {row: {column: {**old["table"][row][column], "mean": 0.25}}}
@@ -200,10 +210,8 @@ def test_an_interval_holds_the_truth_in_19_of_20_cases():
 
 def test_differences_are_taken_digit_by_digit_and_adjusted_within_their_question():
     """Two motions of three digits, one of which has no window in one motion."""
-    better, worse = (
-        np.array([[1, 1, 1], [1, 0, -1]], np.int8),
-        np.array([[0, 1, 0], [0, 0, -1]], np.int8),
-    )
+    better = np.array([[1, 1, 1], [1, 0, -1]], np.int8)
+    worse = np.array([[0, 1, 0], [0, 0, -1]], np.int8)
     right = {
         (row, "all/sim"): {seed: of for seed in range(3)}
         for row, of in (
@@ -330,7 +338,9 @@ def test_the_numbers_are_those_of_the_networks_beside_them(done):
     """Counted once more, recording by recording, through the stream's own volumes and compiled
     network."""
     model = load_model(done / "networks" / Run("raw", "1", 3).name / "model.safetensors")
-    processor, right, early = Processor(model, start_us=0), [], []
+    processor = Processor(model, start_us=0)
+    right = []
+    early = []
     for shard in open_set(done / "simulated" / "sim"):
         for i in range(len(shard)):
             events = shard.recording(i)

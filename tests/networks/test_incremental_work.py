@@ -7,7 +7,7 @@ from made import random_events
 from networks.cases import NETWORKS
 
 from async_tnt import CompiledClassifier
-from experiments.network_work import work_of
+from experiments.speed.work import work_of
 
 RAW = NETWORKS[8]
 

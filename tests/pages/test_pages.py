@@ -22,8 +22,8 @@ from async_tnt.cli import main
 from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.sources import READERS, sample_recordings
 from async_tnt.training import simulated_pictures
-from experiments.moving_mnist_set import build
-from experiments.page_parts import results
+from experiments.moving_set.build import build
+from experiments.tables.parts import results
 
 PAGES = [
     page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))
@@ -164,7 +164,7 @@ def test_pages_and_files_that_are_named_exist():
     for path in [
         *ROOT.glob("async_tnt/**/*.py"),
         *ROOT.glob("tests/**/*.py"),
-        *ROOT.glob("experiments/*.py"),
+        *ROOT.glob("experiments/**/*.py"),
     ]:
         for name in re.findall(r"docs/\w+\.md", path.read_text(encoding="utf-8")):
             assert (ROOT / name).is_file(), f"{path}: {name}"

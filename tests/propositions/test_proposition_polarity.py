@@ -6,8 +6,8 @@ A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt
 import numpy as np
 from moving_scenes import noiseless_events
 
-from experiments.digit_scene import Scene, render
-from experiments.trajectories import ConstantVelocity
+from experiments.motions.scene import Scene, render
+from experiments.motions.trajectories import ConstantVelocity
 
 SENSOR = (34, 34)
 THRESHOLD = 0.19  # of log luminance; log 5 = 1.609 holds 8 of them

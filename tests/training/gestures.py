@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from made import events_of
 
-from experiments.nmnist_files import write_nmnist
+from experiments.digit_data.nmnist_files import write_nmnist
 
 SLOPES = {"upright": 0.0, "flat": 0.5 * np.pi, "slanted": 0.25 * np.pi}
 

@@ -12,7 +12,7 @@ from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 from experiments import everywhere  # noqa: E402
-from experiments.digits_data import DURATION_US, read_nmnist_folder  # noqa: E402
+from experiments.digit_data.recordings import DURATION_US, read_nmnist_folder  # noqa: E402
 
 from_either = pytest.mark.parametrize(
     "first_event", [False, True], ids=["from 0", "from the first event"]

@@ -27,7 +27,7 @@ from sources.files.written import (
 
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.volume.events import EVENT_DTYPE
-from experiments.nmnist_files import write_nmnist
+from experiments.digit_data.nmnist_files import write_nmnist
 
 
 def sensor_for(name):

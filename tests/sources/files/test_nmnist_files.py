@@ -5,7 +5,7 @@ import pytest
 
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import EVENT_DTYPE
-from experiments.nmnist_files import write_nmnist
+from experiments.digit_data.nmnist_files import write_nmnist
 
 EVENT, OVERFLOW = bytes([1, 2, 0x80, 0, 100]), bytes([49, 240, 0, 0, 100])
 

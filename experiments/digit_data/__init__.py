@@ -1,0 +1,1 @@
+"""MNIST and N-MNIST: reading, writing, and windows for training."""

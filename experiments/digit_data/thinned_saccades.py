@@ -1,0 +1,66 @@
+"""Windows of N-MNIST, one saccade each, with all of their events, or with a fifth, as few as hands
+give.
+
+N-MNIST's pixels with events have five in a saccade; those of an object that a hand moves have about
+two.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.sources import read_nmnist
+from experiments.digit_data.recordings import CLASSES, SACCADE_US
+
+SENSOR = (34, 34)
+"""N-MNIST's sensor, width and height in pixels."""
+
+KEPT = 0.2
+"""Share of the events that are kept."""
+
+
+def write(
+    folder: Path,
+    n: int | None,
+    saccades: tuple[int, ...],
+    seed: int,
+    source: Path,
+    share: float = KEPT,
+) -> Path:
+    """Write windows of N-MNIST as `folder/<digit>/<number>.npz`.
+
+    Parameters
+    ----------
+    n : recordings of each digit; each gives one window, of one of `saccades` in turn. None: all
+        recordings, and each gives a window of every one of `saccades`.
+    source : N-MNIST's Train or Test, with `<digit>/*.bin`.
+    share : of the events that is kept.
+    """
+    rng = np.random.default_rng(seed)
+    for digit in CLASSES:
+        files = sorted((source / digit).glob("*.bin"))
+        if len(files) < (n or 1):
+            raise ValueError(
+                f"{source / digit} must hold at least {n or 1} recordings, got {len(files)}"
+            )
+        # drawn also where all are shown: the numbers that follow depend on it
+        drawn = rng.permutation(len(files))[:n]
+        if n is None:
+            shown = [(k, saccade) for saccade in saccades for k in range(len(files))]
+        else:
+            shown = [(k, saccades[i % len(saccades)]) for i, k in enumerate(drawn)]
+        (folder / digit).mkdir(parents=True, exist_ok=True)
+        for i, (k, saccade) in enumerate(shown):
+            events = read_nmnist(files[k])
+            t = events["t"] - saccade * SACCADE_US
+            kept = (t >= 0) & (t < SACCADE_US) & (rng.random(len(t)) < share)
+            np.savez(
+                folder / digit / f"{i:03}.npz",
+                t=t[kept],
+                x=events["x"][kept],
+                y=events["y"][kept],
+                p=events["p"][kept],
+            )
+    return folder

@@ -1,0 +1,1 @@
+"""Motions of images, and the simulated camera that sees digits move."""

@@ -1,0 +1,140 @@
+"""The manifest of a set of moving digits: `set.json` beside its shards.
+
+format, version   "async_tnt.moving_mnist", 1
+parameters        everything that decides the content: split, kind of motion, indices of images,
+                  seed, sensor, simulator, recordings_per_shard, package_version, and a checksum of
+                  the images and labels
+motions           by index
+shards            names of the files, motion by motion, and by image within each
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from async_tnt.base.files import write_text
+from experiments.motions.kinds import Motion, motions_of
+from experiments.moving_set.shards import Shard, open_shard
+
+MANIFEST = "set.json"
+"""Name of the manifest in the folder of a set."""
+
+FORMAT = "async_tnt.moving_mnist"
+"""What the manifest says that the folder is."""
+
+VERSION = 1
+"""Version of the format."""
+
+# that readers need
+PARAMETERS = ("split", "kind", "images", "seed", "sensor", "simulator", "recordings_per_shard")
+"""Parameters that readers need."""
+
+
+@dataclass(frozen=True)
+class MovingMnist:
+    """A set on disk. Made by `build` and `open_set`.
+
+    Attributes
+    ----------
+    folder : its folder.
+    shards : the files, motion by motion, and by image within each.
+    motions : the motions, by index.
+    parameters : everything that decides the content: split, kind, indices of images, seed,
+        simulator ...
+    """
+
+    folder: Path
+    shards: tuple[Path, ...]
+    motions: tuple[Motion, ...]
+    parameters: dict[str, Any]
+
+    def __len__(self) -> int:
+        """Recordings in the complete set."""
+        return len(self.motions) * len(self.parameters["images"])
+
+    def __iter__(self) -> Iterator[Shard]:
+        """Open one shard after the other."""
+        return map(open_shard, self.shards)
+
+    def locate(self, motion: int, image: int) -> tuple[Path, int]:
+        """The shard that holds the recording of an image under a motion, and its place there."""
+        images = self.parameters["images"]
+        step = self.parameters["recordings_per_shard"]
+        place = images.index(image)
+        return self.shards[motion * -(-len(images) // step) + place // step], place % step
+
+
+def write_manifest(made: MovingMnist) -> None:
+    path = made.folder / MANIFEST
+    if path.exists():
+        there: Any = read_manifest(made.folder).parameters
+        asked: Any = made.parameters
+        if there == asked:
+            return
+        while isinstance(there, dict) and isinstance(asked, dict):  # down to what differs
+            name = next(key for key in sorted(there | asked) if there.get(key) != asked.get(key))
+            there = there.get(name)
+            asked = asked.get(name)
+        raise ValueError(
+            f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give "
+            "the same, or another "
+            "folder"
+        )
+    if any(shard.exists() for shard in made.shards):
+        raise ValueError(
+            f"{made.folder}: shards without {MANIFEST}, which says how they were made. Give "
+            "another folder"
+        )
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "parameters": made.parameters,
+        "motions": [dataclasses.asdict(motion) for motion in made.motions],
+        "shards": [path.name for path in made.shards],
+    }
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def read_manifest(folder: Path) -> MovingMnist:
+    """Read the manifest of a set.
+
+    Raises
+    ------
+    FileNotFoundError : the folder has none.
+    ValueError : damaged, or not the manifest of a set.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{folder}: no {MANIFEST} in it; expected a folder that experiments.moving_mnist made"
+        )
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if (content["format"], content["version"]) != (FORMAT, VERSION):
+            raise ValueError(
+                f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}"
+            )
+        parameters = {name: content["parameters"][name] for name in PARAMETERS}
+        moving = motions_of(parameters["kind"])
+        names = shard_names(moving, len(parameters["images"]), parameters["recordings_per_shard"])
+        motions = [dataclasses.asdict(motion) for motion in moving]
+        if content["motions"] != motions or content["shards"] != names:
+            raise ValueError(
+                f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards"
+            )
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path}: damaged, or not a set of this release: {what}") from None
+    shards = tuple(folder / name for name in names)
+    return MovingMnist(folder, shards, moving, content["parameters"])
+
+
+def shard_names(motions: Sequence[Motion], n_images: int, recordings_per_shard: int) -> list[str]:
+    """Names of the files of a set, motion by motion."""
+    firsts = range(0, n_images, recordings_per_shard)
+    return [f"{m.name}_{first:05}.safetensors" for m in motions for first in firsts]

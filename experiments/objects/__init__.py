@@ -1,0 +1,1 @@
+"""Made recordings of objects in motion."""

@@ -1,0 +1,1 @@
+"""Pictures to train on, and digits in motions to test with."""

@@ -1,0 +1,206 @@
+"""What the commands of this folder share: options, how they end, and the files and pictures that
+they write."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+from async_tnt.base.checks import printable
+from async_tnt.base.files import check_writable, write_text
+from async_tnt.cli.options import positive_int
+from async_tnt.views.figure_style import check_picture, save, styled
+from experiments.speed.interleaved import WorkDiffers
+from experiments.tables.parts import REPORT_OF, Table, read_json
+
+
+def writable_file(text: str, check: Callable[[Path], object] = check_writable) -> Path:
+    """An argparse type: a path that can be written or replaced."""
+    try:
+        check(Path(text))
+    except (OSError, ValueError) as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Path(text)
+
+
+def picture_file(text: str) -> Path:
+    """An argparse type: a picture that can be written or replaced."""
+    return writable_file(text, check_picture)
+
+
+def plain_parser(
+    name: str, description: str | None, epilog: str | None = None
+) -> argparse.ArgumentParser:
+    """The parser of `python -m experiments.NAME`. It prints description and epilog as they are."""
+    return argparse.ArgumentParser(
+        prog=f"python -m experiments.{name}",
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def picture_parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """`plain_parser` of a command that draws into --picture."""
+    parser = plain_parser(name, description)
+    parser.add_argument(
+        "--picture", type=picture_file, metavar="FILE", required=True, help=".png, .svg or .pdf"
+    )
+    return parser
+
+
+def script_parser(
+    name: str, description: str | None, quick: str, *, draws: bool = False
+) -> argparse.ArgumentParser:
+    """`plain_parser` with --quick and --json. If the command draws, it has --picture and --from,
+    too."""
+    parser = plain_parser(name, description)
+    parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
+    add_json(parser)
+    if draws:
+        parser.add_argument(
+            "--picture",
+            type=picture_file,
+            metavar="FILE",
+            help="also draw them: .png, .svg or .pdf",
+        )
+        help_from = "take the figures from such a JSON file instead of measuring"
+        parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help=help_from)
+    return parser
+
+
+def run_script(
+    parser: argparse.ArgumentParser,
+    argv: list[str] | None,
+    measure: Callable[[bool], dict[str, Any]],
+    name: str,
+    draw: Callable[[Any], Any] | None = None,
+) -> int:
+    """Measure (given --quick) or read, print the tables of report `name`, and write JSON and the
+    picture if asked. Returns the exit code: 1 if backends do not agree."""
+    args = parser.parse_args(argv)
+    try:
+        source = getattr(args, "source", None)
+        report = read_json(source) if source else measure(args.quick)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    except WorkDiffers as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 1
+    write_outputs(args, report, draw)  # first: measuring took minutes
+    print_tables(report, name)
+    return 0
+
+
+def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str, Any]:
+    """What the file of --json has, or `report` where there is none."""
+    if args.json and args.json.exists():
+        return read_json(args.json)
+    return report
+
+
+def print_tables(report: dict[str, Any], name: str) -> None:
+    """Print what RESULTS.md would show of this report, what each row does, and what is left out
+    and why."""
+    from experiments.tables.sections import SECTIONS
+
+    for section in SECTIONS:
+        for table, caption in section.tables.items():
+            if REPORT_OF.get(table) == name:
+                make: Table = table
+                print(f"{caption}\n\n{make(report)}\n")
+    for key, words in (("work", "What each row does"), ("left_out", "Left out")):
+        rows = dict(_leaves(report.get(key, {})))
+        if rows:
+            print(f"{words}:", *(f"  {row:22}{why}" for row, why in rows.items()), sep="\n")
+
+
+def _leaves(node: dict[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Name and text of each leaf; the name of the node above it stands before its own."""
+    for name, value in node.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{name}: ")
+        else:
+            yield above + name, value
+
+
+def write_outputs(
+    args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None
+) -> None:
+    """Write the files of --json and --picture."""
+    if args.json:
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
+    if draw is not None and args.picture:
+        draw_into(args.picture, draw, report)
+
+
+def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100) -> None:
+    """Draw what is given, in the style of all figures, and write the picture."""
+    with styled():
+        save(draw(*given), path, dpi)
+
+
+def exit_with(main: Callable[[], int]) -> NoReturn:
+    """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130
+    Ctrl-C."""
+
+    def show(message: Warning | str, *where: Any, **more: Any) -> None:
+        _print_line(f"warning: {message}")
+
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = show
+            code = main()
+    except BrokenPipeError:  # `| head`: the reader has seen enough
+        code = 0
+    except (OSError, ValueError, ImportError, RuntimeError, subprocess.CalledProcessError) as error:
+        _print_line(str(error))
+        code = 2
+    except KeyboardInterrupt as error:
+        _print_line(str(error) or "interrupted")
+        code = 130
+    sys.exit(code)
+
+
+def _print_line(message: str) -> None:
+    print(f"{Path(sys.argv[0]).stem}: {printable(message)}", file=sys.stderr, flush=True)
+
+
+def add_count(parser: argparse._ActionsContainer, option: str, default: int, text: str) -> None:
+    """Add an option that takes a whole number of at least 1."""
+    text = f"{text} (default: {default:,})"
+    parser.add_argument(option, type=positive_int, default=default, metavar="N", help=text)
+
+
+def add_json(parser: argparse._ActionsContainer) -> None:
+    """Add --json."""
+    parser.add_argument(
+        "--json", type=writable_file, metavar="FILE", help="also write the figures there"
+    )
+
+
+def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:
+    """Add an option that takes a folder."""
+    parser.add_argument(option, type=Path, metavar="FOLDER", help=text)
+
+
+def data_folder(given: Path | None, name: str, option: str) -> Path:
+    """A data folder: as given, or `name` in $TNT_DATA. An error names `option`."""
+    folder = given
+    if folder is None:
+        root = os.environ.get("TNT_DATA")
+        if not root:
+            raise FileNotFoundError(
+                f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/"
+            )
+        folder = Path(root) / name
+    if not folder.is_dir():
+        raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")
+    return folder

@@ -1,0 +1,2 @@
+"""What measures time: moments of a stream, engines to compare with, and loops that let them
+take turns."""

@@ -1,0 +1,148 @@
+"""From a packet of new events to the decision: by the stream, and by computing the window's volume
+again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from async_tnt import Model, Processor
+from experiments.speed.backends import ENGINES, Network
+from experiments.speed.interleaved import Backend, compare
+from experiments.speed.moments import Moment, Moments
+from experiments.speed.timing import is_installed
+
+WORK = {
+    "ours": (
+        "push(packet), fire(): checks, transform and volume of the new events, what changed of "
+        "the network, softmax, a Decision"
+    ),
+    "ours_onnxruntime": (
+        "the same with onnxruntime as the Processor's classifier: the volume is incremental, the "
+        "network is not"
+    ),
+    "torch": (
+        "the window's volume from all its events so far with the transform, one scatter_add_, "
+        "then torch's network, argmax; the events are in tensors beforehand"
+    ),
+    "eventcv_onnxruntime": (
+        "eventcv's voxel grid of all events so far (2 cells an event, whole pixels, no "
+        "transform), as an array, then onnxruntime's network on it, argmax; the events are in its "
+        "stream beforehand. Its volume is another one, so that its answers mean nothing here"
+    ),
+}
+"""Way from a packet to a decision -> what it does."""
+NEEDS = {
+    "ours_onnxruntime": ("onnx", "onnxruntime"),
+    "torch": ("torch", "tnt_reference"),
+    "eventcv_onnxruntime": ("eventcv", "onnx", "onnxruntime"),
+}
+"""Row of `WORK` -> packages."""
+
+
+class Stream:
+    """Ours: a Processor, which has the window's earlier events already."""
+
+    def __init__(self, model: Model, classifier: Network | None = None) -> None:
+        self._processor = Processor(model, classifier=classifier, start_us=0)
+        self._start_us = -1
+        self._n = 0
+
+    def prepare(self, moment: Moment) -> None:
+        if moment.start_us != self._start_us:
+            self._start_us = moment.start_us
+            self._n = 0
+        old = len(moment.events) - moment.n_new
+        if old > self._n:
+            self._processor.push(moment.events[self._n : old])
+        # memory of its own, as a driver hands it over
+        self._packet = moment.events[old:].copy()
+        self._n = len(moment.events)
+
+    def decide(self) -> np.ndarray:
+        self._processor.push(self._packet)
+        return self._processor.fire().logits
+
+
+class TorchRebuild:
+    """Batch processing in torch, as fast as we can write it."""
+
+    def __init__(self, model: Model) -> None:
+        import torch
+
+        from async_tnt.networks.models.torch_modules import torch_classifier
+        from experiments.speed.torch_batch import TorchBatch
+
+        self._torch = torch
+        self._network = torch_classifier(model)
+        self._batch = TorchBatch(model.config)
+
+    def prepare(self, moment: Moment) -> None:
+        from experiments.speed.torch_batch import as_tensors
+
+        self._columns = as_tensors(moment.events, moment.start_us)
+
+    def decide(self) -> np.ndarray:
+        with self._torch.inference_mode():
+            logits = self._network(self._batch.volume(*self._columns)[None])[0]
+            int(logits.argmax())
+        found: np.ndarray = logits.numpy()
+        return found
+
+
+class EventcvRebuild:
+    """eventcv's voxel grid of the window so far, and a network on it: of the sensor's size and
+    signed, as the volume of `digits`."""
+
+    def __init__(self, model: Model, network: Network) -> None:
+        self._config = model.config
+        self._network = network
+
+    def prepare(self, moment: Moment) -> None:
+        import eventcv
+
+        events = moment.events
+        table = np.stack([events["t"], events["x"], events["y"], events["p"]], axis=1).astype(
+            np.int64
+        )
+        self._stream = eventcv.from_numpy(
+            table, order="txyp", sensor_size=self._config.sensor, time_unit="us"
+        )
+        self._age_ms = max(1, int(table[-1, 0] - table[0, 0])) / 1000
+
+    def decide(self) -> None:
+        volume = self._stream.voxel(bins=self._config.bins, window_ms=self._age_ms).numpy()
+        int(self._network(volume).argmax())
+
+
+def bench_end_to_end(
+    model: Model,
+    onnxruntime: str | None,
+    windows: list[np.ndarray],
+    n_new: int,
+    *,
+    blocks: int,
+    size: int,
+) -> dict[str, Any]:
+    """Time decisions, from the call with a packet of `n_new` events.
+
+    Parameters
+    ----------
+    onnxruntime : how it is called fastest, of `backends.ONNXRUNTIME`; None where it is not
+        installed. Each row that has a network of it has one of its own.
+
+    Other parameters, what is returned and raised: as for `bench_network`. Ratios are over `ours`.
+    """
+
+    def backends(alternating: bool) -> dict[str, Backend]:
+        made: dict[str, Backend] = {"ours": Stream(model)}
+        if onnxruntime is not None:
+            made["ours_onnxruntime"] = Stream(model, ENGINES[onnxruntime].make(model))
+        if is_installed(*NEEDS["torch"]):
+            made["torch"] = TorchRebuild(model)
+        if onnxruntime is not None and is_installed("eventcv"):
+            made["eventcv_onnxruntime"] = EventcvRebuild(model, ENGINES[onnxruntime].make(model))
+        return made
+
+    return compare(backends, Moments(windows, model.config.window_us, n_new).blocks, blocks, size)

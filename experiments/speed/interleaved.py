@@ -1,0 +1,173 @@
+"""Interleaved timing of backends: call by call, and in blocks of moments.
+
+Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each
+finds its weights further away than in a loop of its own; in blocks, each has the caches to itself,
+while a real program does other work in between. So both are measured; compare figures within one of
+them only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from experiments.speed.moments import Moment
+from experiments.speed.timing import latency, no_collector, spread
+
+LOGIT_TOLERANCE = 1e-4
+"""Largest difference between logits of the same moment; as a share of the largest logit where that
+is above 1."""
+
+
+N_WARM = 20
+"""Decisions at the beginning that are only compared."""
+
+
+class WorkDiffers(Exception):
+    """Two backends computed different results, so comparing their times would be meaningless."""
+
+
+class Backend(Protocol):
+    """Makes decisions at moments in order of time."""
+
+    def prepare(self, moment: Moment) -> None:
+        """Not timed. The previous call was for this moment's `before`, or the moment is that
+        itself."""
+
+    def decide(self) -> np.ndarray | None:
+        """Timed. Returns the logits; None if they cannot be compared."""
+
+
+@dataclass
+class Timed:
+    """Microseconds of each decision, block by block, and the largest difference of logits."""
+
+    us: dict[str, np.ndarray]
+    """Backend -> float64, shape (blocks, decisions of a block)."""
+    call_by_call: bool
+    largest_difference: float = 0.0
+
+    def report(self) -> dict[str, Any]:
+        """`us`, backend -> `latency`; `ratio`, backend -> `spread` of its time over that of the
+        first one: of each decision, or of each block's median if backends ran in blocks."""
+        first = next(iter(self.us))
+        parts = {
+            name: us.ravel() if self.call_by_call else np.median(us, axis=1)
+            for name, us in self.us.items()
+        }
+        return {
+            "us": {name: latency(us.ravel()) for name, us in self.us.items()},
+            "ratio": {
+                name: spread(part / parts[first]) for name, part in parts.items() if name != first
+            },
+            "largest_difference": self.largest_difference,
+        }
+
+
+def compare(
+    make: Callable[[bool], Mapping[str, Backend]],
+    blocks: Callable[[int, int], Iterable[list[Moment]]],
+    n_blocks: int,
+    size: int,
+) -> dict[str, Any]:
+    """Time backends in both modes, after they were warmed up and compared.
+
+    Parameters
+    ----------
+    make : makes new backends; ratios are over the first. Called with True for `call_by_call`.
+    blocks : as `Moments.blocks`.
+    n_blocks, size : number of blocks, and of decisions in each.
+
+    Returns
+    -------
+    dict : `call_by_call` and `in_blocks` -> `Timed.report`.
+
+    Raises
+    ------
+    WorkDiffers : logits of one moment differ by more than LOGIT_TOLERANCE.
+    """
+    timed(make(True), blocks(1, N_WARM), True)
+    return {
+        "call_by_call": timed(make(True), blocks(n_blocks, size), True).report(),
+        "in_blocks": timed(make(False), blocks(n_blocks, size), False).report(),
+    }
+
+
+def timed(
+    backends: Mapping[str, Backend], blocks: Iterable[list[Moment]], call_by_call: bool
+) -> Timed:
+    """Every backend decides at all moments of a block before the next backend does, in an order
+    that alternates; or, call by call, every one decides at a moment, then at the next one, in a new
+    random order each time (fixed seed)."""
+    us: dict[str, list[list[float]]] = {name: [] for name in backends}
+    worst = 0.0
+    rng = np.random.default_rng(0)
+    names = list(backends)
+    with no_collector():
+        for block in blocks:
+            if call_by_call:
+                turns = [(k, rng.permutation(names).tolist()) for k in range(len(block))]
+            else:
+                turns = [(k, [name]) for name in names for k in range(len(block))]
+                names.reverse()
+            for taken in us.values():
+                taken.append([])
+            found: list[dict[str, np.ndarray]] = [{} for _ in block]
+            for k, some in turns:
+                for name in some:
+                    _catch_up(backends[name], block[k])
+                for name in some:
+                    taken_us, logits = _time(backends[name], block[k])
+                    us[name][-1].append(taken_us)
+                    if logits is not None:
+                        found[k][name] = logits
+            for k, moment in enumerate(block):
+                in_order = {name: found[k][name] for name in backends if name in found[k]}
+                where = f"event {len(moment.events)} of the window at {moment.start_us} us"
+                worst = max(worst, check_logits(in_order, where))
+    return Timed({name: np.array(taken) for name, taken in us.items()}, call_by_call, worst)
+
+
+def _catch_up(backend: Backend, moment: Moment) -> None:
+    """Make the decision before this one, if it was not the previous call."""
+    if not moment.follows:
+        backend.prepare(moment.before)
+        backend.decide()
+
+
+def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
+    """Microseconds of a decision, and its logits."""
+    backend.prepare(moment)
+    started = time.perf_counter()
+    logits = backend.decide()
+    taken_us = 1e6 * (time.perf_counter() - started)
+    return taken_us, None if logits is None else logits.copy()
+
+
+def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
+    """The largest difference between logits of one moment, as a share of the largest logit where
+    that is above 1.
+
+    where : the moment, for the error.
+
+    Raises
+    ------
+    WorkDiffers : it is more than LOGIT_TOLERANCE.
+    """
+    if len(found) < 2:
+        return 0.0
+    (first, expected), *others = found.items()
+    scale = max(1.0, float(np.abs(expected).max()))
+    differences = {name: float(np.abs(logits - expected).max()) / scale for name, logits in others}
+    name, worst = max(differences.items(), key=lambda item: item[1])
+    # `not <=` is also true of nan
+    if not worst <= LOGIT_TOLERANCE:
+        raise WorkDiffers(
+            f"all must give the same logits within {LOGIT_TOLERANCE}, "
+            f"got {first} and {name} {worst:.1e} apart at {where}"
+        )
+    return worst

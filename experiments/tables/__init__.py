@@ -1,0 +1,1 @@
+"""The tables and texts of RESULTS.md and of the pages, made from `results/*.json`."""

@@ -1,0 +1,257 @@
+"""The tables of accuracy: of the bundled model, of its early decisions, and of what makes motions
+hard to know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+from async_tnt import load_model
+from experiments.tables.parts import of_report, percent, results, table
+from experiments.thesis.numbers import with_range
+
+WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
+"""Part of the record of `digits` -> where its windows begin."""
+
+SHORT_US = (31_500, 52_500, 105_000)
+"""Times since the window's start, in microseconds, that `accuracy` shows."""
+
+LEAST_CONFIDENCE = 0.9
+"""The lowest level of confidence that `accuracy` shows."""
+
+HARDLY = 0.03
+"""Difference of two accuracies below which there is no gap to close."""
+
+
+def accuracy() -> str:
+    """`digits` in short: how often it is right, and how soon."""
+    found = results("early")
+    rows = []
+    for row in found["accuracy_against_time"]:
+        if row["time_us"] in SHORT_US:
+            words = f"a window, after {row['time_us'] / 1000:g} ms"
+            rows.append([words, "", percent(row["accuracy"])])
+    for row in found["confidence"]:
+        if row["level"] >= LEAST_CONFIDENCE:
+            words = f"a window, once a class has {row['level']:g}"
+            rows.append([words, f"{row['median_ms']:.0f} ms", percent(row["window_accuracy"])])
+    rows.append(["a recording, by the mean of its windows", "", percent(found["accuracy"])])
+    return table(["decided", "median time", "right"], rows)
+
+
+def digits_against_time() -> str:
+    """Share of test windows that `digits` decides correctly from their first milliseconds."""
+    times = list(_record()["test"]["against_time_ms"])
+    rows = []
+    for part, words in WINDOWS.items():
+        found = _record()[part]
+        shares = [found["against_time_ms"][ms] for ms in times]
+        rows.append([words, *map(percent, (*shares, found["per_recording"]))])
+    return table(["windows", *(f"{ms} ms" for ms in times), "recordings"], rows)
+
+
+def digits_confusion() -> str:
+    """How many windows of each class `digits` takes for each other one."""
+    classes = load_model("digits").classes
+    counts = _record()["test"]["confusion"]
+    rows = [[name, *(str(n or "") for n in row)] for name, row in zip(classes, counts, strict=True)]
+    return table(["true \\ decided", *classes], rows)
+
+
+def digits_tried() -> str:
+    """The settings that were compared before `digits` was trained."""
+    rows = []
+    for run in _record()["tried"]:
+        found = run["validation"]
+        landmark = run["landmark"] or "none (untransformed volume)"
+        rows.append(
+            [
+                landmark + (", flow removed" if run["remove_flow"] else ""),
+                "" if run["t_max"] is None else f"{run['t_max']:g}",
+                run["polarity"],
+                f"{run['simulated_recordings']:,}",
+                "yes" if run["augmentation"] else "no",
+                str(run["seed"]),
+                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "50")),
+            ]
+        )
+    head = [
+        "landmark",
+        "t_max",
+        "polarity",
+        "simulated",
+        "augmentation",
+        "seed",
+        "window",
+        "recording",
+    ]
+    return table([*head, "20 ms", "30 ms", "50 ms"], rows)
+
+
+def digits_tried_motions() -> str:
+    """The trainings with motion re-synthesis, beside the model of before."""
+    rows = []
+    for number, run in enumerate(_record()["tried_with_motions"]):
+        found = run["validation"]
+        start = run["started_from"]
+        rows.append(
+            [
+                str(number),
+                "" if start is None else str(start),
+                f"{run['t_max']:g}",
+                f"{run['simulated_recordings']:,}",
+                f"{100 * (1 - run['recorded']):g} %",
+                f"{100 * run['partial']:g} %",
+                f"{100 * run['nothing']:g} %",
+                str(run["epochs"]),
+                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "40")),
+                f"{100 * run['validation_motions']:.1f}",
+            ]
+        )
+    head = [
+        "",
+        "continues",
+        "t_max",
+        "simulated",
+        "other motions",
+        "cut early",
+        "noise",
+        "epochs",
+        "window",
+    ]
+    return table([*head, "recording", "20 ms", "30 ms", "40 ms", "in other motions"], rows)
+
+
+@of_report("edges")
+def edges(found: dict[str, Any]) -> str:
+    """Events by the angle between edge and motion."""
+    angles = found["angles_deg"]
+    rows = [
+        [
+            f"{low}-{high}°",
+            f"{found['events_per_gradient'][k] / found['events_per_gradient'][0]:.2f}",
+            f"{found['cosine'][k] / found['cosine'][0]:.2f}",
+            f"{100 * found['polarity_as_expected'][k]:.0f} %",
+        ]
+        for k, (low, high) in enumerate(pairwise(angles))
+    ]
+    return table(
+        ["between gradient and motion", "events", "cosine", "of the expected polarity"], rows
+    )
+
+
+@of_report("edges")
+def polarity(found: dict[str, Any]) -> str:
+    """How signed and unsigned images of two saccades correlate."""
+    rows = [
+        [pair.replace("-", " and "), f"{of['angle_deg']:.0f}°"]
+        + [f"{of[name]:+.2f}".replace("0.", ".", 1) for name in ("signed", "expected", "unsigned")]
+        for pair, of in found["between_saccades"].items()
+    ]
+    return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
+
+
+def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
+    """In each test of other motions: the share of the gap between training on one and on all
+    directions that re-synthesis closes. A test without such a comparison, or with hardly a gap, is
+    left out."""
+    if "all directions" not in accuracy:
+        return {}
+    closed = {}
+    for test in accuracy["recorded"]:
+        means = {mode: tests[test]["mean"] for mode, tests in accuracy.items()}
+        gap = means["all directions"] - means["recorded"]
+        if test != "recorded motion" and gap > HARDLY:
+            closed[test] = (means["resynthesized"] - means["recorded"]) / gap
+    return closed
+
+
+def _unseen(found: dict[str, Any]) -> str:
+    """Means over seeds by what was trained on and tested in, with the range of several."""
+    accuracy = found["accuracy"]
+    tests = list(next(iter(accuracy.values())))
+    rows = [
+        [mode, *(with_range(of[test]["seeds"]) for test in tests)] for mode, of in accuracy.items()
+    ]
+    closed = share_closed(accuracy)
+    if closed:
+        rows.append(
+            [
+                "*of the gap closed*",
+                *(percent(closed[test]) if test in closed else "" for test in tests),
+            ]
+        )
+    return table(["trained on", *(f"tested in {test}" for test in tests)], rows)
+
+
+unseen_hands = of_report("unseen_hands")(_unseen)
+unseen_saccades = of_report("unseen_saccades")(_unseen)
+unseen_volumes = of_report("unseen_volumes")(_unseen)
+unseen_whole = of_report("unseen_whole")(_unseen)
+
+
+@of_report("found_paths")
+def found_paths(found: dict[str, Any]) -> str:
+    """In how many windows a path is found, and how often it is right."""
+    rows = []
+    for name, row in found["rows"].items():
+        shares = (
+            percent(row[key]) if row.get(key) is not None else ""
+            for key in ("found", "right", "opposite")
+        )
+        rows.append([name, str(row["windows"]), *shares])
+    return table(["", "windows", "path found", "right of these", "opposite"], rows)
+
+
+def _record() -> dict[str, Any]:
+    return dict(load_model("digits").record)
+
+
+@of_report("nothing")
+def nothing(found: dict[str, Any]) -> str:
+    """What stands in a window, and how often it is decided."""
+    rows = []
+    for name, row in found["rows"].items():
+        # some sets were measured before these were asked
+        moments = row.get("at_some_moment", {})
+        shares = (percent(moments[level]) if level in moments else "-" for level in ("0.9", "0.99"))
+        rows.append([name, f"{row['windows']:,}", percent(row["decided"]), *shares])
+    head = [
+        "in the window",
+        "windows",
+        f"decided by {found['model']}",
+        "at some moment",
+        ".99 at some moment",
+    ]
+    return table(head, rows)
+
+
+def early() -> str:
+    """By time, and by confidence."""
+    found = results("early")
+    rows = [
+        [f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])]
+        for row in found["accuracy_against_time"]
+    ]
+    for row in found["confidence"]:
+        shares = (percent(row[name]) for name in ("window_accuracy", "decided", "accuracy"))
+        rows.append(
+            [
+                f"once a class has {row['level']:g}",
+                *shares,
+                f"{row['median_ms']:.0f}",
+                f"{row['p90_ms']:.0f}",
+            ]
+        )
+    head = [
+        "decided",
+        "windows right",
+        "that reach it",
+        "of these right",
+        "median ms",
+        "90 % by, ms",
+    ]
+    return table(head, [row + [""] * (len(head) - len(row)) for row in rows])

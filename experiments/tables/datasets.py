@@ -1,0 +1,242 @@
+"""The tables of the field's data sets: N-CARS, and representations compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from async_tnt.volume.config import LANDMARKS
+from experiments.tables.parts import about_machine, of_report, percent, results, short, table
+from experiments.thesis.numbers import cell, summary, with_range
+from experiments.thesis.numbers import short as three_digits
+from experiments.thesis.rows import IMAGES
+
+SHORT_MS = ("10", "30", "100")
+"""Times of `cars_in_short`, in milliseconds since a recording's first event."""
+
+EQUAL_MS = ("10", "30", "50", "100")
+"""Times of `representations`, in milliseconds."""
+
+REPRESENTATIONS = {
+    "volume": ("event volume", "raw-translated"),
+    **{name: (f"TNT, `{name}`", f"{name}-translated") for name in LANDMARKS},
+    **{name: (title.partition(",")[0], f"{name}-translated") for name, title in IMAGES.items()},
+    "hats": ("HATS", "hats-translated"),  # measured by an earlier version
+}
+"""Recipe of N-CARS, without `equal_` -> title, row of the thesis' table."""
+
+
+@of_report("cars")
+def cars(report: dict[str, Any]) -> str:
+    """N-CARS' test part against time: mean over the networks, and their standard deviation."""
+    shown = report["shown_ms"]
+    rows = []
+    for name, found in report["recipes"].items():
+        if name.startswith("equal_"):
+            continue
+        courses = [test["against_time_ms"] for test in found["tests"]]
+        shares = [[course[ms] for course in courses] for ms in shown]
+        cells = [cell(summary(values)) for values in shares]
+        options = found["command"].partition("--sensor 120x100")[2].strip()
+        rate = found["every_event"]["a_second"]
+        rows.append(
+            [f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"]
+        )
+    by_size = ["-"] * (len(shown) - 1) + [three_digits(report["by_crop_size"])]
+    rows.append(["none: width and height of the crop alone", "-", *by_size, "-"])
+    times = [f"{ms} ms" for ms in shown]
+    return table(
+        ["other options", "networks", *times, "decisions a second, one after every event"], rows
+    )
+
+
+@of_report("cars")
+def cars_confidence(report: dict[str, Any]) -> str:
+    """What a level of confidence costs and buys on N-CARS: means over the networks of the first
+    recipe."""
+    tests = next(iter(report["recipes"].values()))["tests"]
+    rows = []
+    for levels in zip(*(test["confidence"] for test in tests), strict=True):
+        # a level that no window reaches
+        if any(level["median_ms"] is None for level in levels):
+            continue
+        names = ("decided", "accuracy", "window_accuracy", "median_ms", "p90_ms")
+        means = {name: float(np.mean([level[name] for level in levels])) for name in names}
+        row = [f"{levels[0]['level']:g}"]
+        row += [percent(means[name]) for name in ("decided", "accuracy", "window_accuracy")]
+        row += [f"{means[name]:.0f}" for name in ("median_ms", "p90_ms")]
+        rows.append(row)
+    head = [
+        "confidence",
+        "windows that reach it",
+        "right of these",
+        "right of all",
+        "median, ms",
+        "90th percentile, ms",
+    ]
+    error = _mean([test["calibration_error"] for test in tests])
+    sentence = "Expected calibration error at the tenths of a window, mean of the networks"
+    return f"{table(head, rows)}\n\n{sentence}: {error}."
+
+
+def cars_in_short() -> str:
+    """The short version for README: networks on images of counts, without the transform."""
+    found = results("cars")["recipes"]["tuned"]
+    tests = found["tests"]
+    shares = [_mean([test["against_time_ms"][ms] for test in tests]) for ms in SHORT_MS]
+    rate = f"{found['every_event']['a_second']:,.0f}"
+    head = [f"right after {ms} ms" for ms in SHORT_MS]
+    sentence = (
+        "On N-CARS' official test part, cars or background: networks on images of counts, without "
+        f"the transform, mean of {len(tests)}."
+    )
+    one_row = table([*head, "decisions a second, one after every event"], [[*shares, rate]])
+    return f"{sentence}\n\n{one_row}"
+
+
+def _mean(accuracies: Sequence[float]) -> str:
+    return three_digits(float(np.mean(accuracies)))
+
+
+def representations() -> str:
+    """Accuracy on N-MNIST and N-CARS, mean over the networks, their standard deviation, and what
+    each costs."""
+    nmnist = results("table")["table"]
+    recipes = results("cars")["recipes"]
+    rows = []
+    measured = [recipes[f"equal_{name}"] for name in REPRESENTATIONS if f"equal_{name}" in recipes]
+    for name, (title, row) in REPRESENTATIONS.items():
+        cells = [cell(nmnist.get(row, {}).get(column)) for column in ("all/all", "1/all", "1/sim")]
+        found = recipes.get(f"equal_{name}")
+        if found is None:
+            rows.append([title, *cells, *["-"] * (len(EQUAL_MS) + 2)])
+            continue
+        shares = [[test["against_time_ms"][ms] for test in found["tests"]] for ms in EQUAL_MS]
+        costs = [short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])]
+        rows.append([title, *cells, *(cell(summary(values)) for values in shares), *costs])
+    times = [f"{ms} ms" for ms in EQUAL_MS]
+    head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]
+    return f"{table(head, rows)}\n\nCosts: {about_machine(*measured)}"
+
+
+@of_report("bare")
+def bare(report: dict[str, Any]) -> str:
+    """`train` without options: mean over the networks and their standard deviation."""
+    rows = []
+    for found in report["sets"].values():
+        rows.append([found["title"], *_tested(found)])
+    return table(["data set", "networks", "windows", "recordings"], rows)
+
+
+@of_report("from_pictures")
+def from_pictures(report: dict[str, Any]) -> str:
+    """The same for `train` given pictures alone."""
+    rows = []
+    for found in report["sets"].values():
+        options = found["command"].partition("PICTURES ")[2]
+        rows.append(
+            [found["title"], f"`{options}`", f"{found['pictures']['pictures']:,}", *_tested(found)]
+        )
+    return table(
+        ["recordings of", "options", "pictures", "networks", "windows", "recordings"], rows
+    )
+
+
+@of_report("few_recordings")
+def few_recordings(report: dict[str, Any]) -> str:
+    """With and without pictures, by how many real recordings a class has: windows and recordings
+    right."""
+    found: dict[int, dict[str, str]] = {}
+    for way, rows in report["ways"].items():
+        for row in rows:
+            shares = (
+                [one[key] for one in row["networks"]] for key in ("window_accuracy", "accuracy")
+            )
+            found.setdefault(row["per_class"], {})[way] = " / ".join(
+                cell(summary(values)) for values in shares
+            )
+    rows = [[f"{n:,}", *(of.get(way, "-") for way in report["ways"])] for n, of in found.items()]
+    return table(["recordings of each class", *report["ways"]], rows)
+
+
+def _tested(found: dict[str, Any]) -> list[str]:
+    """Networks, windows right, recordings right."""
+    networks = found["networks"]
+    shares = (
+        cell(summary([row[key] for row in networks])) for key in ("window_accuracy", "accuracy")
+    )
+    sizes = (f"{networks[0][key]:,}" for key in ("windows", "recordings"))
+    return [
+        str(len(networks)),
+        *(f"{share} of {n}" for share, n in zip(shares, sizes, strict=True)),
+    ]
+
+
+@of_report("from_pictures")
+def moved_digits(report: dict[str, Any]) -> str:
+    """Digits in simulated motions that N-MNIST does not have: mean over the networks."""
+    rows = []
+    for test, cases in report["sets"].get("nmnist", {}).get("simulated", {}).items():
+        means = {case: float(np.mean(shares)) for case, shares in cases.items()}
+        worst = min(means, key=lambda case: means[case])
+        rows.append(
+            [
+                test,
+                str(len(means)),
+                _mean(list(means.values())),
+                f"{three_digits(means[worst])} ({worst})",
+            ]
+        )
+    return table(["1,000 test images", "motions or speeds", "mean", "worst"], rows)
+
+
+@of_report("recipes")
+def recipes(report: dict[str, Any]) -> str:
+    """Candidates of a default: held-out windows right at their ends, and in the mean over ten
+    moments."""
+    sets = report["sets"]
+    candidates = list(dict.fromkeys(name for found in sets.values() for name in found))
+    rows = []
+    for name in candidates:
+        cells = []
+        for found in sets.values():
+            means = (
+                [row[key] for row in found.get(name, [])]
+                for key in ("per_window", "mean_over_time")
+            )
+            cells.append(" / ".join(_mean(values) if values else "-" for values in means))
+        rows.append([name, *cells])
+    return table(["", *sets], rows)
+
+
+def everywhere() -> str:
+    """F1 of map models, the bundled one's first, on scenes of real recordings."""
+    found = results("everywhere")["models"]
+    kinds = {
+        "three": "three on 128x96, 30 pixels and more apart",
+        "close": "the same, 16 pixels and more apart",
+        "overlapping": "the same, each 16 to 24 pixels from another one",
+        "eight": "eight on 640x480",
+    }
+    rows = []
+    for kind, words in kinds.items():
+        row = [words]
+        for moment in ("end", "early"):
+            f1 = [model[kind][moment] for model in found]
+            row += [three_digits(f1[0]), with_range(f1)]
+        rows.append(row)
+    every = f"{len(found)} networks"
+    return table(["digits", "F1 at the end", every, "30 ms after the last start", every], rows)
+
+
+def car_scenes() -> str:
+    """F1 of a map model of N-CARS on scenes of its test part."""
+    (found,) = results("car_scenes")["models"]
+    row = [f"{found['cars'][moment]:.3f}" for moment in ("end", "early")] + [
+        f"{found['noise']:.2f}"
+    ]
+    return table(
+        ["F1 of cars at the end", "30 ms after the last start", "objects in noise, a window"], [row]
+    )

@@ -1,0 +1,180 @@
+"""The tables of what a decision costs, from decisions.json and incremental.json (four networks)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from experiments.tables.parts import about_machine, of_report, results, short, table
+
+NETWORKS = {
+    "incremental": "async_tnt, incremental: `refresh`",
+    "dense": "async_tnt, full forward pass",
+    "onnxruntime_run": "onnxruntime, `run`",
+    "onnxruntime_binding": "onnxruntime, I/O binding",
+    "openvino": "OpenVINO",
+    "torch": "torch, eager",
+}
+WAYS = {
+    "ours": "async_tnt: `push`, `fire`",
+    "ours_onnxruntime": "async_tnt's volume, onnxruntime's network",
+    "torch": "torch: the whole window's volume, its network",
+    "eventcv_onnxruntime": "eventcv's voxel grid of all events, onnxruntime",
+}
+MAPS = ("maps", "places", "program")
+"""What is counted as memory of a network's maps, besides its weights."""
+
+decisions_machine = of_report("decisions")(about_machine)
+starts_machine = of_report("starts")(about_machine)
+incremental_machine = of_report("incremental")(about_machine)
+
+
+def speed() -> str:
+    """The short version, for README."""
+    found = results("decisions")
+    names = {
+        "incremental": "async_tnt",
+        "onnxruntime_binding": "onnxruntime",
+        "openvino": "OpenVINO",
+        "torch": "torch",
+    }
+    same = {"incremental": "ours", "onnxruntime_binding": "ours_onnxruntime", "torch": "torch"}
+    rows = []
+    for n in ("1", "100", "1300"):
+        us = found["network"][n]["in_blocks"]["us"]
+        events = f"{int(n):,} new event{'s' * (n != '1')}"
+        rows.append([f"network, {events}: us", *(short(us[name]["median"]) for name in names)])
+    us = found["end_to_end"]["1"]["in_blocks"]["us"]
+    cells = (short(us[same[name]]["median"]) if name in same else "" for name in names)
+    rows.append(["packet of 1 event to decision: us", *cells])
+    packets = found["every_event"]
+    every = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
+    rows.append(
+        ["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)]
+    )
+    return table(["", *names.values()], rows)
+
+
+def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
+    counts = list(rows)
+    head = ["", *(f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
+    body = []
+    for name, words in names.items():
+        cells = [_cell(rows[n][mode], name) for n in counts]
+        if any(cells):
+            body.append([words, *cells])
+    return table(head, body)
+
+
+def _cell(found: dict[str, Any], name: str) -> str:
+    """Median, 99th percentile, and ratio to the first network's; empty where there is none."""
+    us = found["us"].get(name)
+    if us is None:
+        return ""
+    text = f"{short(us['median'])} ({short(us['p99'])})"
+    ratio = found["ratio"].get(name)
+    return f"{text} {ratio['median']:.1f}x" if ratio else text
+
+
+network_in_blocks = of_report("decisions")(
+    lambda found: _turns(found["network"], "in_blocks", NETWORKS)
+)
+network_call_by_call = of_report("decisions")(
+    lambda found: _turns(found["network"], "call_by_call", NETWORKS)
+)
+end_to_end_call_by_call = of_report("decisions")(
+    lambda found: _turns(found["end_to_end"], "call_by_call", WAYS)
+)
+
+
+@of_report("decisions")
+def end_to_end_in_blocks(found: dict[str, Any]) -> str:
+    return _turns(found["end_to_end"], "in_blocks", WAYS)
+
+
+@of_report("decisions")
+def every_event(found: dict[str, Any]) -> str:
+    """Decisions a second."""
+    names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
+    body = [
+        [
+            names[name],
+            f"{row['a_second']:,.0f}",
+            short(row["us"]["median"]),
+            f"{row['ratio']['median']:.1f}" if "ratio" in row else "",
+        ]
+        for name, row in found["every_event"].items()
+    ]
+    return table(["", "decisions a second", "us each", "ratio"], body)
+
+
+@of_report("starts")
+def starts(found: dict[str, Any]) -> str:
+    """Seconds to a first decision."""
+    names = {
+        "ours_cold": "async_tnt, nothing compiled yet",
+        "ours_warm": "async_tnt, compiled before",
+        "onnxruntime": "onnxruntime",
+        "torch": "torch",
+    }
+    steps = {
+        "import": "import",
+        "load": "load the model",
+        "processor": "`Processor`",
+        "decision": "first decision",
+        "first_decision": "total",
+    }
+    body = [
+        [names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
+        for name, row in found["starts"].items()
+    ]
+    return table(["seconds", *steps.values()], body)
+
+
+@of_report("incremental")
+def incremental_times(report: dict[str, Any]) -> str:
+    """Microseconds of a decision, in blocks, by network and new events."""
+    body = []
+    for network, row in report["networks"].items():
+        volume = " x ".join(map(str, row["volume"]))
+        for n_new, found in row["network"].items():
+            us = found["in_blocks"]["us"]
+            cells = [_cell(found["in_blocks"], name) for name in NETWORKS if name in us]
+            body.append(
+                [f"`{network}`, {volume}" if n_new == "1" else "", f"{int(n_new):,}", *cells]
+            )
+    names = [words for name, words in NETWORKS.items() if name in us]
+    return table(["network", "new events", *names], body)
+
+
+@of_report("incremental")
+def incremental_work(report: dict[str, Any]) -> str:
+    """Multiplications of a decision, memory, and decisions a second."""
+    body = []
+    for network, row in report["networks"].items():
+        counts = [
+            row["touched"][n]["multiplications"] / 1e6 for n in ("1", "10", "100", "1300", "whole")
+        ]
+        n_bytes = row["bytes"]
+        n_bytes_maps = sum(n_bytes[part] for part in MAPS)
+        memory = [f"{n / 1e3:,.0f}" for n in (n_bytes["weights"], n_bytes_maps)]
+        rates = row["every_event"]
+        onnx = max((rates[name]["a_second"] for name in rates if name != "ours"), default=None)
+        others = "" if onnx is None else f"{onnx:,.0f}"
+        second = [f"{rates['ours']['a_second']:,.0f}", others]
+        body.append([f"`{network}`", *(f"{n:.2f}" for n in counts), *memory, *second])
+    head = [
+        "million multiplications",
+        "1 new event",
+        "10",
+        "100",
+        "1,300",
+        "the whole network",
+        "weights, kB",
+        "maps, kB",
+        "decisions a second, one after every event",
+        "onnxruntime",
+    ]
+    return table(
+        head,
+        body,
+    )

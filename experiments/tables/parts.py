@@ -1,0 +1,87 @@
+"""Recorded results, and Markdown tables of them."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+"""The checkout."""
+
+RESULTS = ROOT / "experiments" / "results"
+"""The recorded runs."""
+
+Table = Callable[..., str]
+
+REPORT_OF: dict[Table, str] = {}
+"""Table -> the recorded run that it is made of, without ".json"."""
+
+
+def results(name: str) -> dict[str, Any]:
+    """A recorded run."""
+    return read_json(RESULTS / f"{name}.json")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A report. A ValueError names the file."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise ValueError(f"{path} is no report: {error}") from None
+
+
+def of_report(name: str) -> Callable[[Callable[[Any], str]], Table]:
+    """Decorates what makes a table of a report: called without a report, it takes the recorded run
+    `name`."""
+
+    def decorated(make: Callable[[Any], str]) -> Table:
+        @functools.wraps(make)
+        def made(report: dict[str, Any] | None = None) -> str:
+            return make(results(name) if report is None else report)
+
+        REPORT_OF[made] = name
+        return made
+
+    return decorated
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    cells = [list(head), *map(list, rows)]
+    lines = [f"| {' | '.join(row)} |" for row in cells]
+    lines.insert(1, "|---" * len(cells[0]) + "|")
+    return "\n".join(lines)
+
+
+def short(value: float) -> str:
+    """A number such as 11.3 or 1,024."""
+    return f"{value:.1f}" if value < 20 else f"{value:,.0f}"
+
+
+def percent(share: float) -> str:
+    """A share such as 99.2 %."""
+    return f"{100 * share:.1f} %"
+
+
+def about_machine(*reports: dict[str, Any]) -> str:
+    """What the reports, all from one machine, say of it: processor, load and versions."""
+    about = reports[0]["machine"]
+    loads = sorted({report["machine"]["load_1min"] for report in reports})
+    load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"
+
+    names = {
+        "torch": "torch",
+        "onnxruntime": "onnxruntime",
+        "openvino": "OpenVINO",
+        "eventcv": "eventcv",
+    }
+    versions = [
+        f"Python {about['python']}",
+        f"NumPy {about['numpy']}",
+        f"Numba {about['numba']}",
+        *(f"{words} {about[name]}" for name, words in names.items() if about.get(name)),
+    ]
+    return f"{about['cpu']}, one thread, load {load}; {', '.join(versions)}."

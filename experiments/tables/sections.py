@@ -1,0 +1,401 @@
+"""What stands in RESULTS.md: the sections, how their tables were measured, and what each table
+shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from experiments.tables import accuracy, datasets, decisions, differences, streams, thesis
+from experiments.tables.texts import (
+    CARS,
+    DECISIONS,
+    DEFAULT,
+    EARLY,
+    EDGES,
+    EVERYWHERE,
+    FEW,
+    FEW_PICTURES,
+    FROM_PICTURES,
+    INPUTS,
+    INTRODUCTION,
+    LAYERS,
+    MOTIONS,
+    NETWORKS,
+    NOTHING,
+    PATHS,
+    RECIPE,
+    SIMULATED,
+    STARTS,
+    SUSTAINED,
+    THESIS,
+    THREADS,
+    UDP,
+    VOLUMES,
+    WITHOUT_OPTIONS,
+)
+from experiments.thesis.rows import THESIS_SET
+
+Table = Callable[[], str]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of RESULTS.md.
+
+    Parameters
+    ----------
+    title : its heading.
+    text : how it was measured, and what limits the numbers; Markdown.
+    command : what repeats it, without `python -m`; "" if nothing does.
+    picture : name of a picture in docs/images; "" if there is none.
+    tables : a table -> what it shows.
+    """
+
+    title: str
+    text: str = ""
+    command: str = ""
+    picture: str = ""
+    tables: dict[Table, str] = field(default_factory=dict)
+
+
+SECTIONS = (
+    Section(
+        title="Decisions",
+        text=DECISIONS,
+        command=(
+            "experiments.decisions --json experiments/results/decisions.json --picture "
+            "docs/images/decisions.png"
+        ),
+        tables={
+            decisions.decisions_machine: "Machine",
+            decisions.network_in_blocks: (
+                "The network alone, in blocks: microseconds from a finished volume to its logits, "
+                "99th percentile, ratio to the incremental one"
+            ),
+            decisions.network_call_by_call: "The network alone, call by call",
+            decisions.end_to_end_in_blocks: "From a packet to the decision, in blocks",
+            decisions.end_to_end_call_by_call: "From a packet to the decision, call by call",
+            decisions.every_event: (
+                "A decision after every event, recordings in packets of 1,000 events"
+            ),
+        },
+    ),
+    Section(
+        title="Starts",
+        text=STARTS,
+        command="experiments.starts --json experiments/results/starts.json",
+        tables={
+            decisions.starts_machine: "Machine",
+            decisions.starts: "Seconds, medians of five",
+        },
+    ),
+    Section(
+        title="Four networks",
+        text=NETWORKS,
+        command=(
+            "experiments.incremental --json experiments/results/incremental.json --picture "
+            "docs/images/incremental.png"
+        ),
+        picture="incremental",
+        tables={
+            decisions.incremental_machine: "Machine",
+            decisions.incremental_times: (
+                "Microseconds from a finished volume to its logits, in blocks, 99th percentile, "
+                "ratio to the incremental one"
+            ),
+            decisions.incremental_work: "Multiplications, memory, and a decision after every event",
+        },
+    ),
+    Section(
+        title="Events into a volume",
+        text=VOLUMES,
+        command="experiments.volumes --json experiments/results/bench.json",
+        tables={
+            streams.volumes: "By the size of a packet",
+        },
+    ),
+    Section(
+        title="Memory",
+        command="experiments.memory --json experiments/results/memory.json",
+        tables={
+            streams.memory: "Growth of a long stream",
+        },
+    ),
+    Section(
+        title="Cars",
+        text=CARS,
+        command=(
+            "experiments.cars N-CARS --json experiments/results/cars.json --picture "
+            "docs/images/cars.png"
+        ),
+        picture="cars",
+        tables={
+            datasets.cars: "Accuracy on the test part by the time since the first event",
+            datasets.cars_confidence: (
+                "What a level of confidence costs, looked at every 2 ms; *right of all*: windows "
+                "that do not reach it are decided at their ends"
+            ),
+        },
+    ),
+    Section(
+        title="Without options",
+        text=WITHOUT_OPTIONS,
+        command=(
+            "experiments.bare --nmnist N-MNIST --poker POKER-DVS --characters characters --json "
+            "experiments/results/bare.json"
+        ),
+        tables={
+            datasets.bare: "Test parts, mean and standard deviation over seeds",
+        },
+    ),
+    Section(
+        title="Which default",
+        text=DEFAULT,
+        command=(
+            "experiments.recipes --cars N-CARS --nmnist N-MNIST --poker POKER-DVS --characters "
+            "characters --json experiments/results/recipes.json"
+        ),
+        tables={
+            datasets.recipes: "Held-out windows right at their ends / in the mean over ten moments",
+        },
+    ),
+    Section(
+        title="Which input",
+        text=INPUTS,
+        command=(
+            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows comparison "
+            "representations --into experiments/results/table.json"
+        ),
+        tables={
+            datasets.representations: "Accuracy and costs, by input",
+        },
+    ),
+    Section(
+        title="Early decisions",
+        text=EARLY,
+        command="async_tnt evaluate digits N-MNIST --json > experiments/results/early.json",
+        tables={
+            accuracy.early: "By time, and by confidence",
+        },
+    ),
+    Section(
+        title="Where nothing is",
+        text=NOTHING,
+        command=(
+            "experiments.nothing --poker POKER-DVS/pips_train --characters characters --cars "
+            "n-cars_train --json experiments/results/nothing.json"
+        ),
+        tables={
+            accuracy.nothing: "Share of windows in which a class has .9 at their ends",
+        },
+    ),
+    Section(
+        title="The model digits",
+        text=RECIPE,
+        tables={
+            accuracy.digits_against_time: (
+                "Share of windows right by the time since the window's start, and of recordings "
+                "by the mean of three windows"
+            ),
+            accuracy.digits_confusion: "Windows from 0",
+            accuracy.digits_tried_motions: (
+                "Trainings with other motions; each continues the one that it names, 0 is the "
+                "model that was bundled before. Accuracy in % on held-out recordings"
+            ),
+            accuracy.digits_tried: (
+                "Settings compared before that, six epochs each; differences below 0.5 are noise"
+            ),
+        },
+    ),
+    Section(
+        title="The thesis' table",
+        text=THESIS,
+        command=(
+            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --into "
+            "experiments/results/table.json"
+        ),
+        picture="directions",
+        tables={
+            thesis.thesis_rows: (
+                "The thesis' own rows; in brackets its numbers, from the official split and "
+                f"simulated motions of its own, which were probably like {THESIS_SET!r}"
+            ),
+            thesis.curves: "60,000 steps: held-out windows right / their loss",
+            differences.thesis_sets: (
+                "On nine sets of 30 simulated motions; bold: better or worse than the Baseline"
+            ),
+            differences.effects: "What the gain depends on",
+            thesis.comparison: "The comparison: 3,000 steps, t_max 2, five seeds",
+            differences.differences: (
+                "Differences and their 95 % intervals; bold: holds among all of its question"
+            ),
+            differences.conclusions: "All that hold",
+            thesis.against_time: "Unseen motions, by the time since a window's start",
+        },
+    ),
+    Section(
+        title="Layers and flow",
+        text=LAYERS,
+        command="experiments.figure_equivariance --json experiments/results/equivariance.json",
+        tables={
+            thesis.equivariance: "By input, layer and pixels per window",
+        },
+    ),
+    Section(
+        title="Missing edges and polarity",
+        text=EDGES,
+        command=(
+            "experiments.edges --nmnist N-MNIST --mnist MNIST --json experiments/results/edges.json"
+        ),
+        tables={
+            accuracy.edges: (
+                "Events for each unit of gradient, by the angle between gradient and motion"
+            ),
+            accuracy.polarity: "Correlation of two saccades' images over pixels",
+        },
+    ),
+    Section(
+        title="Re-synthesized motions",
+        text=MOTIONS,
+        command=(
+            "experiments.thesis_table --nmnist N-MNIST --mnist MNIST --rows motions --into "
+            "experiments/results/table.json"
+        ),
+        tables={
+            thesis.resynthesis: "Accuracy",
+            thesis.resynthesis_match: "How well the recorded motion is matched",
+        },
+    ),
+    Section(
+        title="Few events, in motions that were not recorded",
+        text=FEW,
+        command=(
+            "experiments.unseen_motions --set saccades --json "
+            "experiments/results/unseen_saccades.json"
+        ),
+        tables={
+            accuracy.unseen_saccades: "N-MNIST's saccades with a fifth of their events",
+            accuracy.unseen_whole: (
+                "All events of the first saccade of 8,000 recordings: `--set whole --seeds 3 "
+                "--json experiments/results/unseen_whole.json`"
+            ),
+            accuracy.unseen_hands: (
+                "Hand motion: `--set hands --json experiments/results/unseen_hands.json`"
+            ),
+            accuracy.unseen_volumes: (
+                "The saccades by what is learned from: `--set volumes --seeds 1 --json "
+                "experiments/results/unseen_volumes.json`. The default was set after this was "
+                "seen; held-out windows in other motions are ordered alike: .897, .922, .826, "
+                ".915, .879"
+            ),
+        },
+    ),
+    Section(
+        title="Paths that are found",
+        text=PATHS,
+        command=(
+            "experiments.found_paths --nmnist N-MNIST --json experiments/results/found_paths.json"
+        ),
+        tables={
+            accuracy.found_paths: "Windows with a path that is relied on",
+        },
+    ),
+    Section(
+        title="Pictures alone",
+        text=FROM_PICTURES,
+        command=(
+            "experiments.from_pictures --nmnist N-MNIST --poker POKER-DVS --characters characters "
+            "--made --fonts FONTS --seeds 5 --json experiments/results/from_pictures.json"
+        ),
+        tables={
+            datasets.from_pictures: "Tested on real recordings, or on those of another renderer",
+            datasets.moved_digits: (
+                "N-MNIST's networks on simulated test images, in motions and speeds of their own"
+            ),
+        },
+    ),
+    Section(
+        title="Pictures and few recordings",
+        text=FEW_PICTURES,
+        command=(
+            "experiments.few_recordings --json experiments/results/few_recordings.json --picture "
+            "docs/images/few_recordings.png"
+        ),
+        picture="few_recordings",
+        tables={
+            datasets.few_recordings: "Windows and recordings right",
+        },
+    ),
+    Section(
+        title="Several objects on a large sensor",
+        text=EVERYWHERE,
+        command=(
+            "experiments.everywhere digits-everywhere MODEL ... --json "
+            "experiments/results/everywhere.json"
+        ),
+        tables={
+            datasets.everywhere: "Real digits in scenes",
+            datasets.car_scenes: "Cars",
+            streams.map_times: (
+                "From events to objects, `push` and `fire`, beside the whole map, after three "
+                "digits, medians and 99th percentiles: `python -m experiments.map_times --json "
+                "experiments/results/map_times.json`"
+            ),
+            streams.map_load: (
+                "A million events and 1,000 decisions a second on 320x240: processor seconds for "
+                "each second of the stream, which must stay below 1"
+            ),
+            streams.map_machine: "Machine",
+        },
+    ),
+    Section(
+        title="Two threads",
+        text=THREADS,
+        command="experiments.threads --json experiments/results/threads.json",
+        tables={
+            streams.threads: "How much faster",
+            streams.threads_machine: "Machine",
+        },
+    ),
+    Section(
+        title="What a machine sustains",
+        text=SUSTAINED,
+        command="experiments.sustained --seconds 60 --json experiments/results/sustained.json",
+        tables={
+            streams.sustained: "Delays under load",
+        },
+    ),
+    Section(
+        title="Simulated and real recordings",
+        text=SIMULATED,
+        command="experiments.moving_mnist --mnist MNIST --out moving --nmnist N-MNIST",
+    ),
+    Section(
+        title="Network",
+        text=UDP,
+        command="experiments.network --json experiments/results/network.json",
+        tables={
+            streams.udp_machine: "Machine",
+            streams.udp_latency: "Latency",
+            streams.udp_load: "A million events a second for a minute, a decision every 5 ms",
+        },
+    ),
+)
+"""The sections of RESULTS.md, in order."""
+
+
+def page() -> str:
+    """RESULTS.md."""
+    parts = ["# All results", INTRODUCTION]
+    for section in SECTIONS:
+        parts.append(f"## {section.title}")
+        if section.text:
+            parts.append(section.text)
+        if section.command:
+            parts.append(f"```sh\npython -m {section.command}\n```")
+        if section.picture:
+            parts.append(f"![{section.title}](../docs/images/{section.picture}.png)")
+        for table, caption in section.tables.items():
+            parts += [f"**{caption}**", table()]
+    return "\n\n".join(parts) + "\n"

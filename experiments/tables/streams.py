@@ -1,0 +1,162 @@
+"""The tables of streams: event volumes (bench.json), map models, threads, memory, network,
+loads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from experiments.tables.parts import about_machine, of_report, percent, results, short, table
+
+WAYS = {
+    "plain_socket": "plain blocking socket, `recv`",
+    "packet": "`UdpSource`, a packet",
+    "decision": "`UdpSource`, `Processor`, a decision of `digits`",
+}
+map_machine = of_report("map_times")(about_machine)
+threads_machine = of_report("threads")(about_machine)
+udp_machine = of_report("network")(about_machine)
+
+
+def udp_latency() -> str:
+    """From just before `send` to something in hand."""
+    found = results("network")["latency_us"]
+    rows = []
+    for name, words in WAYS.items():
+        adds = found.get(f"{name}_adds")
+        added = "" if adds is None else f"{adds['median']:.1f}"
+        rows.append([words, f"{found[name]['median']:.0f}", f"{found[name]['p99']:.0f}", added])
+    return table(["microseconds", "median", "99 %", "added by async_tnt, median"], rows)
+
+
+def udp_load() -> str:
+    """A minute of events, and how late the decisions are."""
+    run = results("network")["load"]
+    late_us = run["delay_us"]
+    counts = {
+        "events sent": run["sent"]["events"],
+        "received": run["received"]["events"],
+        "lost by the system": run["datagrams_missing"] * run["datagram_events"],
+        "decisions": run["decisions"],
+    }
+    delays_us = {
+        "delay, ms: median": late_us["median"],
+        "99 %": late_us["p99"],
+        "at most": late_us["max"],
+    }
+    row = [
+        *(f"{n:,}" for n in counts.values()),
+        *(f"{delay_us / 1e3:.1f}" for delay_us in delays_us.values()),
+    ]
+    return table([*counts, *delays_us], [row])
+
+
+@of_report("bench")
+def volumes(found: dict[str, Any]) -> str:
+    """Nanoseconds per event, by the size of a packet."""
+    ways = {
+        "single": "`update_one`",
+        "packet_10_columns": "packets of 10, columns",
+        "packet_1300_columns": "packets of 1300, columns",
+        "packet_1300_structured": "packets of 1300, structured",
+    }
+    grids = found["volume"]
+    rows = [
+        [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
+        for way, words in ways.items()
+    ]
+    whole = found["whole_window"]
+    words = (
+        f"A window of {whole['events']:,} events on 1280 x 720, opened, filled and read: "
+        f"{short(whole['ns_per_event']['median'])} ns per event."
+    )
+    sizes = (" x ".join(map(str, v["grid"])) for v in grids)
+    return f"{table(['', *sizes], rows)}\n\n{words} {about_machine(found)}"
+
+
+def memory() -> str:
+    """A sentence: growth after so many events."""
+    found = results("memory")
+    return (
+        f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions "
+        f"the process has grown by {found['grown_mb']:.1f} MB since the first million."
+    )
+
+
+@of_report("map_times")
+def map_times(found: dict[str, Any]) -> str:
+    """Medians and 99th percentiles of `map_times`."""
+    models = found["models"]
+    cases = {
+        "one event": "one more event",
+        "1,000 events": "1,000 more",
+        "new window": "the first event of a window",
+        "dense": "the whole map",
+        "onnxruntime_run": "onnxruntime, the whole map",
+    }
+    rows = [
+        [
+            f"{name}, {sensor}",
+            *(
+                f"{short(of[case]['median'])} ({short(of[case]['p99'])})" if case in of else ""
+                for case in cases
+            ),
+        ]
+        for name, row in models.items()
+        for sensor, of in row["times_us"].items()
+    ]
+    return table(["microseconds", *cases.values()], rows)
+
+
+@of_report("map_times")
+def map_load(found: dict[str, Any]) -> str:
+    """Processor seconds for each second of the stream."""
+    models = found["models"]
+    numbers = next(iter(models.values()))["load"]
+    rows = [
+        [name, *(f"{row['load'][n]:.2f}" for n in numbers)]
+        for name, row in models.items()
+        if row["load"]
+    ]
+    return table(["", *(f"{n} objects" if n != "1" else "one object" for n in numbers)], rows)
+
+
+@of_report("threads")
+def threads(found: dict[str, Any]) -> str:
+    """The time of two streams one after the other, divided by that of both at once."""
+    words = {
+        "volume": "`TNTVolume`",
+        "windows": "`Processor`",
+        "every_us": "`Processor`, a decision every millisecond",
+    }
+    head = ["packets of", *(f"{int(n):,}" for n in found["volume"])]
+    rows = [[words[c], *(f"{of['median']:.2f}" for of in found[c].values())] for c in words]
+    woken = (
+        f"A thread that waits for Python's lock runs on {found['wake_us']:.0f} us after it is "
+        "released."
+    )
+    return f"{table(head, rows)}\n\n{woken}"
+
+
+@of_report("sustained")
+def sustained(report: dict[str, Any]) -> str:
+    """Delays under load, and what becomes of more than the machine can do."""
+    rows = []
+    for load, of in report["streams"].items():
+        delays = (f"{ms:.2f}" for ms in (*of["delay_ms"].values(), of["worst_ms"]))
+        rare = "" if of["slowest"] == 1 else f"up to {of['slowest']} times rarer"
+        counts = (
+            f"{of['decisions']:,}",
+            rare,
+            percent(of["skipped"] / of["received"]),
+            f"{of['grown_mb']:.1f}",
+        )
+        rows.append([load, f"{of['rate']:,.0f}", *delays, *counts])
+    every = "event" if report["every_events"] == 1 else f"{report['every_events']} events"
+    head = ["load", "events a second", "delay, ms: median", "99 %", "99.9 %", "worst"]
+    found = (
+        f"{report['model']}, a decision after every {every}, if need be rarer: "
+        f"{report['sustained']:,.0f} events a second take one core, {report['event_us']:.1f} us "
+        "each."
+    )
+    loads = table([*head, "decisions", "rarer", "skipped", "MB more"], rows)
+    return f"{found}\n\n{loads}\n\n{about_machine(report)}"

@@ -1,0 +1,191 @@
+"""The recordings that the table trains and tests on: N-MNIST by saccade, and simulated motions by
+shard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.training.recordings import COLUMNS, Recordings
+from async_tnt.training.windows import Windows, make_windows
+from experiments.digit_data.mnist import load_mnist
+from experiments.digit_data.recordings import (
+    DURATION_US,
+    SACCADE_US,
+    read_nmnist_folder,
+    recording_numbers,
+    saccade,
+    split_recordings,
+)
+from experiments.motions.scene import Scene
+from experiments.moving_set.build import build
+from experiments.moving_set.manifest import MovingMnist
+from experiments.thesis.rows import SETS
+
+OFFICIAL = (60_000, 10_000)
+"""Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set,
+index n - 1."""
+
+CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
+"""The one saccade of each digit in `confounded`."""
+
+VALIDATION_SEED = 0
+"""Seed of the split: the same digits are held out, or left out, in every row and for every seed."""
+
+
+@dataclass(frozen=True)
+class RealData:
+    """N-MNIST's recordings.
+
+    Parameters
+    ----------
+    training, held_out : windows of the training recordings, all three saccades; split by recording.
+    test : windows of the test recordings.
+    seen_images : indices of MNIST's test images that a training recording shows, held out or not.
+        Empty with the official split, see `shown_test_images`.
+    description : in words and numbers, for the results.
+    """
+
+    training: Windows
+    held_out: Windows
+    test: Windows
+    seen_images: np.ndarray
+    description: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RealFolder:
+    """Where N-MNIST is, and how much of it is used.
+
+    Parameters
+    ----------
+    folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
+    validation : share of the training recordings that is held out.
+    per_digit : only the first `per_digit` recordings of each digit in each folder; None for all.
+    """
+
+    folder: Path
+    validation: float = 0.1
+    per_digit: int | None = None
+
+    @lru_cache(maxsize=1)  # noqa: B019  (frozen, and one is enough)
+    def read(self) -> RealData:
+        """Read both folders, once in a process.
+
+        Raises
+        ------
+        FileNotFoundError : a folder is missing.
+        ValueError : a damaged file; the message names it.
+        """
+        train = read_nmnist_folder(self.folder / "Train", per_digit=self.per_digit)
+        test = read_nmnist_folder(self.folder / "Test", per_digit=self.per_digit)
+        rng = np.random.default_rng(VALIDATION_SEED)
+        learned, held_out = split_recordings(train, self.validation, rng)
+        if (len(train), len(test)) == OFFICIAL:
+            split = "the official one"
+        else:
+            split = "not the official one (60,000 and 10,000 recordings)"
+        return RealData(
+            make_windows(train, SACCADE_US, which=learned, duration_us=DURATION_US),
+            make_windows(train, SACCADE_US, which=held_out, duration_us=DURATION_US),
+            make_windows(test, SACCADE_US, duration_us=DURATION_US),
+            shown_test_images(train.names),
+            {
+                "training_recordings": len(learned),
+                "held_out_recordings": len(held_out),
+                "test_recordings": len(test),
+                "split": split,
+            },
+        )
+
+
+def shown_test_images(names: Sequence[str]) -> np.ndarray:
+    """Which of MNIST's test images recordings show, by their names, such as `3/60026.bin`: int64,
+    increasing.
+
+    Number n of the official Train shows image n of MNIST's training set. Where a set is split
+    differently, official test recording n is numbered 60,000 + n; it shows image n of MNIST's test
+    set, index n - 1.
+    """
+    numbers = np.array(recording_numbers(names), np.int64)
+    of_test = numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]
+    images: np.ndarray = np.unique(of_test) - OFFICIAL[0] - 1
+    return images
+
+
+def trained_on(windows: Windows, name: str) -> Windows:
+    """The windows that a network trained on `all`, on `1`, the first saccade, or on `confounded`
+    sees."""
+    if name == "1":
+        return windows[saccade(windows) == 0]
+    if name == "confounded":
+        return windows[saccade(windows) == CONFOUNDED[windows.labels]]
+    return windows
+
+
+def spanned(windows: Windows, n_events: int) -> Windows:
+    """The same windows, a recording each: their first `n_events`, with times scaled so that the
+    first is at 0 and the last at the end of the window, as in the thesis."""
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
+    for i in range(len(windows)):
+        t, *others = [column[:n_events] for column in windows.events(i, SACCADE_US)]
+        if len(t):
+            t = (t - t[0]) * (SACCADE_US - 1) // max(1, t[-1] - t[0])
+        for name, values in zip(COLUMNS, (t, *others), strict=True):
+            columns[name].append(values.astype(COLUMNS[name]))
+    recordings = Recordings(
+        **{name: np.concatenate(parts) for name, parts in columns.items()},
+        offsets=np.cumsum([0, *map(len, columns["t"])]),
+        labels=windows.labels,
+        names=tuple(windows.recordings.names[r] for r in windows.recording),
+    )
+    return Windows(recordings, np.arange(len(windows)), np.zeros(len(windows), np.int64))
+
+
+def make_set(
+    name: str, mnist: Path, folder: Path, data: RealData, n_images: int, workers: int
+) -> MovingMnist:
+    """A simulated set of `SETS`: the first `n_images` of MNIST's test images that no training
+    recording shows.
+
+    Raises
+    ------
+    ValueError : there are not so many.
+    """
+    kind, dark = SETS[name]
+    unseen = np.setdiff1d(np.arange(len(load_mnist(mnist, "test")[1])), data.seen_images)
+    if len(unseen) < n_images:
+        raise ValueError(
+            f"{mnist}: {len(unseen)} test images are not shown by training recordings, not "
+            f"{n_images}"
+        )
+    scene = Scene(dark_on_bright=dark)
+    return build(
+        mnist, folder, kind=kind, which=unseen[:n_images].tolist(), scene=scene, workers=workers
+    )
+
+
+def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
+    """(name of the motion, windows) of each shard of a set; recordings are named by their image.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError : damaged or missing shards.
+    """
+    for shard in made:
+        columns = {name: getattr(shard, name).astype(dtype) for name, dtype in COLUMNS.items()}
+        recordings = Recordings(
+            **columns,
+            offsets=shard.offsets.astype(np.int64),
+            labels=shard.labels.astype(np.int64),
+            names=tuple(map(str, shard.image)),
+        )
+        yield (
+            shard.metadata["motion"]["name"],
+            make_windows(recordings, SACCADE_US, duration_us=SACCADE_US),
+        )

@@ -1,0 +1,87 @@
+"""What about a motion the gain of the transform depends on: the simulated sets as a factorial
+experiment.
+
+Eight sets and three distances are all combinations of four factors. The effect of one is the
+difference between its two levels (between 8 and 3 px) in what a row gains over the Baseline, in the
+mean over all other factors. Of two together: half of the difference that one makes to the effect of
+the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from experiments.motions.kinds import DISTANCES_PX, FROM_CENTRE, motions_of
+from experiments.thesis.numbers import Right, holm, interval, shares
+from experiments.thesis.rows import SETS
+
+
+def _level(is_high: bool) -> int:
+    return 1 if is_high else -1
+
+
+FACTORS: dict[str, Callable[[str, bool, int], int]] = {
+    "bright on dark, not dark on bright": lambda kind, dark, px: _level(not dark),
+    "from the centre, not through it": lambda kind, dark, px: _level(kind.endswith(FROM_CENTRE)),
+    "speed of a saccade, not constant": lambda kind, dark, px: _level(kind.startswith("bell")),
+    "8 px, not 3 px": lambda kind, dark, px: {3: -1, 5: 0, 8: 1}[px],
+}
+"""Factor -> its level in a set and at a distance: -1 or 1; 0 where it is not compared."""
+
+GAINS = tuple(itertools.product(("all", "1"), ("thesis-tnt", "thesis-regress")))
+"""What is trained on, and the row whose gain is looked at."""
+
+AGAINST = "thesis-baseline"
+"""The row over which they gain."""
+
+
+def effects(right: Right) -> list[dict[str, Any]]:
+    """The mean gain of each of `GAINS`, where its networks are there, and the effect of each factor
+    and pair.
+
+    Returns
+    -------
+    Dictionaries with "trained_on", "row", "against", "effect" (factors, or "mean"), and what
+    `numbers.differences` has.
+    """
+    sets = {name: (kind, dark) for name, (kind, dark) in SETS.items() if kind != "beyond"}
+    cells = list(itertools.product(sets, DISTANCES_PX))
+    levels = {
+        name: np.array([level(*sets[s], px) for s, px in cells]) for name, level in FACTORS.items()
+    }
+    pairs = {
+        " and ".join(pair): levels[pair[0]] * levels[pair[1]]
+        for pair in itertools.combinations(levels, 2)
+    }
+    found: list[dict[str, Any]] = []
+    for on, row in GAINS:
+        columns = [(name, f"{on}/{s}") for name in (row, AGAINST) for s in sets]
+        seeds = set.intersection(*(set(right.get(column, {})) for column in columns))
+        if len(seeds) < 2:
+            continue
+        gains = np.stack(
+            [[_gain(right, row, f"{on}/{s}", px, k) for k in sorted(seeds)] for s, px in cells]
+        )
+        names = {"trained_on": on, "row": row, "against": AGAINST, "seeds": len(seeds)}
+        found.append({**names, "effect": "mean", **interval(gains.mean(0))})
+        for effect, level in (levels | pairs).items():
+            # that of two factors together is half of the difference
+            contrast = level / np.sum(level == 1)
+            found.append({**names, "effect": effect, **interval(np.tensordot(contrast, gains, 1))})
+    for effect, p in zip(found, holm([effect["p"] for effect in found]), strict=True):
+        effect["holm"] = p
+    return found
+
+
+def _gain(right: Right, row: str, column: str, px: int, seed: int) -> np.ndarray:
+    """The gain of each digit over the motions of one distance."""
+    # these have the same order in every set
+    motions = [motion.index for motion in motions_of() if motion.distance_px == px]
+    share = shares(right[row, column][seed][motions])
+    share_against = shares(right[AGAINST, column][seed][motions])
+    gain: np.ndarray = share - share_against
+    return gain

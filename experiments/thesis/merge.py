@@ -1,0 +1,90 @@
+"""The results of some rows of the table put into a file that has more: a day of training need not
+be one run.
+
+What was measured again replaces what is there: a row's numbers in a column, a difference, an
+effect. p is adjusted again over all that a question then has. A difference from numbers that are
+replaced is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import groupby
+from typing import Any
+
+from experiments.thesis.numbers import holm, in_order
+from experiments.thesis.rows import QUESTIONS, ROWS, TRAINED_ON
+
+BY_NAME = ("rows", "validation", "curves")
+"""Parts of a record that have an entry for each row or network."""
+
+QUESTION = ("question", "row", "against", "column")
+"""What tells one difference from another."""
+
+EFFECT = ("trained_on", "row", "effect")
+"""What tells one effect from another."""
+
+
+def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """The record `there` with the results of `new`; neither is changed. Its settings and machine
+    are those of `new`."""
+    record = {**there, **new}
+    record |= {name: {**there[name], **new[name]} for name in BY_NAME}
+    for row in there["rows"].keys() & new["rows"].keys():
+        # one entry for each saccade that the row is trained on
+        motions = {**there["rows"][row]["motions"], **new["rows"][row]["motions"]}
+        record["rows"][row] = {**record["rows"][row], "motions": motions}
+
+    commands = [*there["command"].split("; "), *new["command"].split("; ")]
+    record["command"] = "; ".join(dict.fromkeys(commands))
+    record["seeds"] = sorted({*there["seeds"], *new["seeds"]})
+    record["table"] = {}
+    for row in ROWS:
+        columns = there["table"].get(row, {}) | new["table"].get(row, {})
+        if columns:
+            record["table"][row] = {column: columns[column] for column in in_order(columns)}
+
+    record["differences"] = _merged_differences(there, new)
+    effects = _replaced(there["effects"], new["effects"], EFFECT)
+    effects.sort(key=lambda e: (TRAINED_ON.index(e["trained_on"]), list(ROWS).index(e["row"])))
+    record["effects"] = _adjusted(effects)
+    return record
+
+
+def _merged_differences(there: dict[str, Any], new: dict[str, Any]) -> list[dict[str, Any]]:
+    """The differences of both, question by question, without those of numbers that are replaced."""
+    again = {(row, column) for row, columns in new["table"].items() for column in columns}
+    kept = []
+    for difference in there["differences"]:
+        column = difference["column"]
+        if again.isdisjoint({(difference["row"], column), (difference["against"], column)}):
+            kept.append(difference)
+    differences = _replaced(kept, new["differences"], QUESTION)
+
+    columns = in_order(difference["column"] for difference in differences)
+    order: list[tuple[str, ...]] = []
+    for question, pairs in QUESTIONS.items():
+        for pair in pairs:
+            order += [(question, *pair, column) for column in columns]
+    differences.sort(key=lambda difference: order.index(_named(difference, QUESTION)))
+    adjusted = []
+    for _, of_question in groupby(differences, key=lambda difference: difference["question"]):
+        adjusted += _adjusted(list(of_question))
+    return adjusted
+
+
+def _replaced(
+    there: Iterable[dict[str, Any]], new: Iterable[dict[str, Any]], names: tuple[str, ...]
+) -> list[dict[str, Any]]:
+    """All of both; those of `new` replace those with the same values of `names`."""
+    return list({_named(one, names): one for one in (*there, *new)}.values())
+
+
+def _named(one: dict[str, Any], names: tuple[str, ...]) -> tuple[Any, ...]:
+    return tuple(one[name] for name in names)
+
+
+def _adjusted(of_question: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The same with p adjusted over all of them."""
+    adjusted = holm([one["p"] for one in of_question])
+    return [{**one, "holm": p} for one, p in zip(of_question, adjusted, strict=True)]

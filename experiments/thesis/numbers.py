@@ -1,0 +1,202 @@
+"""The table's numbers: accuracies brought together over seeds, differences of rows with their
+intervals, and tables.
+
+Differences are taken seed by seed and digit by digit, and both are drawn at random: other seeds and
+other digits would give other numbers. With d the (S, I) differences of S seeds and I digits, the
+variance of their mean is estimated by
+
+    var_seeds(mean over digits) / S + var_digits(mean over seeds) / I
+
+which a bootstrap that draws seeds and digits independently has where both are many (Owen 2007, The
+Pigeonhole Bootstrap, arXiv:0712.1111). Intervals and p are Student's, with Satterthwaite's degrees
+of freedom, as few seeds ask for. Of all differences of a question together, in all of its columns,
+those are claimed that hold by Holm's method at .05.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.thesis.rows import COLUMNS, QUESTIONS, ROWS, SETS, THESIS
+
+Right = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
+"""(row, column) -> seed -> which windows are right: int8, (motions, digits), -1 where a digit has
+no window."""
+LEVEL = 0.05
+UNDRAWN = tuple(SETS)[1:]
+"""Sets of which no figure tells one motion from another."""
+
+
+def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """Row -> column -> mean, standard deviation and each seed's accuracy; the same for each motion.
+
+    Parameters
+    ----------
+    runs : results of `runs.run_network`.
+
+    Returns
+    -------
+    {row: {column: {"mean", "deviation", "seeds": {seed: accuracy}, "windows", "per_motion":
+    {motion: mean}, "against_time_ms": {ms: mean}}}}, with the rows and columns that occur, in the
+    table's order; motions of `UNDRAWN` left out. The deviation is the sample's (n - 1), None for a
+    single seed.
+    """
+    runs = sorted(runs, key=lambda run: int(run["seed"]))
+    table: dict[str, Any] = {}
+    for row in ROWS:
+        of_row = [run for run in runs if run["row"] == row]
+        for column in in_order(column for run in of_row for column in run["columns"]):
+            found = {
+                run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]
+            }
+            some = next(iter(found.values()))
+            is_drawn = column.split("/")[1] not in UNDRAWN
+            per_motion = _means(found, "per_motion") if is_drawn else {}
+            table.setdefault(row, {})[column] = {
+                **summary([part["accuracy"] for part in found.values()]),
+                "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
+                "windows": some["windows"],
+                "per_motion": per_motion,
+                "against_time_ms": _means(found, "against_time_ms"),
+            }
+    return table
+
+
+def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
+    """The mean over the seeds of each entry of `name`."""
+    parts = [part[name] for part in found.values()]
+    return {one: round(float(np.mean([part[one] for part in parts])), 5) for one in parts[0]}
+
+
+def in_order(columns: Iterable[str]) -> list[str]:
+    """Columns, each once, in the table's order: tests on recordings, then simulated sets."""
+    found = set(columns)
+    trained_on = dict.fromkeys(column.split("/")[0] for column in COLUMNS)
+    order = [*COLUMNS, *(f"{on}/{name}" for name in SETS for on in trained_on)]
+    return [column for column in order if column in found]
+
+
+def summary(values: Sequence[float]) -> dict[str, float | None]:
+    """Mean and sample deviation (n - 1), for `cell`."""
+    return {
+        "mean": float(np.mean(values)),
+        "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None,
+    }
+
+
+def shares(right: np.ndarray) -> np.ndarray:
+    """The share of each digit's windows that are right."""
+    there = right >= 0
+    return np.where(there, right, 0).sum(0) / there.sum(0)
+
+
+def interval(values: np.ndarray) -> dict[str, float]:
+    """The mean of differences (S, I) of S seeds and I digits, at least two each: "mean", its 95 %
+    interval from "low" to "high", and "p"."""
+    # scripts that only print tables need no SciPy
+    from scipy import stats
+
+    mean = float(values.mean())
+    # the variances of digits, then of seeds
+    parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]
+    error = float(sum(parts)) ** 0.5
+    if error == 0.0:
+        return {"mean": mean, "low": mean, "high": mean, "p": float(mean == 0.0)}
+    freedom = error**4 / sum(part**2 / (values.shape[1 - a] - 1) for a, part in enumerate(parts))
+    half = float(stats.t.ppf(0.975, freedom)) * error
+    p = float(2 * stats.t.sf(abs(mean) / error, freedom))
+    return {"mean": mean, "low": mean - half, "high": mean + half, "p": p}
+
+
+def differences(right: Right) -> list[dict[str, Any]]:
+    """Differences of the pairs in `QUESTIONS`, in each column that both rows have with two seeds at
+    least.
+
+    Returns
+    -------
+    Dictionaries with "question", "row", "against", "column", "seeds" (how many), what `interval`
+    gives, and "holm": p adjusted for all differences of the question.
+    """
+    found: list[dict[str, Any]] = []
+    for question, pairs in QUESTIONS.items():
+        of_question: list[dict[str, Any]] = []
+        for row, against in pairs:
+            for column in in_order(column for name, column in right if name == row):
+                of_row = right[row, column]
+                other = right.get((against, column), {})
+                seeds = [seed for seed in of_row if seed in other]
+                if len(seeds) > 1:
+                    values = np.stack(
+                        [shares(of_row[seed]) - shares(other[seed]) for seed in seeds]
+                    )
+                    names = {"question": question, "row": row, "against": against, "column": column}
+                    of_question.append({**names, "seeds": len(seeds), **interval(values)})
+        for difference, p in zip(of_question, holm([d["p"] for d in of_question]), strict=True):
+            difference["holm"] = p
+        found += of_question
+    return found
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Adjusted p of several hypotheses (S. Holm 1979): those below a level are rejected together at
+    that level.
+
+    Examples
+    --------
+    >>> holm([0.04, 0.01, 0.03])
+    [0.06, 0.03, 0.06]
+    """
+    adjusted = [0.0] * len(p)
+    least = 0.0
+    for k, i in enumerate(sorted(range(len(p)), key=lambda i: p[i])):
+        least = max(least, min(1.0, (len(p) - k) * p[i]))
+        adjusted[i] = least
+    return adjusted
+
+
+def markdown_table(
+    table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()
+) -> str:
+    """The rows of groups in Markdown, in these columns or in all; the thesis' numbers follow in
+    brackets."""
+    rows = [row for group in groups for row in table if row in ROWS and ROWS[row].group == group]
+    columns = columns or in_order(column for row in rows for column in table[row])
+    lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
+    for row in rows:
+        cells = []
+        for column in columns:
+            thesis = THESIS.get(row, {}).get(column)
+            cells.append(
+                cell(table[row].get(column)) + ("" if thesis is None else f" ({short(thesis)})")
+            )
+        lines.append(f"| {ROWS[row].title} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def cell(part: dict[str, Any] | None) -> str:
+    """.957 ± .004, or a dash where nothing was measured."""
+    if part is None:
+        return "-"
+    deviation = "" if part["deviation"] is None else f" ± {short(part['deviation'])}"
+    return short(part["mean"]) + deviation
+
+
+def short(number: float) -> str:
+    """.957"""
+    return f"{number:.3f}".replace("0.", ".", 1)
+
+
+def with_range(numbers: Sequence[float]) -> str:
+    """.957, or of several .957 (.951 to .963)"""
+    mean = short(float(np.mean(numbers)))
+    if len(numbers) == 1:
+        return mean
+    return f"{mean} ({short(min(numbers))} to {short(max(numbers))})"
+
+
+def signed(number: float) -> str:
+    """+.165"""
+    return f"{number:+.3f}".replace("0.", ".", 1)

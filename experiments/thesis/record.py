@@ -1,0 +1,82 @@
+"""The record of the thesis' experiment: how its networks were trained, and what they got right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from experiments.moving_set.manifest import MovingMnist
+from experiments.speed.timing import machine
+from experiments.thesis.data import RealData
+from experiments.thesis.factors import effects
+from experiments.thesis.numbers import Right, aggregate, differences
+from experiments.thesis.rows import ROWS, Run
+
+
+def record_of(
+    runs: Sequence[Run],
+    results: Sequence[dict[str, Any]],
+    right: Right,
+    data: RealData,
+    simulated: Mapping[str, MovingMnist],
+    *,
+    iterations: int | None,
+    command: str,
+) -> dict[str, Any]:
+    """What `results/table.json` has, from the results of all networks.
+
+    Parameters
+    ----------
+    runs : the networks.
+    results : theirs, by `runs.run_networks`.
+    right : which windows the networks had right.
+    data, simulated : what they were trained and tested on.
+    iterations : steps of every network; None: those of its row.
+    command : what repeats this.
+    """
+    table = aggregate(results)
+    by_name = {Run(one["row"], one["trained_on"], one["seed"]).name: one for one in results}
+    return {
+        "command": command,
+        "data": {
+            **data.description,
+            "simulated": {name: made.parameters for name, made in simulated.items()},
+        },
+        "rows": {name: _about(name, results, iterations) for name in table},
+        "settings": {
+            name: value for name, value in results[0]["settings"].items() if name != "iterations"
+        },
+        "seeds": list(dict.fromkeys(run.seed for run in runs)),
+        "machine": machine("torch"),
+        "table": table,
+        "differences": differences(right),
+        "effects": effects(right),
+        "validation": {name: one["validation"] for name, one in by_name.items()},
+        "curves": {
+            name: [_rounded(epoch) for epoch in one["history"]]
+            for name, one in by_name.items()
+            if ROWS[one["row"]].group == "long"
+        },
+    }
+
+
+def _about(name: str, results: Sequence[dict[str, Any]], iterations: int | None) -> dict[str, Any]:
+    """How the networks of a row were trained."""
+    row = ROWS[name]
+    motions = {
+        one["trained_on"]: one["motions"]
+        for one in results
+        if one["row"] == name and one["motions"]
+    }
+    return {
+        "config": row.config.to_dict(),
+        "augmentation": asdict(row.augmentation),
+        "iterations": iterations or row.iterations,
+        "span_events": row.span,
+        "motions": motions,
+    }
+
+
+def _rounded(epoch: dict[str, float]) -> dict[str, float]:
+    return {name: round(value, 6) for name, value in epoch.items()}

@@ -1,0 +1,281 @@
+"""The networks of the table: trained and tested, several at a time, each with its result in two
+files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from async_tnt.base.files import replacing, write_text
+from async_tnt.base.progress import progress
+from async_tnt.evaluation.processes import run_all
+from async_tnt.training.evaluation import class_probabilities
+from async_tnt.training.loop import train
+from async_tnt.training.moved_windows import Motions
+from async_tnt.training.pipeline import Pipeline, pipeline_of
+from async_tnt.training.resynthesis import resynthesize
+from async_tnt.training.run_folder import plot_curves
+from async_tnt.training.settings import TrainSettings
+from async_tnt.training.training_data import TrainingData
+from async_tnt.training.windows import Windows
+from experiments.digit_data.recordings import CLASSES, saccade
+from experiments.moving_set.manifest import MovingMnist
+from experiments.thesis.data import RealData, RealFolder, simulated_windows, spanned, trained_on
+from experiments.thesis.rows import COLUMNS, ROWS, Run
+
+RESULT = "result.json"
+"""File with the result, in the folder of a network."""
+
+RIGHT = "right.npz"
+"""File that says which windows were right, in the folder of a network."""
+
+VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
+"""Entries of the last epoch that the result has."""
+
+HISTORY = ("iterations", "loss", "per_window", "validation_loss")
+"""Entries of each epoch that the result has."""
+
+MOMENTS_MS = (10, 20, 30, 50, 75)
+"""Times since the start of a window at which networks are tested, too."""
+
+EARLY = ("1/others", "1/sim", "all/sim")
+"""Columns of unseen motions that are tested at `MOMENTS_MS`."""
+
+
+def run_networks(
+    runs: list[Run],
+    real: RealFolder,
+    simulated: dict[str, MovingMnist],
+    settings: TrainSettings,
+    folder: Path,
+    workers: int,
+) -> list[dict[str, Any]]:
+    """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker,
+    in this process.
+
+    Raises
+    ------
+    ValueError, OSError : as `run_network`. ChildProcessError : a worker was killed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    # all workers make the motions of one row together
+    for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):
+        motions_of(row, on, real.read(), settings_of(Run(row, on, 0), settings), folder, workers)
+    task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
+    done = []
+    with (
+        progress(len(runs), "training networks") as bar,
+        contextlib.closing(run_all(task, runs, workers)) as results,
+    ):
+        for result in results:
+            done.append(result)
+            bar.update()
+    return done
+
+
+def _run_task(
+    run: Run,
+    *,
+    real: RealFolder,
+    simulated: dict[str, MovingMnist],
+    settings: TrainSettings,
+    folder: Path,
+) -> dict[str, Any]:
+    # each core has a network
+    torch.set_num_threads(1)
+    return run_network(run, real.read(), simulated, settings, folder)
+
+
+def run_network(
+    run: Run,
+    data: RealData,
+    simulated: Mapping[str, MovingMnist],
+    settings: TrainSettings,
+    folder: Path,
+) -> dict[str, Any]:
+    """Train and test one network, or return the result that is there already, if its settings are
+    the same.
+
+    Parameters
+    ----------
+    simulated : of `rows.SETS`, by name.
+    settings : without seed and augmentation, which are the run's and its row's; without iterations:
+        its row's.
+    folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its
+        model, its result as JSON, which windows were right and, with matplotlib, its learning
+        curves.
+
+    Raises
+    ------
+    ValueError : the folder holds this run with other settings or data.
+    """
+    row = ROWS[run.row]
+    settings = settings_of(run, settings)
+    training = trained_on(data.training, run.trained_on)
+    held_out = trained_on(data.held_out, run.trained_on)
+    if row.span is not None:
+        training = spanned(training, row.span)
+        held_out = spanned(held_out, row.span)
+    motions = motions_of(run.row, run.trained_on, data, settings, folder)
+    folder = folder / run.name
+    # quick for a finished run: its checkpoint, if it has these settings, is at the end
+    shown = TrainingData(row.config, CLASSES, training, held_out)
+    trained = train(shown, settings, folder, motions=motions)
+
+    tested_on = {
+        column: data.description for column in COLUMNS if column.split("/")[0] == run.trained_on
+    }
+    tested_on |= {f"{run.trained_on}/{name}": made.parameters for name, made in simulated.items()}
+    finished = folder / RESULT
+    if finished.exists():
+        before: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
+        if before["tested_on"] == tested_on:
+            return before
+
+    pipeline = pipeline_of(trained.model)
+    columns: dict[str, Any] = {}
+    right: dict[str, np.ndarray] = {}
+    for column in tested_on:
+        moments = MOMENTS_MS if column in EARLY and row.span is None else ()
+        found = _tested(pipeline, column.split("/")[1], data, simulated, row.span, moments)
+        right[column] = found.pop("right")
+        columns[column] = found
+
+    last_epoch = trained.history[-1]
+    result = {
+        "row": run.row,
+        "trained_on": run.trained_on,
+        "seed": run.seed,
+        "columns": columns,
+        "tested_on": tested_on,
+        "validation": {name: last_epoch[name] for name in VALIDATION if name in last_epoch},
+        "history": [
+            {name: epoch[name] for name in HISTORY if name in epoch} for epoch in trained.history
+        ],
+        "motions": None if motions is None else motions.record,
+        "settings": {
+            name: value
+            for name, value in asdict(settings).items()
+            if name not in ("seed", "augmentation")
+        },
+    }
+    plot_curves(trained.history, folder / "curves.png")
+    replace(trained.model, record=result).save(folder / "model.safetensors")
+    _write_right(folder / RIGHT, right)
+    # last: it says that the run is finished
+    write_text(finished, json.dumps(result, indent=1))
+    return result
+
+
+def _write_right(path: Path, right: dict[str, np.ndarray]) -> None:
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **right)
+
+
+def right_of(
+    results: list[dict[str, Any]], folder: Path
+) -> dict[tuple[str, str], dict[int, np.ndarray]]:
+    """Which windows the networks of `run_networks` had right, see `numbers.Right`."""
+    right: dict[tuple[str, str], dict[int, np.ndarray]] = {}
+    for result in results:
+        run = Run(result["row"], result["trained_on"], result["seed"])
+        with np.load(folder / run.name / RIGHT) as arrays:
+            for column in arrays:
+                right.setdefault((run.row, column), {})[run.seed] = arrays[column]
+    return right
+
+
+def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
+    """How a network is trained, in full."""
+    row = ROWS[run.row]
+    iterations = settings.iterations or row.iterations
+    return replace(settings, seed=run.seed, augmentation=row.augmentation, iterations=iterations)
+
+
+def motions_of(
+    row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
+) -> Motions | None:
+    """Other motions of a row's training windows; rows and seeds with the same settings share
+    them."""
+    config = ROWS[row].config
+    motions = ROWS[row].motions
+    if motions is None:
+        return None
+    training = trained_on(data.training, on)
+    held_out = trained_on(data.held_out, on)
+    motions = motions.for_epochs(settings.n_epochs(len(training)))
+    return resynthesize(
+        training,
+        held_out,
+        config,
+        motions,
+        folder / f"motions-{on}",
+        workers=workers,
+        progress=progress,
+    )
+
+
+def _tested(
+    pipeline: Pipeline,
+    test: str,
+    data: RealData,
+    simulated: Mapping[str, MovingMnist],
+    span: int | None,
+    moments_ms: tuple[int, ...],
+) -> dict[str, Any]:
+    """Accuracy in all, of each motion and at moments; "right": int8, (motions, recordings or
+    images), -1 where one has no window."""
+    parts = []
+    early = {ms: [0, 0] for ms in moments_ms}
+    for motion, windows in _windows(test, data, simulated):
+        names = [windows.recordings.names[r] for r in windows.recording]
+        some = windows if span is None else spanned(windows, span)
+        parts.append((motion, names, _right(pipeline, some)))
+        for ms, counts in early.items():
+            at_once = _right(pipeline, some, until_us=1_000 * ms)
+            counts[0] += int(at_once.sum())
+            counts[1] += len(at_once)
+    # a motion may come in several parts
+    motions = list(dict.fromkeys(motion for motion, *_ in parts))
+    every = sorted({name for _, names, _ in parts for name in names})
+    place = {name: i for i, name in enumerate(every)}
+    right = np.full((len(motions), len(every)), -1, np.int8)
+    for motion, names, of_part in parts:
+        right[motions.index(motion), [place[name] for name in names]] = of_part
+    return {
+        "accuracy": float(right[right >= 0].mean()),
+        "windows": int((right >= 0).sum()),
+        "per_motion": {
+            motion: float(row[row >= 0].mean()) for motion, row in zip(motions, right, strict=True)
+        },
+        "against_time_ms": {str(ms): n_right / n for ms, (n_right, n) in early.items()},
+        "right": right,
+    }
+
+
+def _windows(
+    test: str, data: RealData, simulated: Mapping[str, MovingMnist]
+) -> Iterator[tuple[str, Windows]]:
+    """(motion, windows) of the test data "all", "others" (saccades 2 and 3), "train", or of a
+    simulated set."""
+    if test in simulated:
+        yield from simulated_windows(simulated[test])
+        return
+    windows = data.training if test == "train" else data.test
+    for k in (1, 2) if test == "others" else (0, 1, 2):
+        yield f"saccade {k + 1}", windows[saccade(windows) == k]
+
+
+def _right(pipeline: Pipeline, windows: Windows, until_us: int | None = None) -> np.ndarray:
+    """Which windows are right; with `until_us`, from their first events alone."""
+    probabilities = class_probabilities(pipeline, windows, until_us=until_us)
+    right: np.ndarray = probabilities.argmax(1) == windows.labels
+    return right
