@@ -24,10 +24,8 @@ from async_tnt.volume.config import TNTConfig
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ended_in_the_middle_the_same_command_resumes(samples, tmp_path, program):
-    folder, out = (
-        shutil.copytree(samples, tmp_path / "set", copy_function=shutil.copy2),
-        tmp_path / "r.jsonl",
-    )
+    folder = shutil.copytree(samples, tmp_path / "set", copy_function=shutil.copy2)
+    out = tmp_path / "r.jsonl"
     # evaluating it takes until the signal
     shutil.copy2(samples / "4" / "00.bin", folder / "9" / "zz.bin")
     code = (
@@ -57,8 +55,10 @@ def test_ended_in_the_middle_the_same_command_resumes(samples, tmp_path, program
 def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(
     samples, tmp_path, program
 ):
-    folder, out = shutil.copytree(samples, tmp_path / "set"), tmp_path / "r.jsonl"
-    torn, empty = folder / "3" / "torn.npz", folder / "4" / "empty.bin"
+    folder = shutil.copytree(samples, tmp_path / "set")
+    out = tmp_path / "r.jsonl"
+    torn = folder / "3" / "torn.npz"
+    empty = folder / "4" / "empty.bin"
     torn.write_bytes(b"PK torn")
     empty.write_bytes(b"")
     code, printed, message = program("evaluate", "digits", folder, "--out", out)
@@ -188,7 +188,8 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     thesis_model(model.config, weights, model.classes).save(tmp_path / "m.safetensors")
     code, _, message = program(*words)
     assert code == 2 and "was made with another model, version or" in message
-    assert program(*words, "--restart")[0] == 0
+    (tmp_path / "r.jsonl").unlink()
+    assert program(*words)[0] == 0
 
 
 def test_results_of_whatever_changes_a_decision_are_never_mixed(tmp_path, program):
@@ -254,7 +255,6 @@ def test_results_of_whatever_changes_a_decision_are_never_mixed(tmp_path, progra
         ("evaluate digits SET --out nowhere/r.jsonl", "no folder nowhere to write r.jsonl to"),
         ("evaluate digits none --out r.jsonl", "no folder none"),
         ("evaluate digits EMPTY --out r.jsonl", "no class folders"),
-        ("evaluate digits SET --restart", "--restart requires --out"),
         (
             "evaluate digits SET --out r.jsonl --dask tcp://127.0.0.1:9",
             "pip install 'async_tnt[cluster]'",
