@@ -1,7 +1,8 @@
 """Motion re-synthesis: the events that a recorded object would have given under another motion.
 
-events of a window -> path and image       -> another path -> simulated events
-                      paths, moving_image                     reconstruction, calibration
+From the events of a window follow the path on which an image moved, and this image (`paths`,
+`moving_image`). The image is moved on another path, and its events are simulated
+(`reconstruction`), by pixels that are found with `calibration`.
 """
 
 from async_tnt.resynthesis.calibration import Calibration, calibrate
