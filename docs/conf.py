@@ -35,7 +35,7 @@ autodoc_preserve_defaults = True
 maximum_signature_line_length = 100
 # Types of other packages and internal ones are not documented here: only public names have to
 # exist.
-PACKAGES = "sources|networks|training|simulation|resynthesis|evaluation|views"
+PACKAGES = "sources|networks|training|simulation|views"
 nitpick_ignore_regex = [("py:.*", rf"(?!(async_tnt(\.({PACKAGES}))?|tnt_reference)\.\w+$).*")]
 
 DOCS = Path(__file__).parent

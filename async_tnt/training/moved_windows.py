@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.base.files import open_regular, replacing
-from async_tnt.resynthesis import MotionPath
+from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.training.augment import LATEST, Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
-from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, SimulatedPixels, calibrate
-from async_tnt.resynthesis.calibration import describe
+from async_tnt.resynthesis.calibration import calibrate, describe
 from async_tnt.resynthesis.moving_image import N_FRAMES
+from async_tnt.resynthesis.paths import MotionPath
+from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels, is_after_pulse, measure_pixels
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight
 
-from async_tnt.resynthesis import Reconstruction, SimulatedPixels
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
 from async_tnt.resynthesis.paths import MotionPath
+from async_tnt.resynthesis.reconstruction import Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels, part_of
 from async_tnt.simulation.random_motion import minimum_jerk
 from async_tnt.simulation.simulator import PixelModel, simulate
