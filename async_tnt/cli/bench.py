@@ -43,7 +43,7 @@ if that is another one. On a quiet machine the quartiles are close together.
 """
 
 NEW_EVENTS = (1, 100, 1300)
-"""Events between two decisions whose time is measured."""
+"""Numbers of events between two decisions; the time of the second one is measured."""
 PACKET = 1000
 """Events of a packet."""
 ROUNDS = 50
@@ -51,7 +51,7 @@ ROUNDS = 50
 MOMENTS = 50
 """Decisions that are timed in each recording."""
 N_EVENTS = 2000
-"""Events of each recording of which every one is followed by a decision."""
+"""Events of each recording that are pushed with a decision after every one."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -186,7 +186,7 @@ def _stream(
 
     Raises
     ------
-    KeyboardInterrupt : with how many recordings are done.
+    KeyboardInterrupt : it says how many recordings are done.
     ValueError, OSError : as `collect`.
     """
     try:

@@ -39,7 +39,7 @@ recording's earliest event to its latest; they are high where something moves. E
 """
 BARS = " ▁▂▃▄▅▆▇█"
 ASCII_BARS = " .:-=+*#@"
-"""Bars for an output whose encoding has no others."""
+"""Bars for an output that cannot print the others."""
 N_HOT = 5
 """Hot pixels that are named, the busiest."""
 

@@ -173,7 +173,8 @@ def _read_csv(path: Path) -> _Rows:
 
 
 def _converted(path: Path, name: str, column: list[Any]) -> list[Any]:
-    """The values of a column of a table, of their texts; None is the text of a missing one."""
+    """Make the values of a column of a table from their texts; a missing value has the text
+    None."""
     convert = CSV_TYPES[name]
     values = []
     for k, text in enumerate(column):
@@ -194,7 +195,7 @@ def _microseconds(text: str) -> int:
 
 
 def _class_name(text: str | None) -> str:
-    """The name of a class; a TypeError where there is none."""
+    """Read the name of a class; a TypeError if it is missing."""
     if text is None:
         raise TypeError
     return text
@@ -228,8 +229,10 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
 
 
 def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
-    """Number of a class, as text -> its name, of the file of names; without that file the model's
-    classes in order."""
+    """The names of classes by their numbers, which are text.
+
+    They are read from the file `path`. Without that file they are the model's classes in order.
+    """
     if not path.is_file():
         return {str(k): name for k, name in enumerate(classes)}
     try:

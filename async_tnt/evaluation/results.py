@@ -46,7 +46,7 @@ def collect(
     Parameters
     ----------
     function : makes a task's record, such as `evaluate_recording`.
-    tasks : at least one, all of one job, no two of one recording.
+    tasks : at least one task. All belong to one job, and each has another recording.
     run : runs the function over the tasks.
     out : the result file.
     check : raises a ValueError for a record without an error that cannot be one of these tasks,
@@ -59,7 +59,7 @@ def collect(
     ValueError : this program has not written the file, or with other settings; it is damaged; or it
         holds only other recordings.
     OSError : another program is writing it, or it cannot be written.
-    KeyboardInterrupt : with how many are done.
+    KeyboardInterrupt : it says how many recordings are done.
     """
     out = check_writable(out)
     wanted = {task.recording: task for task in tasks}
@@ -206,7 +206,8 @@ def _line(record: Record) -> bytes:
 
 
 def _record_of(line: bytes, job: Job, out: Path) -> Record:
-    """The record in a line of the file `out`; a ValueError if it is none of this job."""
+    """Read the record in a line of the file `out`; a ValueError if it does not belong to this
+    job."""
     try:
         record = parse_json(line)
     except ValueError:

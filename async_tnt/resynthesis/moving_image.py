@@ -31,8 +31,8 @@ nothing:
     g'(z) = SPARSENESS (sqrt(u^2 + 1) - u),  u = z / (2 EDGE)
 
 The first term is the likelihood. The second prefers few edges to many small ones. It removes what
-noise would otherwise leave everywhere, and each bit of which would give events under another
-motion. It also continues edges that run along the motion, which have no events. Total variation (g'
+noise would otherwise leave everywhere: each bit of that would give events under another motion. It
+also continues edges that run along the motion, which have no events. Total variation (g'
 the same everywhere) does that, too, but flattens all edges, those along the motion most of all.
 Here an edge well above `EDGE` costs little more than a small one.
 """
@@ -48,7 +48,7 @@ from async_tnt.kernels.training.moving_image import contrast_frames, evidence_te
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, is_after_pulse, part_of
 
 N_FRAMES = 16
-"""K, the equal parts of a window at whose ends a path has its points."""
+"""K, the number of equal parts of a window. A path has a point at the end of each."""
 BAND = np.pi / 2
 """Highest frequency that a path is found by, in radians per cell."""
 PHASE_VARIANCE = 1 / 3

@@ -115,7 +115,7 @@ class MotionPath:
 
     @property
     def before(self) -> np.ndarray:
-        """Displacement at the window's start since that of the path, (2,)."""
+        """Displacement from the path's start to the window's start, (2,)."""
         before: np.ndarray = self._since_the_start(np.array([(self.span - 1) / 2]))[0]
         return before
 

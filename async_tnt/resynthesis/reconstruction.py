@@ -239,7 +239,7 @@ class Reconstruction:
         return halves
 
     def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
-        """The image of one `window` whose `path` is known, with measured `pixels`."""
+        """Find the image of one window. Its path is known, and the pixels are measured."""
         spectra = self.model.spectra(self.model.frames([window], pixels, path.span))
         images = find_images(self.model, spectra, path.positions[None] / self.model.cell)
         return MovedImage(self.model, images[0], path)

@@ -5,10 +5,11 @@ thresholds    .1 to .4 in log luminance, log-uniform; ON against OFF within a fa
 mismatch      .03 to .25
 refractory    .1 to 3 ms, log-uniform
 bandwidth     200 to 5,000 Hz in the brightest light, log-uniform
-noise         .01 to 3 events a pixel and second, log-uniform; 10 to 100 % of it ON
+noise         .01 to 3 events a pixel and second, log-uniform; 10 to 100 % of them are ON
 leak          up to .3 events a pixel and second
-after-pulses  none in half of the cameras, else of up to a third of the events
-hot pixels    none in half of the cameras, else up to one in 500, of 50 events a second
+after-pulses  half of the cameras have none; in the others up to a third of the events have one
+hot pixels    half of the cameras have none; in the others up to one pixel in 500 is hot, with 50
+              events a second
 
 What a recording of a camera tells of its pixels takes the place of these ranges. Ratio of
 thresholds, noise and after-pulses are drawn within a quarter of what was measured. The refractory

@@ -57,7 +57,7 @@ class StreamLog:
     ----------
     rr : the module `rerun`.
     stream : a `rerun.RecordingStream`.
-    config : of the processor.
+    config : the processor's configuration.
     live : whether the stream may go on for hours.
     """
 
@@ -150,7 +150,8 @@ class StreamLog:
         self._n_pending = 0
 
     def _log_probabilities(self, decision: Decision) -> None:
-        """The probability of each class; of a map model that of the class's likeliest object."""
+        """Log the probability of each class. A map model's class has the probability of its likeliest
+        object."""
         shown: Any = decision.probabilities
         if decision.objects is not None:
             likeliest = dict.fromkeys(self._classes, 0.0)

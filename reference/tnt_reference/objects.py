@@ -1,6 +1,7 @@
 """Objects on a map of logits, and their numbers over time.
 
-An object is a peak of the difference between the likeliest class's logit and that of nothing.
+An object is a peak of the difference between the logit of the likeliest class and the logit of
+"nothing".
 """
 
 from __future__ import annotations
@@ -96,11 +97,11 @@ class ObjectNumbers:
 
         ((x - x') / reach_x)^2 + ((y - y') / reach_y)^2 < 1    and    time - time' <= memory_us
 
-    If there is none, it gets a new number. If several are equally near, it takes the number of the
-    one that was seen by the latest decision; if these are several, of the likeliest.
+    If there is no such object, it gets a new number. If several are equally near, the one that a
+    later decision has seen comes first, and then the likelier one.
 
-    After a decision, its `most` likeliest objects are known, and then objects that were seen
-    before, those of later decisions first, until `room` objects are known.
+    After a decision, its `most` likeliest objects are known. Earlier objects are added, first the
+    ones that a later decision has seen, until `room` objects are known.
 
     Parameters
     ----------

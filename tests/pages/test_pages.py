@@ -82,7 +82,7 @@ def sections_with_snippets():
                 yield pytest.param(page, title, id=f"{page.stem}-{title}")
 
 
-@pytest.mark.parametrize("page, title", sections_with_snippets())
+@pytest.mark.parametrize("page, title", list(sections_with_snippets()))
 def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monkeypatch, capsys):
     """A section's snippets run after those that stand before the page's first section."""
     monkeypatch.chdir(tmp_path)
