@@ -30,6 +30,7 @@ from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.files.source import ReadOptions
 from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.volume.event_forms import check_order
 
 SHOWN = 200
 """Letters of the names of classes that an error shows."""
@@ -112,6 +113,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     run = _how_to_run(args)
+    # here, as what is wrong with a recording is an entry of the results
+    if args.columns is not None:
+        check_order("columns", args.columns)
     model = model_of(args.model)
     if model.places is not None:
         return evaluate_objects(args, model)

@@ -170,7 +170,7 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     kind = changes.get("representation", config.representation)
     if kind in TIME_IMAGES:
         raise ValueError(
-            f"event volumes and counts can be drawn, but not {kind} (`model`, `volume`)"
+            f"event volumes and counts can be drawn, but not {kind} (--model, --volume)"
         )
     if changes.setdefault("transform", "tnt") != "tnt":
         raise ValueError(

@@ -150,8 +150,10 @@ class StreamLog:
         self._n_pending = 0
 
     def _log_probabilities(self, decision: Decision) -> None:
-        """Log the probability of each class. A map model's class has the probability of its likeliest
-        object."""
+        """Log the probability of each class.
+
+        A class of a map model has the probability of its likeliest object.
+        """
         shown: Any = decision.probabilities
         if decision.objects is not None:
             likeliest = dict.fromkeys(self._classes, 0.0)
