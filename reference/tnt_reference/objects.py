@@ -149,7 +149,7 @@ class ObjectNumbers:
         return [seen.number for seen in present]
 
     def _preference(self, seen: _Seen, x: float, y: float) -> tuple[float, int, int]:
-        """The lower, the rather an object at (x, y) takes the number of `seen`."""
+        """An object at (x, y) takes the number of the known object for which this is lowest."""
         return self._distance(seen, x, y), -seen.decision, seen.rank
 
     def _distance(self, seen: _Seen, x: float, y: float) -> float:
