@@ -37,10 +37,8 @@ def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, 
     errors = {
         record["recording"]: record["error"] for record in records if record["error"] is not None
     }
-    assert (
-        errors.keys() == {"poison"}
-        and "its worker ended: killed, out of memory" in errors["poison"]
-    )
+    assert errors.keys() == {"poison"}
+    assert "its worker ended: killed, out of memory" in errors["poison"]
     if "processes" in request.node.name:  # Dask repeats tasks of a worker that has ended
         assert sorted((tmp_path / "set" / "begun").read_text().split()) == sorted(names)
 

@@ -92,10 +92,8 @@ def test_interrupted_in_any_way_to_run_it_resumes_to_the_same_file(run, tasks, t
         collected_to(out, tasks, run=run, progress=stopping_after(2))
     resumed, kept, said = collected_to(out, tasks[::-1], run=run)
     assert kept == 2 and said == [f"{out}: 2 of 5 recordings are done, resuming"]
-    assert (
-        out.read_bytes() == plain.read_bytes()
-        and sum(path.is_file() for path in tmp_path.iterdir()) == 2
-    )
+    assert out.read_bytes() == plain.read_bytes()
+    assert sum(path.is_file() for path in tmp_path.iterdir()) == 2
     assert resumed == records
 
 

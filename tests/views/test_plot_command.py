@@ -106,12 +106,8 @@ def test_options_reach_the_picture(plot):
 def test_a_models_flow_removal_goes_with_its_line(plot):
     random_model(TNTConfig(landmark="line", remove_flow=True, t_max=2.0)).save("m.safetensors")
     for landmark, words in (("line", "line, flow removed, t_max 2"), ("center", "center, t_max 2")):
-        assert (
-            plot(
-                5, "--model", "m.safetensors", "--volume", f"landmark={landmark}", "--out", "s.svg"
-            )[0]
-            == 0
-        )
+        volume = "--volume", f"landmark={landmark}"
+        assert plot(5, "--model", "m.safetensors", *volume, "--out", "s.svg")[0] == 0
         assert f"after TNT ({words})" in text_of("s.svg")
     code, _, err = plot(5, "--volume", "landmark=center,remove_flow=yes")
     assert (code, err.count("\n")) == (2, 1) and "remove_flow" in err
@@ -123,15 +119,12 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     np.savez("camera.npz", events=events, sensor=np.array([120, 80]))
     code, _, err = plot("camera.npz")
     assert code == 0
-    assert (
-        err
-        == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
-    )
+    expected = "no decisions, model digits is not for 120x80 pixels (--model)"
+    assert err == f"async-tnt: camera.npz: {expected}\n"
     np.save("camera.npy", events)
     code, _, err = plot("camera.npy")
-    assert (
-        code == 2 and "; the file states none, --sensor, the model or another recording does" in err
-    )
+    assert code == 2
+    assert "; the file states none, --sensor, the model or another recording does" in err
     assert plot("camera.npy", "--sensor", "120x80")[0] == 0
     code, _, err = plot("camera.npz", "--volume", "transform=none")
     assert code == 2 and "the volume without the transform is drawn anyway" in err
