@@ -35,12 +35,13 @@ autodoc_preserve_defaults = True
 maximum_signature_line_length = 100
 # Types of other packages and internal ones are not documented here: only public names have to
 # exist.
-PACKAGES = "sources|networks|training|simulation|resynthesis|evaluation|views"
+PACKAGES = "sources|networks|training|simulation|views"
 nitpick_ignore_regex = [("py:.*", rf"(?!(async_tnt(\.({PACKAGES}))?|tnt_reference)\.\w+$).*")]
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
-OUTSIDE = {  # pages of the site that show files from outside `docs`
+# files outside of `docs` -> the pages of the site that show them
+OUTSIDE = {
     ROOT / "README.md": "project/readme",
     ROOT / "ARCHITECTURE.md": "project/architecture",
     ROOT / "CONTRIBUTING.md": "project/contributing",
@@ -51,13 +52,15 @@ OUTSIDE = {  # pages of the site that show files from outside `docs`
 
 
 def read_outside(app: Sphinx, name: str, source: list[str]) -> None:
-    """Put the file of `OUTSIDE` where its page is, and let links lead to the page of the file that
-    they name."""
+    """Put the text of a file of `OUTSIDE` on its page, and let links lead to the pages of the files
+    that they name."""
     page = DOCS / f"{name}.md"
-    shown = next((file for file, place in OUTSIDE.items() if place == name), page)
-    if shown != page:
-        source[0] = shown.read_text(encoding="utf-8")
-        app.env.note_dependency(str(shown))
+    shown = page
+    for file, place in OUTSIDE.items():
+        if place == name:
+            shown = file
+            source[0] = file.read_text(encoding="utf-8")
+            app.env.note_dependency(str(file))
 
     def in_site(link: re.Match[str]) -> str:
         file = (shown.parent / link[1]).resolve()
@@ -73,16 +76,17 @@ def to_restructured_text(
 ) -> None:
     """Translate a docstring of this project, by way of napoleon.
 
-    Of a module only the first paragraph is kept. An indented block is a formula or code. `name :
-    text` in a section is no type followed by its text, as napoleon would have it, since signatures
-    have the types.
+    Only the first paragraph of a module's docstring is kept. An indented block is a formula or
+    code. In a section, `name : text` is a name and its text; napoleon would take the text for a
+    type, which is in the signature.
     """
-    # not its own, but that of its type
+    # without a docstring of its own, a value has that of its type
     if what == "data" and lines[:1] == (value.__doc__ or "").splitlines()[:1]:
         lines.clear()
     if what == "module":
         del lines[lines.index("") :]
-    text, in_section = [""], False
+    text = [""]
+    in_section = False
     for line in lines:
         in_section = in_section or bool(re.fullmatch("-{4,}", line))
         entry = re.fullmatch(r"(\*{0,2}\w[\w, .*]*) : (.*)", line)
@@ -92,21 +96,23 @@ def to_restructured_text(
         if not in_section and line.startswith("    ") and text[-1] == "" and not indented(text):
             text += ["::", ""]
         text.append(line)
-    # As a method, since napoleon takes what precedes a colon for the type of an attribute.
-    what = "method" if what in ("attribute", "property") else what
+    # napoleon takes what precedes a colon for the type of an attribute, but not of a method
+    if what in ("attribute", "property"):
+        what = "method"
     lines[:] = napoleon.NumpyDocstring(text[1:], STYLE, app, what, name, value, options).lines()
 
 
 def indented(text: list[str]) -> bool:
     """Whether the last line that is not empty is indented."""
-    return next((line for line in reversed(text) if line), "").startswith("    ")
+    filled = [line for line in text if line]
+    return bool(filled) and filled[-1].startswith("    ")
 
 
 def without_factory(
     app: Sphinx, what: str, name: str, value: object, options: object, arguments: str, returns: str
 ):
-    """A signature that Sphinx can parse: dataclasses write a default that is made as
-    `<factory>`."""
+    """A signature that Sphinx can parse: dataclasses write `<factory>` for a default that is made
+    by a function."""
     return arguments and arguments.replace("<factory>", "..."), returns
 
 

@@ -21,9 +21,8 @@ events = open_recording(sample_recordings()[8]).read()
 
 def camera() -> Iterator[np.ndarray]:
     memory = np.empty_like(events)
-    ends = np.searchsorted(
-        events["t"], np.arange(PACKET_US, events["t"][-1] + PACKET_US, PACKET_US)
-    )
+    times_us = np.arange(PACKET_US, events["t"][-1] + PACKET_US, PACKET_US)
+    ends = np.searchsorted(events["t"], times_us)
     started = time.monotonic()
     for number, (start, end) in enumerate(zip([0, *ends], ends, strict=False), start=1):
         time.sleep(max(0.0, started + number * PACKET_US / 1e6 - time.monotonic()))
@@ -40,10 +39,8 @@ def run(name: str, processor: async_tnt.Processor, **settings: object) -> None:
         counters = reader.counters
     print(
         f"{name:<12} {counters.received} events = {counters.handed_out} handed out + "
-        f"{counters.skipped} skipped; "
-        f"waited up to {counters.longest_wait_us / 1000:.0f} ms; last decision of "
-        f"{decision.events} events: "
-        f"{decision.label}"
+        f"{counters.skipped} skipped; waited up to {counters.longest_wait_us / 1000:.0f} ms; "
+        f"last decision of {decision.events} events: {decision.label}"
     )
 
 

@@ -34,8 +34,10 @@ def main(file: str, folder: str) -> None:
     for k, recording in enumerate(recordings):
         columns = {name: recording[name].item().ravel() for name in ("x", "y", "p", "ts")}
         events = np.zeros(columns["ts"].size, async_tnt.EVENT_DTYPE)
-        events["t"], events["p"] = columns["ts"], columns["p"] > 0
-        events["x"], events["y"] = columns["x"] - 1, columns["y"] - 1
+        events["t"] = columns["ts"]
+        events["x"] = columns["x"] - 1
+        events["y"] = columns["y"] - 1
+        events["p"] = columns["p"] > 0
         part = Path(folder, "Train" if k < len(ORDER) else "Test", ORDER[k % len(ORDER)])
         part.mkdir(parents=True, exist_ok=True)
         np.savez(part / f"{k:02d}.npz", events=events, sensor=SENSOR)

@@ -39,20 +39,22 @@ def volume_of(config: async_tnt.TNTConfig, digit: int, start_us: int) -> torch.T
     return torch.tensor(volume.array)
 
 
-for name, config in {
+def volumes_of(config: async_tnt.TNTConfig, start_us: int) -> torch.Tensor:
+    """One saccade of each digit."""
+    return torch.stack([volume_of(config, digit, start_us) for digit in range(10)])
+
+
+CONFIGS = {
     "flow removed": async_tnt.TNTConfig(
         landmark="line", remove_flow=True, t_max=2.0, polarity="unsigned"
     ),
     "no transform": async_tnt.TNTConfig(transform="none", polarity="unsigned"),
-}.items():
-    module = NearestTemplate(
-        torch.stack([volume_of(config, digit, SACCADES_US[0]) for digit in range(10)])
-    )
+}
+for name, config in CONFIGS.items():
+    module = NearestTemplate(volumes_of(config, SACCADES_US[0]))
     right = 0
     with torch.no_grad():  # no training here: keep no graph
         for start_us in SACCADES_US[1:]:
-            similarities = module(
-                torch.stack([volume_of(config, digit, start_us) for digit in range(10)])
-            )
+            similarities = module(volumes_of(config, start_us))
             right += int((similarities.argmax(dim=1) == torch.arange(10)).sum())
     print(f"{name}: {right} of 20 saccades recognised")

@@ -38,8 +38,7 @@ n_events = 0
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
     for packet in replay(one_after_the_other()):
         for first in range(0, len(packet), DATAGRAM_EVENTS):
-            sender.sendto(
-                encode(packet[first : first + DATAGRAM_EVENTS], format), (url.hostname, url.port)
-            )
+            datagram = encode(packet[first : first + DATAGRAM_EVENTS], format)
+            sender.sendto(datagram, (url.hostname, url.port))
         n_events += len(packet)
 print(f"sent {n_events:,} events to {url.hostname}:{url.port}")

@@ -2,9 +2,9 @@
 
     python examples/several_digits.py
 
-Six bundled recordings are put anywhere on it and begin one after the other. A decision is made
-every 10 ms; an object is printed when it is first named with a probability above `SURE`, and when
-it is named otherwise.
+Six bundled recordings are put anywhere on the sensor and begin one after the other. A decision is
+made every 10 ms. An object is printed when it first has a class with a probability above `SURE`,
+and when its class changes.
 """
 
 import numpy as np
@@ -12,19 +12,22 @@ import numpy as np
 import async_tnt
 from async_tnt.sources import open_recording, sample_recordings
 
-SENSOR, SIDE, N, APART_US = (320, 240), 34, 6, 60_000
+SENSOR = (320, 240)
+SIDE = 34  # pixels of a recording, in width and height
+CELL = 80  # pixels of a part of the sensor that has one digit at most
+N = 6  # digits
+APART_US = 60_000  # from the start of one digit to the start of the next
 SURE = 0.8
 
 
 def scene(rng: np.random.Generator) -> tuple[np.ndarray, list[tuple[int, int, int]]]:
     """All events, in order, and each digit with the middle of its place."""
     cells = rng.permutation(12)[:N]
-    parts, places = [], []
+    parts = []
+    places = []
     for k, (digit, cell) in enumerate(zip(rng.permutation(10)[:N], cells, strict=True)):
-        left, top = (
-            80 * int(cell % 4) + int(rng.integers(80 - SIDE)),
-            80 * int(cell // 4) + int(rng.integers(80 - SIDE)),
-        )
+        left = CELL * int(cell % 4) + int(rng.integers(CELL - SIDE))
+        top = CELL * int(cell // 4) + int(rng.integers(CELL - SIDE))
         events = open_recording(sample_recordings()[int(digit)]).read()
         events["t"] += k * APART_US
         events["x"] += left

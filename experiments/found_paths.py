@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.resynthesis import MotionPath, Reconstruction
 from async_tnt.resynthesis.moving_image import cell_for
-from async_tnt.resynthesis.reconstruction import SPAN
+from async_tnt.resynthesis.paths import MotionPath
+from async_tnt.resynthesis.reconstruction import SPAN, Reconstruction
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels, part_of
 from async_tnt.sources import read_nmnist
 from experiments.digit_data.recordings import SACCADE_US

@@ -26,18 +26,32 @@ from async_tnt.streaming.processor import Processor
 from async_tnt.volume.sensor import Sensor
 from async_tnt.volume.volume import TNTVolume
 
-DESCRIPTION = """\
-Measure on this machine, warm and on one thread, what an event costs in the volume, how long a decision takes some
-events after the one before, and how many decisions a second follow from one after every event. Events are those of
-the bundled recordings, spread over the model's sensor if that is another. A quiet machine gives narrow quartiles.
+REMOVED = {"--quick": "leave it out; a measurement takes some seconds"}
 
-  async-tnt bench                               the bundled model digits
+DESCRIPTION = """\
+Measure on this machine, warm and on one thread:
+
+  - how long an event takes on its way into the volume,
+  - how long a decision takes, 1, 100 and 1,300 events after the one before,
+  - how many decisions a second follow from one after every event.
+
+The events are those of the bundled recordings. They are spread over the model's sensor,
+if that is another one. On a quiet machine the quartiles are close together.
+
+  async-tnt bench                               the bundled model `digits`
   async-tnt bench --model mine.safetensors --json
 """
+
 NEW_EVENTS = (1, 100, 1300)
-PACKET = 1000  # events
-# in full, with --quick; the last two of each recording
-ROUNDS, MOMENTS, N_EVENTS = (50, 3), (50, 5), (2000, 300)
+"""Numbers of events between two decisions; the time of the second one is measured."""
+PACKET = 1000
+"""Events of a packet."""
+ROUNDS = 50
+"""How often all windows are pushed into the volume."""
+MOMENTS = 50
+"""Decisions that are timed in each recording."""
+N_EVENTS = 2000
+"""Events of each recording that are pushed with a decision after every one."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,45 +61,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="digits",
         help="a bundled model or a file (default: %(default)s)",
     )
-    parser.add_argument(
-        "--quick", action="store_true", help="fewer repetitions: seconds, wider quartiles"
-    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def main(args: argparse.Namespace) -> int:
     model = model_of(args.model)
-    rounds, moments, n_events = (both[args.quick] for both in (ROUNDS, MOMENTS, N_EVENTS))
     recordings, origin = _recordings_for(model.config.sensor)
+    report: dict[str, Any] = {}
     with progress(len(NEW_EVENTS) + 2, "compiling") as bar:
         warmup(model)
         bar.update(title="events into the volume")
-        report: dict[str, Any] = {"ns_an_event": _spread(_volume_ns(model, recordings, rounds))}
+        report["ns_an_event"] = _spread(_volume_ns(model, recordings))
         bar.update(title="decisions")
         report["us_a_decision"] = {}
         for n_new in NEW_EVENTS:
-            report["us_a_decision"][str(n_new)] = _spread(
-                _decision_us(model, recordings, n_new, moments)
-            )
+            report["us_a_decision"][str(n_new)] = _spread(_decision_us(model, recordings, n_new))
             bar.update()
-        rates = _decisions_a_second(model, [events[:n_events] for events in recordings])
+        rates = _decisions_a_second(model, [events[:N_EVENTS] for events in recordings])
         report["decisions_a_second"] = _spread(rates)
-    report |= {
-        "machine": machine(),
-        "model": {
-            "name": args.model,
-            "config": model.config.to_dict(),
-            "classes": len(model.classes),
-        },
-        "events_from": origin,
+
+    report["machine"] = machine()
+    report["model"] = {
+        "name": args.model,
+        "config": model.config.to_dict(),
+        "classes": len(model.classes),
     }
-    say(*([json.dumps(report)] if args.json else _lines(report)))
+    report["events_from"] = origin
+    if args.json:
+        say(json.dumps(report))
+    else:
+        say(*_lines(report))
     return 0
 
 
 def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
-    """Events of the bundled samples, spread over the sensor if that is another; and which of
-    both."""
+    """Events of the bundled samples, spread over the sensor if that is another; and words that say
+    which of both."""
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     if sensor == SAMPLE_SENSOR:
         return recordings, "bundled samples"
@@ -99,18 +110,18 @@ def _packets(events: np.ndarray) -> list[np.ndarray]:
     return [events[first : first + PACKET].copy() for first in range(0, events.size, PACKET)]
 
 
-def _volume_ns(model: Model, recordings: list[np.ndarray], rounds: int) -> Iterator[float]:
+def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
     """Nanoseconds an event, over the first windows of all recordings. Opening a window is not
     timed."""
     config = model.config
-    volume = TNTVolume(
-        config, regressor=CompiledRegressor(model) if config.needs_regressor else None
-    )
+    regressor = CompiledRegressor(model) if config.needs_regressor else None
+    volume = TNTVolume(config, regressor=regressor)
     windows = []
     for events in recordings:
         in_window = events["t"] < events["t"][0] + config.window_us
         windows.append(_packets(events[in_window][: config.window_events]))
-    for _ in range(rounds):
+    n_events = sum(packet.size for window in windows for packet in window)
+    for _ in range(ROUNDS):
         taken_s = 0.0
         for window in windows:
             volume.open(int(window[0]["t"][0]))
@@ -118,31 +129,31 @@ def _volume_ns(model: Model, recordings: list[np.ndarray], rounds: int) -> Itera
             for packet in window:
                 volume.update(packet)
             taken_s += time.perf_counter() - started
-        yield 1e9 * taken_s / sum(packet.size for window in windows for packet in window)
+        yield 1e9 * taken_s / n_events
 
 
-def _decision_us(
-    model: Model, recordings: list[np.ndarray], n_new: int, moments: int
-) -> Iterator[float]:
+def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iterator[float]:
     """Microseconds of `fire`, `n_new` events after a decision, at moments spread over each
     recording."""
     processor = Processor(model)
     for events in recordings:
         processor.reset()
         done = 0
-        for at in np.linspace(n_new, events.size, moments).astype(int):
-            if at - n_new >= max(done, 1):
-                processor.push(events[done : at - n_new])
-                processor.fire()
-                processor.push(events[at - n_new : at])
-                started = time.perf_counter()
-                processor.fire()
-                yield 1e6 * (time.perf_counter() - started)
-                done = at
+        for at in np.linspace(n_new, events.size, MOMENTS).astype(int):
+            before = at - n_new
+            if before < max(done, 1):
+                continue
+            processor.push(events[done:before])
+            processor.fire()
+            processor.push(events[before:at])
+            started = time.perf_counter()
+            processor.fire()
+            yield 1e6 * (time.perf_counter() - started)
+            done = at
 
 
 def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
-    """One rate of each recording, pushed in packets."""
+    """The rate of each recording, pushed in packets."""
     processor = Processor(model, every_events=1)
     for events in recordings:
         processor.reset()
@@ -153,8 +164,9 @@ def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[
 
 
 def _spread(values: Iterator[float]) -> dict[str, float]:
+    """Median and quartiles of the values, and how many there are."""
     measured = list(values)
-    q1, median, q3 = (float(value) for value in np.percentile(measured, [25, 50, 75]))
+    q1, median, q3 = np.percentile(measured, [25, 50, 75]).tolist()
     return {"median": median, "q1": q1, "q3": q3, "n": len(measured)}
 
 
@@ -175,32 +187,41 @@ def machine() -> dict[str, Any]:
 
 def _cpu_name() -> str:
     """The processor's model as the system calls it."""
+    fields = {}
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
-            fields = {
-                k.strip(): v.strip()
-                for k, v in (line.split(":", 1) for line in file if line.count(":") == 1)
-            }
+            for line in file:
+                name, colon, value = line.partition(":")
+                if colon and ":" not in value:
+                    fields[name.strip()] = value.strip()
     except OSError:
         return platform.processor() or platform.machine()
     # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still
     # identify it
-    return f"{fields.get('model name', '?')} (family {fields.get('cpu family', '?')}, model {fields.get('model', '?')})"
+    name = fields.get("model name", "?")
+    family = fields.get("cpu family", "?")
+    return f"{name} (family {family}, model {fields.get('model', '?')})"
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    about, config = report["machine"], report["model"]["config"]
-    versions = ", ".join(
-        f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba")
-    )
-    yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}"
-    sensor, landmark = "{} x {}".format(*config["sensor"]), config["landmark"]
-    yield f"model {report['model']['name']}: {sensor} pixels, landmark {landmark}; {report['events_from']}"
+    """The report for people."""
+    about = report["machine"]
+    config = report["model"]["config"]
+    versions = [f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba")]
+    load = f"load {about['load_1min']}"
+    yield f"{about['cpu']}, {about['cores']} cores, {load}; {', '.join(versions)}"
+
+    sensor = "{} x {}".format(*config["sensor"])
+    pixels = f"{sensor} pixels, landmark {config['landmark']}"
+    yield f"model {report['model']['name']}: {pixels}; {report['events_from']}"
+
     yield f"{'':44}{'median':>10}  quartiles"
     rows = {"ns an event into the volume": report["ns_an_event"]}
     for n_new, figure in report["us_a_decision"].items():
-        rows[f"us a decision, {int(n_new):,} new event{'s' if n_new != '1' else ''}"] = figure
+        events = "event" if n_new == "1" else "events"
+        rows[f"us a decision, {int(n_new):,} new {events}"] = figure
     rows["decisions a second, one after every event"] = report["decisions_a_second"]
     for title, figure in rows.items():
         digits = 0 if figure["median"] >= 1000 else 1
-        yield f"{title:44}{figure['median']:>10,.{digits}f}  {figure['q1']:,.{digits}f} to {figure['q3']:,.{digits}f}"
+        quartiles = f"{figure['q1']:,.{digits}f} to {figure['q3']:,.{digits}f}"
+        yield f"{title:44}{figure['median']:>10,.{digits}f}  {quartiles}"

@@ -12,7 +12,6 @@ from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recordin
 from async_tnt.cli.options import (
     add_files,
     add_reading,
-    add_start,
     model_of,
     paths_of,
     positive_int,
@@ -23,15 +22,28 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.streaming.compile_ahead import fill_cache
 from async_tnt.volume.sensor import check_sensor
 
-DESCRIPTION = f"""Compare streaming with the batch reference in torch on recordings. For every landmark:
+REMOVED = {"--start-us": "windows begin with the first event; --between-us chooses a part"}
 
-  packets of {", ".join(str(size) for size in PACKET_SIZES[:-1])} and all events give the same volume, bit for bit
-  the volume equals the reference's to 1e-6 of its largest cell, the landmark to 1e-9 pixels, at prefixes
-  the model's logits equal the reference's to 1e-4 (of the largest, where it exceeds 1), and with them the class
-  a decision after every event, refreshed from the one before, has the bits of the whole network's
+SIZES = ", ".join(str(size) for size in PACKET_SIZES[:-1])
+"""Sizes of packets, as words."""
 
-A model with landmark "regressor" is also checked with that landmark. It comes from float32 convolutions and may differ
-by 1e-4 pixels; the volume equals the reference's to 1e-6 about the same landmark.
+DESCRIPTION = f"""\
+Compare the stream with the batch reference in torch, on recordings. For every landmark:
+
+  - Packets of {SIZES} and all events give the same volume, bit for bit.
+  - At prefixes of each window, the volume equals the reference's to 1e-6 of its largest
+    cell, and the landmark to 1e-9 pixels.
+  - The model's logits equal the reference's to 1e-4 (of the largest logit, if that
+    exceeds 1), and the class is the same.
+  - A decision after every event, refreshed from the one before, has the bits of a pass
+    through the whole network.
+
+A model with landmark "regressor" is also checked with that landmark. It comes from
+float32 convolutions and may differ by 1e-4 pixels. The volume equals the reference's to
+1e-6 about the same landmark.
+
+  async-tnt check                         the ten bundled recordings
+  async-tnt check a.npz --prefixes all    at every prefix; takes minutes
 
 Exit code 0 if all of it holds, 1 if anything does not.
 """
@@ -39,14 +51,14 @@ Exit code 0 if all of it holds, 1 if anything does not.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_files(parser)
-    add_start(parser)
     add_reading(parser)
     parser.add_argument(
         "--prefixes",
         default="8",
         metavar="N|all",
         type=lambda text: None if text == "all" else positive_int(text),
-        help="prefixes of each window to compare with the reference (default: 8, evenly spread; all: minutes)",
+        help="prefixes of each window to compare with the reference (default: 8, evenly spread; "
+        "all: minutes)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object with every comparison")
 
@@ -58,10 +70,12 @@ def main(args: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     model = model_of(args.model)
     paths = paths_of(args)
-    fill_cache(
-        model=model,
-        first=lambda: [open_recording(path, sensor=model.config.sensor) for path in paths],
-    )
+
+    def open_all() -> None:
+        for path in paths:
+            open_recording(path, sensor=model.config.sensor)
+
+    fill_cache(model=model, first=open_all)
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:
@@ -73,29 +87,28 @@ def main(args: argparse.Namespace) -> int:
                 advice="; --model FILE names one for this sensor",
             )
             events = recording.read()
-            if (events["t"] < (args.start_us or 0)).all():  # also if there are none
+            if len(events) == 0:
                 raise ValueError(f"{recording.path}: no events to check")
             results[recording.path] = check_recording(
-                events,
-                model,
-                prefixes=args.prefixes,
-                start_us=args.start_us,
-                on_progress=bar.update,
+                events, model, prefixes=args.prefixes, on_progress=bar.update
             )
-    failed = [c for comparisons in results.values() for c in comparisons if not c.holds]
+
+    equal = all(c.holds for comparisons in results.values() for c in comparisons)
     if args.json:
-        say(json.dumps(_as_json(results, args.prefixes, not failed)))
+        say(json.dumps(_as_json(results, args.prefixes, equal)))
     else:
-        _print_table(results, equal=not failed)
-    return 1 if failed else 0
+        _print_table(results, equal)
+    return 0 if equal else 1
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
-    """A line for each comparison, the worst over all recordings; then the recordings that fail
-    one."""
+    """Print a line for each comparison, with the worst of all recordings. Then, on stderr, a line
+    for each comparison that fails on a recording."""
     merged: dict[tuple[str, str], Comparison] = {}
-    for c in (c for comparisons in results.values() for c in comparisons):
-        merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound)).include(c)
+    for comparisons in results.values():
+        for c in comparisons:
+            worst = merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound))
+            worst.include(c)
     say(f"{'what is compared':<46} {'landmark':<19} {'times':>7} {'worst':>9} {'bound':>7}")
     for c in merged.values():
         mark = "ok" if c.holds else "FAILS"

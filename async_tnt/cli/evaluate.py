@@ -7,7 +7,7 @@ import contextlib
 import functools
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
@@ -21,7 +21,7 @@ from async_tnt.cli.options import MODELS, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of
 from async_tnt.evaluation.early import early_report
-from async_tnt.evaluation.job import Task, job_of, task_of
+from async_tnt.evaluation.job import Job, Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import Record, check_record, evaluate_recording
 from async_tnt.evaluation.results import SUFFIXES, Run, collect
@@ -30,32 +30,52 @@ from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.files.source import ReadOptions
 from async_tnt.streaming.compile_ahead import fill_cache
+from async_tnt.volume.event_forms import check_order
 
-SHOWN = 200  # letters of the classes that an error names
+SHOWN = 200
+"""Letters of the names of classes that an error shows."""
 
-DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
+REMOVED = {"--restart": "delete the file of --out to start over"}
 
-DATASET holds <class name>/<recordings>, or Test/<class name>/<recordings>; the names are the model's classes. Or it
-holds sessions, each with a table NAME_labels.csv of class, start and end, which are evaluated part by part. Use
-recordings that the model was not trained on, if possible of other days and people. Windows follow each other from each
-recording's first event, as on a live stream. A recording's class is the one with the highest mean probability over its
-windows. Recordings that cannot be read, and empty ones, are skipped and named at the end.
+DESCRIPTION = """\
+Stream every recording of a data set through a model, and report how often it is right.
 
-Of a model that finds objects, DATASET holds recordings with tables of objects, NAME_objects.csv (t, class, x, y, or
-boxes x, y, w, h) or Prophesee's NAME_bbox.npy. For each time in the table it decides at the end of the window before
-it, and earlier; an object is found by its class in the ellipse that touches its box's sides, or within 5 pixels of a
-point.
+DATASET is a folder of <class name>/<recordings>, or of Test/<class name>/<recordings>.
+The class names are those of the model. Instead, it may hold recordings of several
+classes, each with a table NAME_labels.csv of class, start and end: each part is then
+evaluated by itself. Use recordings that the model was not trained on, if possible of
+other days and people.
+
+Windows follow each other from the first event of each recording, as on a live stream.
+The class of a recording is the one with the highest mean probability over its windows.
+Recordings that cannot be read, and empty ones, are skipped and named at the end.
+
+A model that finds objects needs recordings with a table of objects: NAME_objects.csv
+(t, class, x, y, or boxes x, y, w, h) or Prophesee's NAME_bbox.npy. For each time in the
+table, the model sees the window that ends there. An object of the table is found if the
+model sees its class within 5 pixels of its point, or within the ellipse that touches
+the sides of its box. The report also says how many are found earlier in the window.
 
   async-tnt evaluate gestures.safetensors held_out
   async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
-  async-tnt evaluate digits N-MNIST --workers 4 --out results.jsonl    keep each recording's result; resumable
-  async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.jsonl    on many machines
-  async-tnt evaluate digits recorded --roi 600,300,34,34 --crop --mask mask.npy    of a larger camera with hot pixels
 
-With --out, an evaluation that was interrupted or killed resumes when the same command is given again, and ends with
-the same file and the same numbers (docs/guide.md).
+Keep the result of each recording in a file:
 
-Exit code 0, also if recordings were skipped (2 with --strict); 2 for bad usage, or if none could be read.
+  async-tnt evaluate digits N-MNIST --workers 4 --out results.jsonl
+
+An evaluation that was interrupted or killed resumes when the same command is given
+again. It ends with the same file and the same numbers.
+
+On many machines:
+
+  async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.jsonl
+
+A part of a larger camera that has hot pixels:
+
+  async-tnt evaluate digits recorded --roi 600,300,34,34 --crop --mask mask.npy
+
+Exit code 0, also if recordings were skipped (2 with --strict). Exit code 2 for bad
+usage, or if no recording could be read.
 """
 
 
@@ -71,8 +91,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=user_path,
         metavar="FILE",
-        help="keep the results in this file, .jsonl, a record per recording; after an interruption or a kill the same "
-        "command resumes",
+        help="keep the results in this file, .jsonl, a record for each recording; the same command "
+        "resumes after an interruption",
     )
     parser.add_argument(
         "--workers",
@@ -83,12 +103,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dask",
         metavar="ADDRESS",
-        help="stream on the workers of a Dask cluster with its scheduler at this address (extra `cluster`)",
-    )
-    parser.add_argument(
-        "--restart",
-        action="store_true",
-        help="with --out: discard the results of an earlier run and start over",
+        help="stream on the workers of a Dask cluster with its scheduler at this address (extra "
+        "`cluster`)",
     )
     parser.add_argument(
         "--strict", action="store_true", help="exit code 2 if any recording was skipped"
@@ -97,28 +113,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     run = _how_to_run(args)
+    # here, as what is wrong with a recording is an entry of the results
+    if args.columns is not None:
+        check_order("columns", args.columns)
     model = model_of(args.model)
     if model.places is not None:
         return evaluate_objects(args, model)
+
     pixels = selector_of(selection_of(args), model)
     found = labelled_recordings(args.dataset, model)
     fill_cache()
-    job = job_of(
-        args.model, model, pixels.selection, ReadOptions(columns=args.columns, topic=args.topic)
-    )
-    tasks = [
-        task_of(
-            one.name_as(one.path.relative_to(args.dataset).as_posix()),
-            one.path,
-            job,
-            name,
-            one.between_us,
-        )
-        for name, recordings in found.items()
-        for one in recordings
-    ]
+    reading = ReadOptions(columns=args.columns, topic=args.topic)
+    job = job_of(args.model, model, pixels.selection, reading)
+    tasks = _tasks_of(found, args.dataset, job)
     check = functools.partial(check_record, classes=model.classes, config=model.config)
     records = _stream(args, tasks, run, check)
+
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:
@@ -128,7 +138,11 @@ def main(args: argparse.Namespace) -> int:
     report = report_of(model, good, skipped)
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
-    say(*([json.dumps(report)] if args.json else lines_of(report)))
+    if args.json:
+        say(json.dumps(report))
+    else:
+        say(*lines_of(report))
+
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
     if report["off_sensor"]:
@@ -141,17 +155,14 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _how_to_run(args: argparse.Namespace) -> Run:
-    """Where to stream; checks, before any work, that the options agree and that --out can be
-    written.
+    """The function that streams the recordings, by the options.
 
     Raises
     ------
-    ValueError, OSError.
+    ValueError, OSError : the options do not agree, or the file of --out cannot be written.
     """
     if args.workers is not None and args.dask is not None:
         raise ValueError("--workers are processes here and --dask is a cluster: give one of them")
-    if args.restart and args.out is None:
-        raise ValueError("--restart requires --out: it discards the results in that file")
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
     if args.dask is None:
@@ -159,35 +170,47 @@ def _how_to_run(args: argparse.Namespace) -> Run:
     return functools.partial(run_on_dask, address=args.dask)
 
 
+def _tasks_of(
+    found: Mapping[str, Sequence[LabelledRecording]], folder: Path, job: Job
+) -> list[Task]:
+    """A task for each recording of a folder, named by its place in it."""
+    tasks = []
+    for label, recordings in found.items():
+        for one in recordings:
+            name = one.name_as(one.path.relative_to(folder).as_posix())
+            tasks.append(task_of(name, one.path, job, label, one.between_us))
+    return tasks
+
+
 def _stream(
     args: argparse.Namespace, tasks: Sequence[Task], run: Run, check: Callable[[Record], object]
 ) -> list[Record]:
-    """All records in order of the recordings' names, with a progress bar; written to the file of
-    --out, if given.
+    """All records in order of the recordings' names, with a progress bar. They are written to the
+    file of --out, if that is given.
 
     Raises
     ------
-    KeyboardInterrupt : with what is done by then. Others : as `collect`.
+    KeyboardInterrupt : it says how many recordings are done.
+    ValueError, OSError : as `collect`.
     """
     try:
         with contextlib.ExitStack() as stack:
-            out = args.out or Path(
-                stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl"
-            )
+            out = args.out
+            if out is None:
+                folder = stack.enter_context(tempfile.TemporaryDirectory())
+                out = Path(folder, "results.jsonl")
             return collect(
                 evaluate_recording,
                 tasks,
                 run,
                 out,
-                restart=args.restart,
                 check=check,
                 progress=progress,
                 report=complain,
             )
     except KeyboardInterrupt as error:
         n_done = f": {error}" if str(error) else ""
-        resumes = f"the same command{' without --restart' * args.restart} resumes"
-        kept = resumes if args.out else "nothing is kept without --out"
+        kept = "the same command resumes" if args.out else "nothing is kept without --out"
         raise KeyboardInterrupt(f"interrupted{n_done}; {kept}") from None
 
 
@@ -200,8 +223,10 @@ def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRe
     OSError : no such folder.
     """
     found = find_recordings(folder, "Test")
-    if unknown := [name for name in found if name not in model.classes]:
-        theirs, ours = (shorten(", ".join(names), SHOWN) for names in (unknown, model.classes))
+    unknown = [name for name in found if name not in model.classes]
+    if unknown:
+        theirs = shorten(", ".join(unknown), SHOWN)
+        ours = shorten(", ".join(model.classes), SHOWN)
         raise ValueError(f"{folder}: the model does not know class {theirs}; it knows {ours}")
     if not any(found.values()):
         raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
@@ -231,32 +256,45 @@ def lines_of(report: dict[str, Any]) -> list[str]:
         "",
         f"{'class':<24} {'accuracy':>8} {'recordings':>11} {'windows right':>15}  confused with",
     ]
-    for k, name in enumerate(report["classes"]):
-        row = report["confusion"][k]
-        share = "-" if report["per_class"][name] is None else f"{report['per_class'][name]:.3f}"
-        others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)[:3]
-        confused = ", ".join(f"{report['classes'][j]} ({n})" for n, j in others)
-        windows = report["window_confusion"][k]
-        right = f"{windows[k]:,} of {sum(windows):,}"
-        lines.append(f"{name:<24} {share:>8} {sum(row):>11} {right:>15}  {confused}".rstrip())
+    lines += [_class_line(report, k) for k in range(len(report["classes"]))]
+
     if report["accuracy_against_time"]:
         lines += ["", f"{'ms into the window':<24} {'accuracy':>8} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:
         lines.append(
             f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>8.3f} {moment['decided']:>11.3f}"
         )
+
     if report["confidence"]:
         head = f"{'first decision at':<24} {'accuracy':>8} {'decided':>11} {'all windows':>12}"
         lines += ["", f"{head}  ms: median, 90 %"]
-    for level in report["confidence"]:
-        right, ms = "-", ""
-        if level["accuracy"] is not None:
-            right, ms = (
-                f"{level['accuracy']:.3f}",
-                f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}",
-            )
-        shares = f"{right:>8} {level['decided']:>11.3f} {level['window_accuracy']:>12.3f}"
-        lines.append(f"{level['level']:<24} {shares}  {ms}".rstrip())
+    lines += [_level_line(level) for level in report["confidence"]]
+
     if report["calibration_error"] is not None:
         lines += ["", f"expected calibration error {report['calibration_error']:.3f}"]
     return lines
+
+
+def _class_line(report: dict[str, Any], k: int) -> str:
+    """How often class k is decided right, and which classes are decided instead."""
+    classes = report["classes"]
+    name = classes[k]
+    row = report["confusion"][k]
+    accuracy = report["per_class"][name]
+    share = "-" if accuracy is None else f"{accuracy:.3f}"
+    windows = report["window_confusion"][k]
+    right = f"{windows[k]:,} of {sum(windows):,}"
+    others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)
+    confused = ", ".join(f"{classes[j]} ({n})" for n, j in others[:3])
+    return f"{name:<24} {share:>8} {sum(row):>11} {right:>15}  {confused}".rstrip()
+
+
+def _level_line(level: dict[str, Any]) -> str:
+    """How many windows reach a level of confidence, how many of these are right, and when."""
+    right = "-"
+    ms = ""
+    if level["accuracy"] is not None:
+        right = f"{level['accuracy']:.3f}"
+        ms = f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
+    shares = f"{right:>8} {level['decided']:>11.3f} {level['window_accuracy']:>12.3f}"
+    return f"{level['level']:<24} {shares}  {ms}".rstrip()

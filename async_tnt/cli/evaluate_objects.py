@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,94 +14,136 @@ import numpy as np
 from async_tnt.base.progress import progress
 from async_tnt.cli.output import complain, say
 from async_tnt.evaluation.object_scores import ObjectScores, score_recording
-from async_tnt.evaluation.object_tables import find_tables, read_table
+from async_tnt.evaluation.object_tables import ObjectTable, find_tables, read_table
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.streaming.compile_ahead import fill_cache
-from async_tnt.volume.sensor import check_sensor
+from async_tnt.volume.sensor import Sensor, check_sensor
 
-NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask", "restart"
+NOT_FOR_OBJECTS = "roi", "crop", "mask", "out", "workers", "dask"
+"""Options that a model which finds objects does not have."""
+
+
+@dataclass
+class _Found:
+    """What is found in the recordings of a data set so far.
+
+    Attributes
+    ----------
+    scores : share of a window -> how many objects are found after it; empty before the first
+        recording.
+    n_moments : moments of the tables.
+    n_off : objects of the tables whose middle is off the sensor.
+    unknown : class that the model does not know -> how often the tables have it.
+    skipped : a line for each recording that cannot be read.
+    """
+
+    scores: dict[float, ObjectScores] = field(default_factory=dict)
+    n_moments: int = 0
+    n_off: int = 0
+    unknown: Counter[str] = field(default_factory=Counter)
+    skipped: list[str] = field(default_factory=list)
+
+    def add(self, scores: dict[float, ObjectScores], table: ObjectTable, sensor: Sensor) -> None:
+        """Add a recording."""
+        for share, one in scores.items():
+            self.scores[share] = one + self.scores[share] if share in self.scores else one
+        self.n_moments += len(np.unique(table.t))
+        is_off = ((table.middle < 0) | (table.middle >= sensor)).any(axis=1)
+        self.n_off += int(is_off.sum())
+        self.unknown.update(table.unknown)
 
 
 def evaluate_objects(args: argparse.Namespace, model: Model) -> int:
     """Score the recordings of `args.dataset` that have tables of objects; print the report."""
-    if given := [f"--{name}" for name in NOT_FOR_OBJECTS if getattr(args, name)]:
+    given = [f"--{name}" for name in NOT_FOR_OBJECTS if getattr(args, name)]
+    if given:
         raise ValueError(f"{args.model} finds objects: {', '.join(given)} cannot be used with it")
     if model.config.window_events is not None:
         raise ValueError(
             f"{args.model}: objects are scored in windows of a duration, not of a number of events"
         )
-    scores: dict[float, ObjectScores] = {}
-    skipped: list[str] = []
-    unknown: Counter[str] = Counter()
-    n_moments = n_off = 0
+
     tables = find_tables(args.dataset)
     fill_cache(model=model)
+    found = _Found()
     with progress(len(tables), "recordings") as bar:
-        for path, file in tables:
+        for path, table in tables:
             try:
-                table = read_table(file, model.classes)
-                recording = open_recording(
-                    path,
-                    sensor=args.sensor,
-                    strict=True,
-                    off_sensor="warn",
-                    columns=args.columns,
-                    topic=args.topic,
-                )
-                check_sensor(path, recording.sensor, args.sensor, "--sensor says")
-                if recording.sensor is None:
-                    raise ValueError(
-                        f"{path}: the file does not state its sensor; give it with --sensor WxH"
-                    )
-                found = score_recording(model.for_sensor(recording.sensor), recording, table)
+                _score(path, table, model, args, found)
             except (ValueError, OSError) as error:
-                skipped.append(str(error))
-            else:
-                n_moments += len(np.unique(table.t))
-                n_off += int(
-                    ((table.middle < 0) | (table.middle >= recording.sensor)).any(axis=1).sum()
-                )
-                scores = {
-                    share: one + scores[share] if scores else one for share, one in found.items()
-                }
-                unknown.update(table.unknown)
+                found.skipped.append(str(error))
             bar.update()
-    if not scores:
+    if not found.scores:
         raise ValueError(
-            f"{args.dataset}: none of {len(tables)} recordings can be evaluated; {skipped[0]}"
+            f"{args.dataset}: none of {len(tables)} recordings can be evaluated; {found.skipped[0]}"
         )
-    report: dict[str, Any] = {
-        **scores[1.0].to_dict(model.classes),
-        "f1_against_time_ms": {
-            f"{s * model.config.window_us / 1e3:g}": round(of.f1, 5) for s, of in scores.items()
-        },
-        "recordings": len(tables) - len(skipped),
-        "moments": n_moments,
-        "unknown_classes": unknown,
-        "off_sensor": n_off,
-        "skipped": skipped,
-    }
-    say(*([json.dumps(report)] if args.json else _lines(report)))
-    if unknown:
-        of_each = ", ".join(f"{name} ({n})" for name, n in sorted(unknown.items()))
+
+    report = _report_of(found, model, len(tables) - len(found.skipped))
+    if args.json:
+        say(json.dumps(report))
+    else:
+        say(*_lines(report))
+    if found.unknown:
+        of_each = ", ".join(f"{name} ({n})" for name, n in sorted(found.unknown.items()))
         complain(f"objects of classes that the model does not know do not count: {of_each}")
-    if n_off:
+    if found.n_off:
         complain(
-            f"objects whose middle is off the sensor cannot be found: {n_off}; is the table in its "
-            "pixels?"
+            f"objects whose middle is off the sensor cannot be found: {found.n_off}; is the table "
+            "in its pixels?"
         )
-    for line in skipped:
+    for line in found.skipped:
         complain(f"skipped: {line}")
-    return 2 if skipped and args.strict else 0
+    return 2 if found.skipped and args.strict else 0
+
+
+def _score(
+    path: Path, table_file: Path, model: Model, args: argparse.Namespace, found: _Found
+) -> None:
+    """Score one recording, and add it to what is found.
+
+    Raises
+    ------
+    ValueError, OSError : it cannot be read, or its table, or its sensor is not known.
+    """
+    table = read_table(table_file, model.classes)
+    recording = open_recording(
+        path,
+        sensor=args.sensor,
+        strict=True,
+        off_sensor="warn",
+        columns=args.columns,
+        topic=args.topic,
+    )
+    check_sensor(path, recording.sensor, args.sensor, "--sensor says")
+    if recording.sensor is None:
+        raise ValueError(f"{path}: the file does not state its sensor; give it with --sensor WxH")
+    scores = score_recording(model.for_sensor(recording.sensor), recording, table)
+    found.add(scores, table, recording.sensor)
+
+
+def _report_of(found: _Found, model: Model, n_recordings: int) -> dict[str, Any]:
+    """All numbers, as --json prints them."""
+    f1_against_time = {}
+    for share, scores in found.scores.items():
+        after_ms = share * model.config.window_us / 1e3
+        f1_against_time[f"{after_ms:g}"] = round(scores.f1, 5)
+    return {
+        **found.scores[1.0].to_dict(model.classes),
+        "f1_against_time_ms": f1_against_time,
+        "recordings": n_recordings,
+        "moments": found.n_moments,
+        "unknown_classes": found.unknown,
+        "off_sensor": found.n_off,
+        "skipped": found.skipped,
+    }
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
     """The report for people."""
     lines = [
         f"F1 {report['f1']:.4f}: {report['precision']:.4f} of {report['found']} objects found are "
-        "right, "
-        f"{report['recall']:.4f} of {report['objects']} are found, "
+        f"right, {report['recall']:.4f} of {report['objects']} are found, "
         f"at {report['moments']} moments of {report['recordings']} recordings",
         "",
         f"{'class':<24} {'F1':>8} {'objects':>9} {'found':>9} {'right':>9}",

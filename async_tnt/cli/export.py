@@ -12,21 +12,26 @@ from async_tnt.cli.output import say
 from async_tnt.networks.layers.conversion_check import compare
 from async_tnt.networks.models.compiled import CompiledClassifier
 
-DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
-(1, C, H, W); output `logits`, float32, (1, n_classes), of a map model (1, n_classes + 1, R, C). The file also holds
-configuration, classes and training record, so that `async-tnt run --model FILE.onnx` and
-`async_tnt.networks.OnnxClassifier` know how events become its volume. A landmark network (landmark "regressor") has no
-such form: those models are not exported.
+DESCRIPTION = """\
+Write a model's classifier to an ONNX file, for other programs and languages.
 
-Before the file gets its name, onnxruntime runs it on volumes of several kinds, sparse, dense and empty: all logits must
-agree with the compiled network's to 1e-4 of the largest.
+  input   `volume`, float32, (1, C, H, W)
+  output  `logits`, float32, (1, n_classes); of a map model (1, n_classes + 1, R, C)
+
+The file also holds configuration, classes and training record. So
+`async-tnt run --model FILE.onnx` and `async_tnt.networks.OnnxClassifier` know how
+events become its volume. A model with a landmark network (landmark "regressor") has no
+such form and is not exported.
+
+Before the file gets its name, onnxruntime runs it on sparse, dense and empty volumes.
+All logits must agree with the compiled network's to 1e-4 of the largest.
 
   async-tnt export digits --out digits.onnx         a bundled model
   async-tnt export mine.safetensors --out mine.onnx --json
   async-tnt run --model digits.onnx                 run it by onnxruntime
 
-Needs onnx and onnxruntime (extra `onnx`). Exit code 0 if the file is written, 1 if it does not agree and nothing is
-written, 2 for bad usage or bad input.
+Needs onnx and onnxruntime (extra `onnx`). Exit code 0 if the file is written, 1 if it
+does not agree and nothing is written, 2 for bad usage or bad input.
 """
 
 
@@ -47,27 +52,31 @@ def main(args: argparse.Namespace) -> int:
     if model.config.needs_regressor:
         raise ValueError(
             f"{args.model} has a landmark network, which has no ONNX form; its classifier alone "
-            "runs by onnxruntime: "
-            "Processor(model, classifier=OnnxClassifier(to_onnx(model)))"
+            "runs by onnxruntime: Processor(model, classifier=OnnxClassifier(to_onnx(model)))"
         )
-    version = import_onnxruntime().__version__  # now, so that a missing one shows before any work
-    content, compiled = to_onnx(model).SerializeToString(), CompiledClassifier(model)
+    # before any work, in case it is missing
+    version = import_onnxruntime().__version__
+
+    content = to_onnx(model).SerializeToString()
+    compiled = CompiledClassifier(model)
     difference = None
     try:
         with replacing(args.out) as part:
             part.write_bytes(content)
-            # read back: what is checked is what is kept
+            # the file is read back: what is checked is what is kept
             compare(OnnxClassifier(part), compiled, compiled.shape)
     except ValueError as error:
         difference = one_line(error)
     agrees = difference is None
+
     if args.json:
-        files = {str(args.out): len(content)} if agrees else {}
-        say(
-            json.dumps(
-                {"agrees": agrees, "difference": difference, "files": files, "onnxruntime": version}
-            )
-        )
+        report = {
+            "agrees": agrees,
+            "difference": difference,
+            "files": {str(args.out): len(content)} if agrees else {},
+            "onnxruntime": version,
+        }
+        say(json.dumps(report))
     elif agrees:
         logits = (len(model.classes),) if model.places is None else model.logits_shape
         say(

@@ -21,21 +21,27 @@ from async_tnt.sources.files.labelled_recordings import recordings_under
 from async_tnt.sources.recording_summary import RecordingSummary, summarize
 from async_tnt.volume.sensor import format_size
 
-DESCRIPTION = """Say what recordings, folders of recordings and models hold.
+DESCRIPTION = """\
+Say what recordings, folders of recordings and models hold.
 
-  async-tnt info desk.aedat4             format, sensor, times, rates, ON share, unsorted events, hot pixels
-  async-tnt info gestures                a folder: its classes, and each recording in a line
-  async-tnt info digits mine.safetensors classes, volume, network and training record of models
-  async-tnt info a.npy --sensor 346x260  where the file does not state the sensor: with hot pixels, too
-  async-tnt info a.bag --topic /events   a ROS bag: all its topics, and the events of one of them
+  async-tnt info desk.aedat4               a recording
+  async-tnt info a.npy --sensor 346x260    one whose file does not state its sensor
+  async-tnt info a.bag --topic /events     a ROS bag: its topics, the events of one
+  async-tnt info gestures                  a folder: its classes, a line a recording
+  async-tnt info digits mine.safetensors   models
 
-Times are those of the file, in microseconds. The bars show events a second over the recording, from its earliest
-event to its latest; where something moves, they are high. Exit code 2 if something cannot be read; the rest is shown.
+Of a recording it says format, sensor, times, rates, share of ON events, unsorted events
+and hot pixels; of a model classes, volume, network and training record.
+
+Times are those of the file, in microseconds. The bars show events a second, from the
+recording's earliest event to its latest; they are high where something moves. Exit code
+2 if something cannot be read; the rest is shown.
 """
 BARS = " ▁▂▃▄▅▆▇█"
 ASCII_BARS = " .:-=+*#@"
-"""Where the output's encoding has no others."""
+"""Bars for an output that cannot print the others."""
 N_HOT = 5
+"""Hot pixels that are named, the busiest."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="WHAT",
-        help=f"recordings ({READABLE}), or digits of bundled ones, folders, .safetensors files or bundled models "
-        f"({', '.join(bundled_models())})",
+        help=f"recordings ({READABLE}), or digits of bundled ones, folders, .safetensors files or "
+        f"bundled models ({', '.join(bundled_models())})",
     )
     parser.add_argument(
         "--sensor",
@@ -68,7 +74,10 @@ def main(args: argparse.Namespace) -> int:
             failed = True
             continue
         failed |= any("error" in found for found in report.get("recordings", ()))
-        say(json.dumps(report)) if args.json else say(*lines)
+        if args.json:
+            say(json.dumps(report))
+        else:
+            say(*lines)
     return 2 if failed else 0
 
 
@@ -85,20 +94,17 @@ def _described(name: str, reading: Mapping[str, Any]) -> tuple[dict[str, Any], l
 
 
 def _recording_lines(found: RecordingSummary) -> Iterator[str]:
+    """A recording's summary for people."""
     yield f"{found.recording}: {found.format}, {found.bytes / 1e6:,.1f} MB"
     for topic in found.topics:
         is_read = ", which is read" if topic["is_read"] else ""
-        yield f"  topic      {topic['name']}: {topic['type']}, {topic['messages']:,} messages{is_read}"
+        messages = f"{topic['messages']:,} messages"
+        yield f"  topic      {topic['name']}: {topic['type']}, {messages}{is_read}"
     if not found.events:
         yield "  no events"
         return
+    yield _sensor_line(found)
     seconds = (found.last_us - found.first_us) * 1e-6
-    if found.sensor is None:
-        strays = "" if found.reach == found.extent else f", and strays {format_size(found.reach)}"
-        reach = f"events reach {format_size(found.extent)}{strays}"
-        yield f"  sensor     not stated; {reach}; for hot pixels give --sensor WxH"
-    else:
-        yield f"  sensor     {format_size(found.sensor)}{'' if found.sensor_stated else ', as given'}"
     yield f"  time       {found.first_us:,} to {found.last_us:,} us: {seconds:,.3f} s"
     rate = f", {found.events / seconds:,.0f} a second" if seconds else ""
     yield f"  events     {found.events:,}{rate}; {found.on / found.events:.0%} ON"
@@ -106,24 +112,43 @@ def _recording_lines(found: RecordingSummary) -> Iterator[str]:
         yield f"  off sensor {found.off_sensor:,} more events lie off the sensor and are left out"
     if found.unsorted:
         yield f"  unsorted   {found.unsorted:,} are earlier than the event before them"
-    most = max(found.events_a_second)
-    bars = BARS if can_print(BARS, sys.stdout) else ASCII_BARS
-    heights = (
-        max(int(rate > 0), round(rate / most * (len(BARS) - 1))) for rate in found.events_a_second
-    )
-    yield f"  rate       {''.join(bars[height] for height in heights)} up to {most:,.0f} a second"
+    yield f"  rate       {_rate_bars(found)} up to {max(found.events_a_second):,.0f} a second"
     if found.hot_pixels:
+        n_hot = len(found.hot_pixels)
         share = sum(pixel["events"] for pixel in found.hot_pixels) / found.events
         shown = ", ".join(f"({pixel['x']}, {pixel['y']})" for pixel in found.hot_pixels[:N_HOT])
-        more = ", ..." if len(found.hot_pixels) > N_HOT else ""
-        yield f"  hot pixels {len(found.hot_pixels)} make {share:.1%} of the events: {shown}{more}; see async-tnt mask"
+        more = ", ..." if n_hot > N_HOT else ""
+        make = f"{n_hot} make {share:.1%} of the events"
+        yield f"  hot pixels {make}: {shown}{more}; see async-tnt mask"
+
+
+def _sensor_line(found: RecordingSummary) -> str:
+    """The sensor of a recording, or how far its events reach."""
+    if found.sensor is not None:
+        given = "" if found.sensor_stated else ", as given"
+        return f"  sensor     {format_size(found.sensor)}{given}"
+    strays = "" if found.reach == found.extent else f", and strays {format_size(found.reach)}"
+    reach = f"events reach {format_size(found.extent)}{strays}"
+    return f"  sensor     not stated; {reach}; for hot pixels give --sensor WxH"
+
+
+def _rate_bars(found: RecordingSummary) -> str:
+    """A bar for the rate in each part of a recording; only a part without events has none."""
+    bars = BARS if can_print(BARS, sys.stdout) else ASCII_BARS
+    most = max(found.events_a_second)
+    heights = [round(rate / most * (len(bars) - 1)) for rate in found.events_a_second]
+    least = [1 if rate > 0 else 0 for rate in found.events_a_second]
+    return "".join(bars[max(low, high)] for low, high in zip(least, heights, strict=True))
 
 
 def _of_folder(folder: Path, reading: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """All recordings below it, and how many each folder has: in a data set, each class."""
+    """All recordings below a folder, and how many each of its folders has: in a data set, each
+    class."""
     paths = recordings_under(folder)
     folders = Counter(str(path.parent.relative_to(folder)) for path in paths)
-    reports, lines, n_events = [], [], 0
+    reports = []
+    lines = []
+    n_events = 0
     with progress(len(paths), "reading") as bar:
         for path in paths:
             name = f"  {path.relative_to(folder)!s:<32}"
@@ -138,16 +163,15 @@ def _of_folder(folder: Path, reading: Mapping[str, Any]) -> tuple[dict[str, Any]
                 reports.append({"recording": str(path), "error": str(error)})
                 lines.append(with_options(f"{name} cannot be read: {error}", OPTIONS))
             bar.update()
-    counts = (
-        ", ".join(f"{name} {n}" for name, n in folders.items())
-        if {*folders} != {"."}
-        else "no folders in it"
-    )
+    counts = "no folders in it"
+    if {*folders} != {"."}:
+        counts = ", ".join(f"{name} {n}" for name, n in folders.items())
     head = f"{folder}: {len(paths)} recordings, {n_events:,} events; {counts}"
     return {"folder": str(folder), "folders": folders, "recordings": reports}, [head, *lines]
 
 
 def _of_model(model: Model) -> dict[str, Any]:
+    """What a model holds, as --json prints it."""
     return {
         "classes": model.classes,
         "config": model.config.to_dict(),
@@ -163,26 +187,30 @@ def _of_model(model: Model) -> dict[str, Any]:
 
 
 def _model_lines(name: str, model: Model) -> Iterator[str]:
-    config, found = model.config, _of_model(model)
+    """What a model holds, for people."""
+    config = model.config
+    found = _of_model(model)
     yield f"{name}: {len(model.classes)} classes: {', '.join(model.classes)}"
+
     grid = f"{format_size(config.sensor)}, grid {format_size(config.grid)}"
-    told = {
-        key: value
+    if config.window_events is None:
+        length = f"{config.window_us:,} us"
+    else:
+        length = f"{config.window_events:,} events"
+    yield f"  sensor     {grid}, windows of {length}"
+
+    other_lines = ("sensor", "grid", "window_us", "window_events")
+    settings = [
+        f"{key} {value}"
         for key, value in config.to_dict().items()
-        if value and key not in ("sensor", "grid", "window_us", "window_events")
-    }
-    long = (
-        f"{config.window_us:,} us"
-        if config.window_events is None
-        else f"{config.window_events:,} events"
-    )
-    yield f"  sensor     {grid}, windows of {long}"
-    yield f"  volume     {'x'.join(map(str, config.shape))}: " + ", ".join(
-        f"{key} {told[key]}" for key in told
-    )
+        if value and key not in other_lines
+    ]
+    yield f"  volume     {'x'.join(map(str, config.shape))}: {', '.join(settings)}"
+
     layers = "; ".join(f"{part}: {', '.join(ops)}" for part, ops in found["layers"].items())
     yield f"  network    {layers}"
-    yield f"  cost       {found['weights']:,} weights, {found['multiplications']:,} multiplications a complete window"
+    per_window = f"{found['multiplications']:,} multiplications a complete window"
+    yield f"  cost       {found['weights']:,} weights, {per_window}"
     if model.places is not None:
         yield f"  decides    objects, at {found['map'][1]}x{found['map'][0]} places of the sensor"
     for key, value in model.record.items():

@@ -18,22 +18,28 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixels.pixel_masks import count_pixels, hot_pixels, listed_pixels, save_mask
 from async_tnt.volume.sensor import check_sensor, format_size
 
-DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
-sensor would explain. Several recordings of one camera count as one.
+DESCRIPTION = """\
+Find the hot pixels of a camera: those with far more events than their neighbours and
+the whole sensor would explain. Several recordings of one camera count as one.
 
   async-tnt mask desk.npz --out mask.npy               find them in a recording
-  async-tnt mask a.npy b.npy --sensor 346x260          if the files do not state the sensor
+  async-tnt mask a.npy b.npy --sensor 346x260 --out mask.npy
 
-Record something that moves across the whole image, or a still scene, for some seconds. The mask is a .npy file, bool,
-of shape (height, width), True where a pixel is hot:
+The second command is for files that do not state their sensor. Record something that
+moves across the whole image, or a still scene, for some seconds.
+
+The mask is a .npy file, bool, of shape (height, width), True where a pixel is hot:
 
   pixel_filter = async_tnt.sources.PixelFilter((346, 260), mask="mask.npy")
   async_tnt.stream(map(pixel_filter, camera), model)
 
-A pixel is hot when it has 5 times more events than the 4th busiest of the 24 pixels around it and than the mean
-pixel, and when chance would not do that in one of a hundred sensors. A sensor may have up to 2^24 pixels. Exit code 0
-also if none is found: the mask then leaves nothing out.
+A pixel is hot if it has 5 times more events than the 4th busiest of the 24 pixels
+around it and than the mean pixel, and if chance would not do that in one of a hundred
+sensors. A sensor may have up to 2^24 pixels. Exit code 0 also if no pixel is hot: the
+mask then leaves nothing out.
 """
+MOST_LISTED = 10
+"""Hot pixels that are printed, the busiest."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         type=size_of,
         metavar="WxH",
-        help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless given here",
+        help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless "
+        "given here",
     )
     add_reading(parser)
     parser.add_argument(
@@ -82,14 +89,25 @@ def main(args: argparse.Namespace) -> int:
 def _count(
     paths: list[Path], sensor: tuple[int, int] | None, reading: Mapping[str, Any]
 ) -> np.ndarray:
-    """Events of each pixel over all recordings, int64 of shape (H, W); `reading`: see
-    `reading_of`."""
+    """The number of events of each pixel over all recordings: int64, shape (H, W).
+
+    Parameters
+    ----------
+    sensor : (width, height), if it is given.
+    reading : arguments of `open_recording`, see `reading_of`.
+
+    Raises
+    ------
+    ValueError, OSError : no recording or option states the sensor, two recordings have different
+        ones, or one cannot be read.
+    """
     counts = np.zeros((), np.int64)
     given = sensor
     with progress(len(paths), "counting events") as bar:
         for path in paths:
             recording = open_recording(path, sensor=given, **reading)
-            recording.sensor = recording.sensor or sensor  # or an earlier recording's
+            # a recording that does not state its sensor has that of an earlier one
+            recording.sensor = recording.sensor or sensor
             if recording.sensor is None:
                 raise ValueError(
                     f"{path}: the file does not state the camera's sensor; give --sensor WxH"
@@ -99,16 +117,18 @@ def _count(
             try:
                 counts = counts + count_pixels(recording, sensor)
             except ValueError as error:
-                raise ValueError(
-                    str(error) if str(path) in str(error) else f"{path}: {error}"
-                ) from None
+                if str(path) in str(error):
+                    raise
+                raise ValueError(f"{path}: {error}") from None
             bar.update()
     return counts
 
 
 def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> None:
+    """Print the hot pixels of a sensor whose pixels have these numbers of events."""
     found = listed_pixels(counts, hot)
-    n_events, share = int(counts.sum()), float(counts[hot].sum() / counts.sum())
+    n_events = int(counts.sum())
+    share = float(counts[hot].sum() / counts.sum())
     height, width = counts.shape
     if args.json:
         result = {
@@ -116,8 +136,9 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
             "events": n_events,
             "hot_pixels": found,
             "share": share,
+            "out": str(args.out),
         }
-        say(json.dumps(result | {"out": str(args.out)}))
+        say(json.dumps(result))
         return
     size = format_size((width, height))
     if not found:
@@ -126,12 +147,12 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
             "which masks nothing"
         )
         return
-    for pixel in found[:10]:
+    for pixel in found[:MOST_LISTED]:
         say(
             f"x {pixel['x']:>5}  y {pixel['y']:>5}  {pixel['events']:>9} events  "
             f"{pixel['events'] / n_events:6.2%}"
         )
-    if len(found) > 10:
-        say(f"... and {len(found) - 10} more")
+    if len(found) > MOST_LISTED:
+        say(f"... and {len(found) - MOST_LISTED} more")
     pixels_word = "1 hot pixel" if len(found) == 1 else f"{len(found)} hot pixels"
     say(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")

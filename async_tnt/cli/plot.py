@@ -19,7 +19,6 @@ from async_tnt.cli.options import (
     volume_of,
 )
 from async_tnt.cli.output import complain, say
-from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.views.figure_objects import draw_window_objects
 from async_tnt.views.figure_overview import draw_overview
@@ -28,22 +27,29 @@ from async_tnt.views.figure_subject import Subject
 from async_tnt.volume.config import TIME_IMAGES, TNTConfig
 from async_tnt.volume.sensor import check_sensor, format_size
 
-DPI = 100  # figures are 10.4 inches wide
+DPI = 100
+"""Pixels of an inch. Figures are 10.4 inches wide."""
 DEFAULT_MODEL = "digits"
 DEFAULT_SAMPLE = 3
+"""The digit of the bundled recording that is drawn if no file is given."""
 
-DESCRIPTION = """Draw what happens to the events of a recording, on one page, as PNG, SVG or PDF: a window's events in
-space-time, raw and transformed, the bins of both volumes, and the probability of each class during the recording.
-With a model that finds objects: where they are found, at three moments of the window.
+REMOVED = {"--start-us": "windows begin with the first event; choose one with --window K"}
 
-Events and volumes are drawn as the model makes them, or by the options. Decisions always use the model's own
-volume: a network only knows the kind of volume that it was trained on.
+DESCRIPTION = """\
+Draw what happens to the events of a recording, on one page, as PNG, SVG or PDF: the
+events of a window in space and time, raw and transformed; the bins of both volumes; the
+probability of each class during the recording. With a model that finds objects, the
+page shows where they are found, at three moments of the window.
 
-  async-tnt plot                                         a bundled recording of a 3
-  async-tnt plot 8 --window 2 --out eight.svg            the second window of the bundled 8
+Events and volumes are drawn as the model makes them, or by the options. Decisions
+always use the model's own volume: a network knows only the kind of volume that it was
+trained on.
+
+  async-tnt plot                                  a bundled recording of a 3
+  async-tnt plot 8 --window 2 --out eight.svg     the second window of the bundled 8
   async-tnt plot my.npz --volume landmark=line,remove_flow=yes,t_max=2
 
-async-tnt train draws what motion re-synthesis makes of a window.
+`async-tnt train` draws what motion re-synthesis makes of a window.
 """
 
 
@@ -66,21 +72,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME|FILE",
         help=f"{MODELS} (default: {DEFAULT_MODEL}, if it fits the recording's sensor)",
     )
-    add_reading(parser)
-    what = parser.add_argument_group("what is drawn")
-    what.add_argument(
+    parser.add_argument(
         "--window",
         type=positive_int,
         default=1,
         metavar="K",
-        help="the window, counted from 1 (default: 1)",
+        help="the window that is drawn, counted from 1 (default: 1)",
     )
-    what.add_argument(
-        "--start-us",
-        type=int,
-        metavar="US",
-        help="start of the first window (default: the first event)",
-    )
+    add_reading(parser)
     volume = parser.add_argument_group("the volume, if other than the model's")
     add_volume(
         volume, "the model's; volume and count are drawn, and without the transform in any case"
@@ -102,9 +101,10 @@ def main(args: argparse.Namespace) -> int:
     subject = subject_of(path, args)
     with styled():
         if subject.model is not None and subject.model.places is not None:
-            save(draw_window_objects(subject.window(args.window), subject.model), out, DPI)
+            figure = draw_window_objects(subject.window(args.window), subject.model)
         else:
-            save(draw_overview(subject, args.window), out, DPI)
+            figure = draw_overview(subject, args.window)
+        save(figure, out, DPI)
     if subject.model is None:
         sensor = format_size(subject.config.sensor)
         complain(
@@ -119,47 +119,58 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
 
     Raises
     ------
-    ValueError : empty or damaged, of another sensor, or options that do not fit each other or the
-        model.
+    ValueError : the recording is empty or damaged, or of another sensor, or the options do not fit
+        each other or the model.
     OSError : a file is missing or not readable.
     """
     recording = open_recording(path, sensor=args.sensor, **reading_of(args))
     check_sensor(path, recording.sensor, args.sensor, "--sensor says")
     name = args.model or DEFAULT_MODEL
-    trained = model_of(name)
-    if (n := trained.config.window_events) is not None:
-        raise ValueError(f"{name}: windows of a duration can be drawn, but not of {n} events")
-    sensor = recording.sensor or trained.config.sensor
+    model = model_of(name)
+    n_events = model.config.window_events
+    if n_events is not None:
+        raise ValueError(
+            f"{name}: windows of a duration can be drawn, but not of {n_events} events"
+        )
+    sensor = recording.sensor or model.config.sensor
     recording.sensor = sensor
-    if trained.places is not None:
+
+    if model.places is not None:
         if args.volume is not None or args.window_us is not None:
             raise ValueError(
                 f"{name} finds objects, in its own volume: --volume and --window-us cannot be used "
                 "with it"
             )
-        model = trained.for_sensor(sensor)
-        return Subject(path.name, recording.read(), model.config, model, name, args.start_us)
-    decides: Model | None = trained
-    config = trained.config
-    if sensor != config.sensor:
-        if args.model is not None:
-            check_sensor(path, sensor, config.sensor)
-        decides, config = None, config.replace(sensor=sensor, grid=sensor)
-    return Subject(
-        path.name, recording.read(), _configured(config, args), decides, name, args.start_us
-    )
+        model = model.for_sensor(sensor)
+        return Subject(path.name, recording.read(), model.config, model, name)
+
+    if sensor == model.config.sensor:
+        config = _configured(model.config, args)
+        return Subject(path.name, recording.read(), config, model, name)
+    if args.model is not None:
+        check_sensor(path, sensor, model.config.sensor)
+    # the default model does not fit: draw the events and the volumes alone
+    config = _configured(model.config.replace(sensor=sensor, grid=sensor), args)
+    return Subject(path.name, recording.read(), config, None, name)
 
 
 def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
-    """A configuration with the options' changes."""
+    """A configuration with the options' changes.
+
+    Raises
+    ------
+    ValueError : they cannot be drawn, or do not fit each other.
+    """
     changes = volume_of(args.volume)
     if args.window_us is not None:
         changes["window_us"] = args.window_us
-    if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
+    # flow can be removed about the landmark `line` alone
+    if changes.get("landmark", "line") != "line":
         changes.setdefault("remove_flow", False)
-    if (kind := changes.get("representation", config.representation)) in TIME_IMAGES:
+    kind = changes.get("representation", config.representation)
+    if kind in TIME_IMAGES:
         raise ValueError(
-            f"event volumes and counts can be drawn, but not {kind} (`model`, `volume`)"
+            f"event volumes and counts can be drawn, but not {kind} (--model, --volume)"
         )
     if changes.setdefault("transform", "tnt") != "tnt":
         raise ValueError(

@@ -31,21 +31,30 @@ from async_tnt.sources.files.recording import Recording
 from async_tnt.streaming.compile_ahead import fill_cache
 from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 
-DESCRIPTION = """Show a stream in the Rerun viewer while it is classified: the events and the landmark, the raw and the
-transformed volume, the probability of each class, the decisions (extra `view`). The timeline is
-that of the recording, in microseconds, and can be played, stopped and scrubbed.
+DESCRIPTION = """\
+Show a stream in the Rerun viewer while it is classified: the events and the landmark,
+the raw and the transformed volume, the probability of each class, the decisions. The
+timeline is that of the recording, in microseconds. It can be played, stopped and
+scrubbed.
 
-  async-tnt view a.bin                             start the viewer and play at the recorded speed
-  async-tnt view a.bin --speed 0.1                 at a tenth of it
-  async-tnt view a.bin --out a.rrd                 write a file as fast as possible; needs no display
-  rerun a.rrd                                      open that file, here or elsewhere
-  async-tnt view a.bin --every-us 5000 --every-ms 5    decisions and pictures every 5 ms
-  async-tnt view udp://127.0.0.1:3333 --keep-up 50 events from the network, until Ctrl-C
-  async-tnt view camera --roi 400,200,34,34 --crop a part of a camera's image (extra `cameras`)
-  async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy    a viewer that is running elsewhere
+  async-tnt view a.bin                              play at the recorded speed
+  async-tnt view a.bin --speed 0.1                  at a tenth of it
+  async-tnt view a.bin --every-us 5000 --every-ms 5 decide and draw every 5 ms
+  async-tnt view udp://127.0.0.1:3333 --keep-up 50  the network, until Ctrl-C
+  async-tnt view camera --roi 400,200,34,34 --crop  a part of a camera's image
 
-A picture is taken every 20 ms of recorded time and at each window's end; the number of events does not change
-that. Rerun's viewer collects usage data; `rerun analytics disable` stops that.
+Without a display, write a file as fast as possible. Rerun opens it, here or elsewhere:
+
+  async-tnt view a.bin --out a.rrd
+  rerun a.rrd
+
+Or show it in a viewer that is running elsewhere:
+
+  async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy
+
+A picture is taken every 20 ms of recorded time and at the end of each window, however
+many events there are. Rerun's viewer collects usage data; `rerun analytics disable`
+stops that. Needs rerun-sdk (extra `view`); a camera needs the extra `cameras`.
 """
 
 
@@ -66,7 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=positive_number,
         metavar="S",
-        help="speed of playback; 2 is twice as fast, inf does not wait (default: 1, with --out inf)",
+        help="speed of playback; 2 is twice as fast, inf does not wait (default: 1, with --out "
+        "inf)",
     )
     parser.add_argument(
         "--every-ms",
@@ -88,15 +98,20 @@ def main(args: argparse.Namespace) -> int:
         raise ValueError(
             "--speed belongs to recordings; a camera or the network has a pace of its own"
         )
-    import_rerun()  # before any work, in case it is missing
+    # before any work, in case it is missing
+    import_rerun()
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
+
     selection = selection_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
     pixels = selector_of(selection, engine.model)
     opened = None if live else pixels.open(path, **reading_of(args))
-    speed = args.speed or (1.0 if args.out is None else math.inf)
+    speed = args.speed
+    if speed is None:
+        speed = 1.0 if args.out is None else math.inf
     fill_cache(model=engine.model, first=lambda: find_sources([path], pixels))
+
     view = RerunView(
         engine.model,
         out=args.out,
@@ -121,10 +136,12 @@ def main(args: argparse.Namespace) -> int:
             )
         else:
             _show(*opened, view, speed)
+
     n_events = view.processor.counts.received
     if not n_events and not stopped:
         raise ValueError(f"{path}: {pixels.nothing}, nothing to show")
-    if args.out is not None and n_events:  # a file without any is not written
+    # a file without events is not written
+    if args.out is not None and n_events:
         say(
             f"{args.out}: {n_events:,} events, {view.log.n_pictures:,} pictures; open it with: "
             f"rerun {args.out}"
@@ -137,6 +154,7 @@ def main(args: argparse.Namespace) -> int:
 def _show(
     recording: Recording, select: Callable[[Any], Any], view: RerunView, speed: float
 ) -> None:
+    """Play a recording, at a multiple `speed` of its own; `select` chooses the pixels."""
     with progress(recording.n_events, printable(recording.path.name)) as bar:
         for packet in replay(map(select, recording), speed):
             view.push(packet)
@@ -151,7 +169,6 @@ def _push_all(packets: Iterable[Any], view: RerunView) -> None:
 
 
 def _milliseconds(text: str) -> int:
-    """Milliseconds, as microseconds."""
-    return round(
-        1000 * number(text, lambda value: 0.001 <= value < 1e9, "a number from 0.001 to 1e9")
-    )
+    """An argparse type: milliseconds, as microseconds."""
+    ms = number(text, lambda value: 0.001 <= value < 1e9, "a number from 0.001 to 1e9")
+    return round(1000 * ms)

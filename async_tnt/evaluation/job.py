@@ -1,4 +1,4 @@
-"""What is done with every recording (Job), and one recording (Task).
+"""A Job says what is done with every recording; a Task is one recording.
 
 Jobs and tasks are plain data and picklable, for processes of other machines.
 """
@@ -27,11 +27,11 @@ class Job:
     Parameters
     ----------
     model : a bundled name, or an absolute path.
-    model_sha256 : of the model's content, without its training record.
-    version : of this package.
+    model_sha256 : checksum of the model's content, without its training record; see `sha256_of`.
+    version : version of this package.
+    pixels : the pixels whose events the model sees. It holds the mask itself, so that workers need
+        no file of it.
     reading : how files are read that do not say it themselves; its sensor is that of `pixels`.
-    pixels : what the model sees of a recording; with the mask itself, so that workers need no file
-        of it.
     """
 
     model: str
@@ -55,16 +55,17 @@ class Job:
 
 @dataclass(frozen=True)
 class Task:
-    """One recording.
+    """One recording, and what is done with it.
 
     Parameters
     ----------
-    recording : its name in the results.
-    path : absolute, because workers may have another working folder.
+    recording : the recording's name in the results.
+    path : its absolute path, because workers may have another working folder.
     job : what is done with it.
-    bytes, modified_ns : size, and time of the last change; None if the file cannot be accessed.
-    label : its class; None where that is not known.
-    between_us : the part of the file that it is; None: all.
+    bytes, modified_ns : the file's size, and the time of its last change; None if the file cannot
+        be accessed.
+    label : its class; None if that is not known.
+    between_us : start and end of the part of the file that is the recording; None for all of it.
     """
 
     recording: str
@@ -80,11 +81,8 @@ def job_of(
     name_or_path: str, model: Model, pixels: PixelSelection, reading: ReadOptions | None = None
 ) -> Job:
     """The job of a model that `load_model` has loaded under this name."""
-    where = (
-        name_or_path
-        if name_or_path in bundled_models()
-        else os.path.abspath(user_path(name_or_path))
-    )
+    is_bundled = name_or_path in bundled_models()
+    where = name_or_path if is_bundled else os.path.abspath(user_path(name_or_path))
     return Job(where, sha256_of(model), pixels=pixels, reading=reading or ReadOptions())
 
 
@@ -107,6 +105,7 @@ def task_of(
 
 
 def sha256_of(model: Model) -> str:
-    """Of what the decisions depend on: configuration, classes, layers and weights."""
+    """The checksum of everything that decisions depend on: configuration, classes, layers and
+    weights."""
     about = [model.config.to_dict(), list(model.classes), model.network]
     return checksum(model.weights, json.dumps(about, sort_keys=True))

@@ -1,5 +1,5 @@
-"""How many of the objects that are there a map model finds, and how many of those that it finds are
-there."""
+"""How well a map model finds objects: how many of those that are there, and how many of its finds
+are right."""
 
 from __future__ import annotations
 
@@ -18,13 +18,19 @@ from async_tnt.streaming.processor import Processor
 from async_tnt.volume.events import EVENT_DTYPE
 
 SHARES = 0.3, 0.5, 1.0
-"""Of a window, after which objects are looked for."""
+"""Shares of a window after which objects are looked for."""
 
 
 @dataclass(frozen=True)
 class ObjectScores:
-    """Counts by class, int64, (K,): objects that are there, that were found, and that were found
-    rightly."""
+    """Three counts for each class.
+
+    Parameters
+    ----------
+    there : int64, (K,): objects that are there.
+    found : int64, (K,): objects that the model has found.
+    right : int64, (K,): objects that it has found rightly, see `score_objects`.
+    """
 
     there: np.ndarray
     found: np.ndarray
@@ -38,34 +44,34 @@ class ObjectScores:
     @property
     def f1(self) -> float:
         """2 right / (there + found)"""
-        return self._f1(self.there.sum(), self.found.sum(), self.right.sum())
+        return _f1(self.there.sum(), self.found.sum(), self.right.sum())
 
     def to_dict(self, classes: Sequence[str]) -> dict[str, Any]:
         """Plain values, for JSON."""
-        there, found, right = (int(of.sum()) for of in (self.there, self.found, self.right))
-        rows = zip(
-            classes, self.there.tolist(), self.found.tolist(), self.right.tolist(), strict=True
-        )
+        there = int(self.there.sum())
+        found = int(self.found.sum())
+        right = int(self.right.sum())
+        per_class = {}
+        for k, name in enumerate(classes):
+            row = int(self.there[k]), int(self.found[k]), int(self.right[k])
+            per_class[name] = {
+                "f1": round(_f1(*row), 5),
+                "objects": row[0],
+                "found": row[1],
+                "right": row[2],
+            }
         return {
             "f1": round(self.f1, 5),
             "precision": round(right / max(1, found), 5),
             "recall": round(right / max(1, there), 5),
             "objects": there,
             "found": found,
-            "per_class": {
-                name: {
-                    "f1": round(self._f1(*row), 5),
-                    "objects": row[0],
-                    "found": row[1],
-                    "right": row[2],
-                }
-                for name, *row in rows
-            },
+            "per_class": per_class,
         }
 
-    @staticmethod
-    def _f1(there: int, found: int, right: int) -> float:
-        return float(2 * right / max(1, there + found))
+
+def _f1(there: int, found: int, right: int) -> float:
+    return float(2 * right / max(1, there + found))
 
 
 def score_objects(
@@ -75,46 +81,55 @@ def score_objects(
     reach: np.ndarray | float,
     n_classes: int,
 ) -> ObjectScores:
-    """Match what was found with what is there.
+    """Match the objects that were found with those that are there.
 
-    An object is right if its class is that of one that is there, near enough, and matched with no
-    other: the likeliest takes the nearest one, then the next object. (x, y) is near the middle (u,
-    v) if ((x - u) / a)^2 + ((y - v) / b)^2 <= 1, with its reach (a, b).
+    Found objects are matched one after the other, the likeliest first. Each takes the nearest
+    object of its class that is near enough and not taken yet. It is right if there is one. A place
+    (x, y) is near enough to an object with middle (u, v) and reach (a, b) if
+    ((x - u) / a)^2 + ((y - v) / b)^2 <= 1.
 
     Parameters
     ----------
-    found : float64, (M, FOUND_SIZE), the likeliest first, see `kernels.objects`.
-    labels : int64, (N,): the classes of what is there. middles : float64, (N, 2): (x, y), in sensor
-        pixels.
+    found : float64, (M, FOUND_SIZE), the likeliest first, see `kernels.decisions.objects`.
+    labels : int64, (N,): the classes of what is there.
+    middles : float64, (N, 2): (x, y) of what is there, in sensor pixels.
     reach : float64, (N, 2), in pixels; or one number for all.
+    n_classes : how many classes there are, K.
 
     Examples
     --------
     >>> found = np.array([[10.0, 10, 0.9, 1, 0], [30.0, 10, 0.8, 1, 1], [10.0, 12, 0.7, 1, 2]])
-    >>> scores = score_objects(found, np.array([1, 0]), np.array([[11.0, 10.0], [30.0, 10.0]]), 5.0, 2)
+    >>> labels = np.array([1, 0])
+    >>> middles = np.array([[11.0, 10.0], [30.0, 10.0]])
+    >>> scores = score_objects(found, labels, middles, reach=5.0, n_classes=2)
     >>> scores.there.tolist(), scores.found.tolist(), scores.right.tolist()
     ([1, 1], [0, 3], [0, 1])
     """
     free = np.ones(len(labels), bool)
     for row in found:
-        away = np.hypot(*((middles - row[[X, Y]]) / reach).T)
-        away[~free | (labels != row[CLASS])] = np.inf
-        if len(away) and away.min() <= 1:
-            free[away.argmin()] = False
-    count = [
-        np.bincount(of.astype(np.int64), minlength=n_classes)
-        for of in (labels, found[:, CLASS], labels[~free])
-    ]
-    return ObjectScores(*count)
+        distance = np.hypot(*((middles - row[[X, Y]]) / reach).T)
+        distance[~free | (labels != row[CLASS])] = np.inf
+        if len(distance) and distance.min() <= 1:
+            free[distance.argmin()] = False
+    return ObjectScores(
+        there=_counts(labels, n_classes),
+        found=_counts(found[:, CLASS], n_classes),
+        right=_counts(labels[~free], n_classes),
+    )
+
+
+def _counts(classes: np.ndarray, n_classes: int) -> np.ndarray:
+    """How often each class occurs, int64, (K,)."""
+    return np.bincount(classes.astype(np.int64), minlength=n_classes)
 
 
 def score_recording(
     model: Model, recording: Recording, table: ObjectTable
 ) -> dict[float, ObjectScores]:
-    """Of a window that ends at each moment of the table, after each of `SHARES` of it.
+    """Score the objects that a model finds in a recording, after each of `SHARES` of a window.
 
-    The scores depend neither on the order of the events nor on packets: the recording is read
-    twice.
+    A window ends at each moment of the table. The scores depend neither on the order of the events
+    nor on packets, for which the recording is read twice.
 
     Parameters
     ----------
@@ -125,10 +140,12 @@ def score_recording(
     ValueError, OSError : the recording is damaged, or has no events before the moments of the
         table.
     """
-    window_us, n_classes = model.config.window_us, len(model.classes)
+    window_us = model.config.window_us
+    n_classes = len(model.classes)
     processor = Processor(model, start_us=0)
     nothing = np.zeros(n_classes, np.int64)
     scores = dict.fromkeys(SHARES, ObjectScores(nothing, nothing, nothing))
+
     times_us, rows_of = zip(*table.moments(), strict=True)
     n_events = 0
     for rows, events in zip(rows_of, _windows(recording, times_us, window_us), strict=True):
@@ -137,13 +154,14 @@ def score_recording(
         parts = np.split(events, np.searchsorted(events["t"], np.multiply(SHARES, window_us)))
         for share, part in zip(SHARES, parts[:-1], strict=True):
             processor.push(part)
-            objects = processor.fire().objects or ()
-            found = np.array(
-                [(o.x, o.y, o.probability, o.index, o.id) for o in objects], float
-            ).reshape(-1, 5)
             scores[share] += score_objects(
-                found, table.label[rows], table.middle[rows], table.reach[rows], n_classes
+                _found_by(processor),
+                table.label[rows],
+                table.middle[rows],
+                table.reach[rows],
+                n_classes,
             )
+
     if n_events == 0:
         times = f"{times_us[0]} to {times_us[-1]}"
         raise ValueError(
@@ -153,18 +171,25 @@ def score_recording(
     return scores
 
 
+def _found_by(processor: Processor) -> np.ndarray:
+    """The objects that are found in the open window: float64, (M, FOUND_SIZE)."""
+    objects = processor.fire().objects or ()
+    rows = [(o.x, o.y, o.probability, o.index, o.id) for o in objects]
+    return np.array(rows, float).reshape(-1, 5)
+
+
 def _windows(
     packets: Iterable[np.ndarray], ends_us: Sequence[int], window_us: int
 ) -> Iterator[np.ndarray]:
-    """The events of a window before each of these times, sorted, from time 0 on.
+    """The events of each window that ends at one of these times: sorted, times since its start.
 
-    They depend neither on the order of the events nor on packets. What is kept in memory is what
-    the windows have that late events reach.
+    They depend neither on the order of the events nor on packets. In memory are only the events of
+    the windows that packets still to come may reach.
 
     Parameters
     ----------
-    packets : iterated twice.
-    ends_us : in order.
+    packets : a recording's events; iterated twice.
+    ends_us : when the windows end, in order.
     """
     n_needed = np.maximum.accumulate(_packets_needed(packets, np.array(ends_us), window_us))
     stream = iter(packets)
@@ -188,8 +213,8 @@ def _windows(
 def _packets_needed(
     packets: Iterable[np.ndarray], ends_us: np.ndarray, window_us: int
 ) -> np.ndarray:
-    """How many packets, from the first on, have all events of the window before each of these
-    times."""
+    """How many packets must be read, from the first on, to have all events of the window before
+    each of these times."""
     n_needed = np.zeros(len(ends_us), np.int64)
     for n, packet in enumerate(packets, 1):
         if not len(packet):

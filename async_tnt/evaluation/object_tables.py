@@ -1,10 +1,10 @@
 """Recordings with a table of the objects that they show.
 
-NAME_objects.csv  a row for each object at a moment: t, in microseconds, class, and x, y, its
-                  middle; or x, y, w, h, a box whose upper left corner is (x, y)
-NAME_bbox.npy     Prophesee's boxes: t (or ts), x, y, w, h, class_id; of NAME.* or NAME_td.*. Names
-                  of the classes are those of `label_map_dictionary.json` beside it or, without
-                  that, those of the model, in order
+NAME_objects.csv  A row for each object at a moment: t, in microseconds, class, and x, y, its
+                  middle; or x, y, w, h, a box whose upper left corner is (x, y).
+NAME_bbox.npy     Prophesee's boxes: t (or ts), x, y, w, h, class_id. They belong to NAME.* or
+                  NAME_td.*. The classes have the names of `label_map_dictionary.json` beside it.
+                  Without that file they are the model's, in order.
 """
 
 from __future__ import annotations
@@ -24,23 +24,30 @@ from async_tnt.base.files import open_regular, read_regular, refuse_git_lfs
 from async_tnt.sources.files.labelled_recordings import check_once, is_recording
 from async_tnt.sources.files.numpy_files import map_npy
 
-CSV, BOXES, OF_BOXES = "_objects.csv", "_bbox.npy", "_td"
+CSV = "_objects.csv"
+"""What the name of a table of comma-separated values ends with."""
+BOXES = "_bbox.npy"
+"""What the name of a file of Prophesee's boxes ends with."""
+OF_BOXES = "_td"
+"""What the stem of a recording ends with that Prophesee's boxes belong to."""
 NAMES_FILE = "label_map_dictionary.json"
+"""The file beside Prophesee's boxes with the names of their classes."""
 WITHIN_PX = 5.0
-"""An object is found within so many pixels of a point, or within a box: in the ellipse that touches
-its sides."""
+"""A point is found by an object within so many pixels. A box is found by an object within the
+ellipse that touches its sides."""
 
 
 @dataclass(frozen=True)
 class ObjectTable:
-    """What a recording shows, and when.
+    """The objects that a recording shows, and when.
 
     Parameters
     ----------
-    t : int64, (N,), in order, in microseconds. label : int64, (N,): a class of the model.
-    middle, reach : float64, (N, 2): (x, y) of its middle, in sensor pixels, and how near it counts
-        as found.
-    unknown : class -> rows that are left out, as the model does not know it.
+    t : int64, (N,), in microseconds, in order.
+    label : int64, (N,): a class of the model.
+    middle : float64, (N, 2): (x, y) of the object's middle, in sensor pixels.
+    reach : float64, (N, 2): how far from it, in x and in y, an object may be found.
+    unknown : class that the model does not know -> number of its rows, which are left out.
     """
 
     t: np.ndarray
@@ -61,17 +68,20 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
 
     Raises
     ------
-    ValueError : no recording with a table. OSError : no such folder.
+    ValueError : no recording with a table.
+    OSError : no such folder.
     """
     folder = folder / "Test" if (folder / "Test").is_dir() else folder
     found = []
     for path in sorted(folder.iterdir()):
-        tables = (
-            path.with_name(path.stem + CSV),
-            path.with_name(path.stem.removesuffix(OF_BOXES) + BOXES),
-        )
-        if is_recording(path) and not path.name.endswith((CSV, BOXES)):
-            found += [(path, table) for table in tables if table.is_file()][:1]
+        if not is_recording(path) or path.name.endswith((CSV, BOXES)):
+            continue
+        csv_table = path.with_name(path.stem + CSV)
+        boxes = path.with_name(path.stem.removesuffix(OF_BOXES) + BOXES)
+        if csv_table.is_file():
+            found.append((path, csv_table))
+        elif boxes.is_file():
+            found.append((path, boxes))
     if len({table for _, table in found}) < len(found):
         raise ValueError(
             f"{folder}: recordings that differ in their endings share a table of objects; keep one"
@@ -83,85 +93,109 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
     return found
 
 
+@dataclass(frozen=True)
+class _Rows:
+    """The rows of a table as they stand in its file.
+
+    Parameters
+    ----------
+    names : object, (N,): names of classes.
+    t : int64, (N,), in microseconds.
+    corner, size : float64, (N, 2): upper left corner, width and height; a point has size 0.
+    """
+
+    names: np.ndarray
+    t: np.ndarray
+    corner: np.ndarray
+    size: np.ndarray
+
+
 def read_table(path: Path, classes: Sequence[str]) -> ObjectTable:
-    """A table, whose classes are those of a model.
+    """Read a table of objects.
+
+    Parameters
+    ----------
+    classes : the model's classes. Rows of other classes are left out and counted.
 
     Raises
     ------
-    ValueError : it is damaged, lacks a column, or has no row of these classes.
+    ValueError : the table is damaged, lacks a column, or has no row of these classes.
     """
-    names, t, corner, size = (
-        _read_boxes(path, classes) if path.suffix == ".npy" else _read_csv(path)
-    )
+    rows = _read_boxes(path, classes) if path.suffix == ".npy" else _read_csv(path)
     known = {name: k for k, name in enumerate(classes)}
-    label = np.array([known.get(name, -1) for name in names], np.int64)
-    unknown = {
-        str(name): int(n)
-        for name, n in zip(*np.unique(names[label < 0], return_counts=True), strict=True)
-    }
+    label = np.array([known.get(name, -1) for name in rows.names], np.int64)
+    unknown, n_unknown = np.unique(rows.names[label < 0], return_counts=True)
     kept = np.flatnonzero(label >= 0)
     if not len(kept):
         raise ValueError(f"{path}: no object of the model's classes, {', '.join(classes)}")
-    if not (
-        np.isfinite([corner[kept], size[kept]]).all() and min(size[kept].min(), t[kept].min()) >= 0
-    ):
+    is_finite = np.isfinite([rows.corner[kept], rows.size[kept]]).all()
+    if not is_finite or rows.size[kept].min() < 0 or rows.t[kept].min() < 0:
         raise ValueError(f"{path}: x, y, w and h must be finite, w, h and t at least 0")
-    kept = kept[np.argsort(t[kept], kind="stable")]
-    is_point = size[kept] == 0
-    reach = np.where(is_point.all(1, keepdims=True), WITHIN_PX, np.maximum(size[kept] / 2, 0.5))
-    return ObjectTable(t[kept], label[kept], corner[kept] + size[kept] / 2, reach, unknown)
+
+    kept = kept[np.argsort(rows.t[kept], kind="stable")]
+    corner = rows.corner[kept]
+    size = rows.size[kept]
+    is_point = (size == 0).all(1, keepdims=True)
+    reach = np.where(is_point, WITHIN_PX, np.maximum(size / 2, 0.5))
+    counts = {str(name): int(n) for name, n in zip(unknown, n_unknown, strict=True)}
+    return ObjectTable(rows.t[kept], label[kept], corner + size / 2, reach, counts)
 
 
-def _read_csv(path: Path) -> tuple[np.ndarray, ...]:
+def _read_csv(path: Path) -> _Rows:
     refuse_git_lfs(path)
     try:
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
-            columns, rows = reader.fieldnames or (), list(reader)
+            columns = reader.fieldnames or ()
+            rows = list(reader)
     except (ValueError, csv.Error) as error:
         raise ValueError(
             f"{path}: not a table of comma-separated values: {one_line(error)}"
         ) from None
+
+    # any spelling of a box's sides: a table of boxes is never read as one of points
     of_boxes = {"w", "h", "width", "height"}.intersection(name.strip().lower() for name in columns)
-    if missing := [
-        name
-        for name in ("t", "class", "x", "y", *("wh" if of_boxes else ""))
-        if name not in columns
-    ]:
+    needed = ["t", "class", "x", "y"] + (["w", "h"] if of_boxes else [])
+    missing = [name for name in needed if name not in columns]
+    if missing:
         raise ValueError(
             f"{path}: needs the columns t, class, x, y (and w, h of boxes), lacks "
             f"{', '.join(missing)}"
         )
     check_once(path, ("t", "class", "x", "y", "w", "h"), columns)
-    cells = {
-        name: [row[name] for row in rows]
-        for name in ("t", "class", "x", "y", *("wh" if of_boxes else ""))
-    }
-    for name, column in cells.items():
-        convert = CSV_TYPES[name]
-        for k, text in enumerate(column):
-            try:
-                column[k] = convert(text)
-            except (TypeError, ValueError):  # the first: None, in a row that is too short
-                got = f"a row ends before its {name}" if text is None else f"got {short(text)}"
-                rule = "t must be whole microseconds, x, y, w and h numbers, each with a class"
-                raise ValueError(f"{path}: row {k + 1}: {rule}: {got}") from None
+    cells = {name: _converted(path, name, [row[name] for row in rows]) for name in needed}
+
     n = len(rows)
     zeros = [0.0] * n
     corner = np.array([cells["x"], cells["y"]], np.float64).reshape(2, n).T
     size = np.array([cells.get("w", zeros), cells.get("h", zeros)], np.float64).reshape(2, n).T
-    return np.array(cells["class"], object), np.array(cells["t"], np.int64), corner, size
+    return _Rows(np.array(cells["class"], object), np.array(cells["t"], np.int64), corner, size)
+
+
+def _converted(path: Path, name: str, column: list[Any]) -> list[Any]:
+    """Make the values of a column of a table from their texts; a missing value has the text
+    None."""
+    convert = CSV_TYPES[name]
+    values = []
+    for k, text in enumerate(column):
+        try:
+            values.append(convert(text))
+        except (TypeError, ValueError):  # TypeError: None, in a row that is too short
+            got = f"a row ends before its {name}" if text is None else f"got {short(text)}"
+            rule = "t must be whole microseconds, x, y, w and h numbers, each with a class"
+            raise ValueError(f"{path}: row {k + 1}: {rule}: {got}") from None
+    return values
 
 
 def _microseconds(text: str) -> int:
-    """A time in a table; a ValueError if it does not fit into int64."""
+    """Read a time of a table; a ValueError if it does not fit into int64."""
     if not -(1 << 63) <= int(text) < 1 << 63:
         raise ValueError
     return int(text)
 
 
 def _class_name(text: str | None) -> str:
-    """The name of a class; a TypeError where there is none."""
+    """Read the name of a class; a TypeError if it is missing."""
     if text is None:
         raise TypeError
     return text
@@ -170,13 +204,14 @@ def _class_name(text: str | None) -> str:
 CSV_TYPES: Mapping[str, Callable[[Any], Any]] = MappingProxyType(
     {"t": _microseconds, "class": _class_name, "x": float, "y": float, "w": float, "h": float}
 )
-"""Column of a table -> what makes a value of its text."""
+"""Column of a table -> the function that makes a value of its text."""
 
 
-def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
+def _read_boxes(path: Path, classes: Sequence[str]) -> _Rows:
     boxes = map_npy(path)
     try:
-        t = _whole(boxes["t" if "t" in (boxes.dtype.names or ()) else "ts"])
+        has_t = "t" in (boxes.dtype.names or ())
+        t = _whole(boxes["t" if has_t else "ts"])
         numbers = _whole(boxes["class_id"]).tolist()
         for name in "xywh":
             if boxes[name].ndim != 1 or boxes.dtype[name].kind not in "iuf":
@@ -188,18 +223,27 @@ def _read_boxes(path: Path, classes: Sequence[str]) -> tuple[np.ndarray, ...]:
         raise ValueError(
             f"{path}: not a file of boxes with the fields t, x, y, w, h and class_id: {why}"
         ) from None
-    named: Mapping[str, str] = dict(zip(map(str, range(len(classes))), classes, strict=True))
-    if (names := path.parent / NAMES_FILE).is_file():
-        try:
-            content = parse_json(read_regular(names))
-            if not isinstance(content, dict):
-                raise ValueError(f"got {short(content)}")
-        except ValueError as error:
-            raise ValueError(
-                f"{names}: must be an object of class numbers and names, in JSON: {one_line(error)}"
-            ) from None
-        named = {k: str(name) for k, name in content.items()}
-    return np.array([named.get(str(k), str(k)) for k in numbers], object), t, corner, size
+    name_of = _class_names(path.parent / NAMES_FILE, classes)
+    names = [name_of.get(str(number), str(number)) for number in numbers]
+    return _Rows(np.array(names, object), t, corner, size)
+
+
+def _class_names(path: Path, classes: Sequence[str]) -> dict[str, str]:
+    """The names of classes by their numbers, which are text.
+
+    They are read from the file `path`. Without that file they are the model's classes in order.
+    """
+    if not path.is_file():
+        return {str(k): name for k, name in enumerate(classes)}
+    try:
+        content = parse_json(read_regular(path))
+        if not isinstance(content, dict):
+            raise ValueError(f"got {short(content)}")
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: must be an object of class numbers and names, in JSON: {one_line(error)}"
+        ) from None
+    return {number: str(name) for number, name in content.items()}
 
 
 def _whole(column: np.ndarray) -> np.ndarray:
@@ -209,7 +253,7 @@ def _whole(column: np.ndarray) -> np.ndarray:
         raise ValueError(
             f"t and class_id must be whole numbers, got {column.dtype} in shape {column.shape}"
         )
-    with np.errstate(invalid="ignore"):  # of values that are not finite
+    with np.errstate(invalid="ignore"):  # values that are not finite, which are refused below
         whole = column.astype(np.int64)
     fits = whole == column
     if not fits.all():

@@ -18,9 +18,12 @@ from async_tnt.base.worker import Worker, WorkerEnded
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-CONNECT_S = 10.0  # for Dask's scheduler to answer
-WORKERS_S = 15.0  # for its first worker to appear
-IN_FLIGHT = 1000  # tasks that the cluster has at a time, and at most as many results
+CONNECT_S = 10.0
+"""Seconds that Dask's scheduler has to answer."""
+WORKERS_S = 15.0
+"""Seconds within which its first worker must appear."""
+IN_FLIGHT = 1000
+"""Tasks that the cluster has at a time; their results wait there, too."""
 
 
 def run_all(
@@ -29,12 +32,17 @@ def run_all(
     workers: int,
     lost: Callable[[Task], Result] | None = None,
 ) -> Generator[Result]:
-    """Yield `function(task)` of each task as it is done, from this many processes; 1: from this
-    one.
+    """Yield `function(task)` of each task as soon as it is done.
 
-    A worker that ends without an answer is replaced, and `lost` makes the result of its task (None:
-    WorkerEnded). An error of a task is raised. That, Ctrl-C and closing the generator end all
-    workers in the middle of their tasks.
+    An error of a task is raised. An error, Ctrl-C and closing the generator end all workers in the
+    middle of their tasks.
+
+    Parameters
+    ----------
+    function, tasks : what is run; both must be picklable if there are several workers.
+    workers : number of processes; with 1 the tasks run in this process.
+    lost : makes the result of a task whose worker ended without an answer. The worker is replaced.
+        None: raise WorkerEnded instead.
     """
     if workers == 1:
         yield from map(function, tasks)
@@ -43,8 +51,9 @@ def run_all(
     team: dict[Any, tuple[Worker, Task]] = {}  # by pipe
 
     def submit(worker: Worker) -> None:
-        team[worker.pipe] = worker, waiting.pop()
-        worker.submit(function, team[worker.pipe][1])
+        task = waiting.pop()
+        team[worker.pipe] = (worker, task)
+        worker.submit(function, task)
 
     try:
         while waiting or team:
@@ -73,7 +82,8 @@ def run_all(
 def run_counted(
     function: Callable[[Task], int], tasks: Sequence[Task], workers: int, bar: Bar
 ) -> None:
-    """`run_all` of a function that returns by how much a progress bar advances."""
+    """Run a function, which returns by how much a progress bar advances, over many tasks as
+    `run_all` does."""
     with bar, contextlib.closing(run_all(function, tasks, workers)) as amounts:
         for n in amounts:
             bar.update(n)
@@ -85,12 +95,18 @@ def run_on_dask(
     address: str,
     lost: Callable[[Task], Result],
 ) -> Generator[Result]:
-    """As `run_all`, on the workers of the cluster whose scheduler has this address.
+    """Yield `function(task)` of each task as soon as it is done on the workers of a Dask cluster.
 
     Dask replaces a worker that ends, and repeats its tasks. It gives up a task that has ended
-    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or was waiting on them.
-    Such tasks are repeated at the end, one at a time: `lost` makes the result of one that is given
-    up alone.
+    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or that was waiting on such
+    workers. The tasks that were given up are repeated at the end, one at a time. `lost` makes the
+    result of a task that is then given up again.
+
+    Parameters
+    ----------
+    function, tasks : what is run; both must be picklable.
+    address : address of the cluster's scheduler.
+    lost : makes the result of a task that no worker could finish.
 
     Raises
     ------
@@ -136,6 +152,7 @@ def run_on_dask(
 
 
 def _result(future: Any, address: str) -> Any:
+    """The result of a future; an OSError if the scheduler at `address` is gone."""
     try:
         return future.result()
     except CancelledError:
@@ -146,6 +163,7 @@ def _result(future: Any, address: str) -> Any:
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Any]:
+    """A client of the cluster, which is closed behind the block."""
     with needs_extra("cluster", "a cluster needs Dask"):
         from distributed import Client
         from distributed.comm.addressing import get_address_host_port
@@ -158,9 +176,8 @@ def _connected(address: str) -> Iterator[Any]:
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
         except Exception as error:  # of many types, depending on what is wrong with the address
             raise ConnectionError(
-                f"no Dask scheduler answers at {address!r}; expected the address that `dask "
-                "scheduler` prints, such as "
-                f"tcp://10.0.0.1:8786 ({one_line(error)})"
+                f"no Dask scheduler answers at {address!r}; expected the address that "
+                f"`dask scheduler` prints, such as tcp://10.0.0.1:8786 ({one_line(error)})"
             ) from None
         with contextlib.closing(client):
             yield client

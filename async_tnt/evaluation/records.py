@@ -23,29 +23,36 @@ from async_tnt.volume.config import TNTConfig
 Record = dict[str, Any]
 
 FIELDS = (
-    *(
-        "recording",
-        "class",
-        "label",
-        "probabilities",
-        "window_start_us",
-        "window_probabilities",
-        *EARLY,
-    ),
-    *("decisions", "events", "late", "off_sensor", "error", "bytes", "modified_ns", "settings"),
+    "recording",
+    "class",
+    "label",
+    "probabilities",
+    "window_start_us",
+    "window_probabilities",
+    *EARLY,
+    "decisions",
+    "events",
+    "late",
+    "off_sensor",
+    "error",
+    "bytes",
+    "modified_ns",
+    "settings",
 )
-"""Of a record. With an `error`, only `recording`, `class` and the last four have values."""
+"""The names of a record's fields. In a record with an `error`, only `recording`, `class` and the
+last four have values."""
 
 
 def evaluate_recording(task: Task) -> Record:
-    """What is decided in each window of one labelled recording, early and at its end, and the class
-    of the mean.
+    """Stream one labelled recording, and make a record of its decisions.
 
-    Whatever is wrong with the file becomes the record's `error`.
+    The record says what is decided in each window, early and at its end, and the recording's class:
+    that of the highest mean probability over its windows. Whatever is wrong with the file becomes
+    the record's `error`.
 
     Raises
     ------
-    ImportError : its format needs a library that is not installed.
+    ImportError : the file's format needs a library that is not installed.
     ValueError : the model is not the one that the task was made for.
     """
     processor, pixels = processor_of(task.job)
@@ -64,16 +71,19 @@ def evaluate_recording(task: Task) -> Record:
         )
         for decision in _decisions(map(select, recording), processor, pixels):
             window.append(decision)
-            # keep what is needed of it: a long recording has many
-            if decision.trigger in ("window", "end"):
-                fields["window_start_us"].append(decision.window_start_us)
-                fields["window_probabilities"].append(decision.probabilities.tolist())
-                for name, value in early_fields(window, processor.config).items():
-                    fields[name].append(value)
-                n_decisions += len(window)
-                window = []
+            if decision.trigger not in ("window", "end"):
+                continue
+            # the window is over; only what the record needs of it is kept: a long recording has
+            # many windows
+            fields["window_start_us"].append(decision.window_start_us)
+            fields["window_probabilities"].append(decision.probabilities.tolist())
+            for name, value in early_fields(window, processor.config).items():
+                fields[name].append(value)
+            n_decisions += len(window)
+            window = []
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed(task, _error_line(error, task))
+
     mean = np.mean(fields["window_probabilities"], axis=0)
     assert processor.classes is not None
     fields |= {
@@ -91,13 +101,19 @@ def evaluate_recording(task: Task) -> Record:
 
 def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> None:
     """Refuse a record that `evaluate_recording` cannot have made with a model of these classes and
-    configuration.
+    this configuration.
+
+    Parameters
+    ----------
+    record : a record without an error, with the names of `FIELDS` and any values.
 
     Raises
     ------
     ValueError : which field, what it must be, and what it is.
     """
-    n_classes, n_moments, n_levels = len(classes), len(moments(config)), len(LEVELS)
+    n_classes = len(classes)
+    n_moments = len(moments(config))
+    n_levels = len(LEVELS)
     rows: Any = record["window_start_us"]
     n_windows = len(rows) if isinstance(rows, list) else 0
     if n_windows == 0:
@@ -107,25 +123,36 @@ def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> N
             raise ValueError(
                 f"`{name}` must be one of the model's classes, got {short(record[name])}"
             )
+
     for name in ("decisions", "events", "late", "off_sensor"):
         _check_numbers(name, [record[name]], (1,), int, (0, MAX_TIME_US))
     _check_numbers("probabilities", record["probabilities"], (n_classes,), float, (0, 1))
     _check_numbers("window_start_us", rows, (n_windows,), int, (0, MAX_TIME_US))
-    for name, n, kind, limits in (
-        ("window_probabilities", n_classes, float, (0, 1)),
-        ("decided_at", n_moments, int, (-1, n_classes - 1)),
-        ("probability_at", n_moments, float, (-1, 1)),
-        ("confident", n_levels, int, (-1, n_classes - 1)),
-        ("confident_us", n_levels, int, (-1, MAX_TIME_US)),
-    ):
+
+    # fields with a row for each window: length of a row, type and limits of its numbers
+    tables: dict[str, tuple[int, type, tuple[int, int]]] = {
+        "window_probabilities": (n_classes, float, (0, 1)),
+        "decided_at": (n_moments, int, (-1, n_classes - 1)),
+        "probability_at": (n_moments, float, (-1, 1)),
+        "confident": (n_levels, int, (-1, n_classes - 1)),
+        "confident_us": (n_levels, int, (-1, MAX_TIME_US)),
+    }
+    for name, (n, kind, limits) in tables.items():
         _check_numbers(name, record[name], (n_windows, n), kind, limits)
 
 
 def _check_numbers(
     name: str, values: Any, shape: tuple[int, ...], kind: type, limits: tuple[int, int]
 ) -> None:
-    """Refuse anything but nested lists of this shape of numbers of this kind within `limits`, both
-    included."""
+    """Refuse anything but nested lists of numbers.
+
+    Parameters
+    ----------
+    name : the field's name, for the error.
+    shape : length of the outer list, and of each list in it.
+    kind : int or float; whole numbers pass for float.
+    limits : the least and the greatest number that is allowed.
+    """
     flat = [values]
     for n in shape:
         if not all(type(some) is list and len(some) == n for some in flat):
@@ -162,15 +189,16 @@ def _record(task: Task, fields: Record, error: str | None) -> Record:
     return record | fields | {"error": error} | about_file
 
 
-# a Processor has one stream; workers of a cluster may have several threads
 _kept = threading.local()
+"""What a thread keeps from one recording to the next, as `of_job`. A Processor has one stream, and
+a worker of a cluster may have several threads."""
 
 
 def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
-    """The Processor of a job, reset, and its selector of pixels: the same for all recordings of a
-    thread.
+    """The Processor of a job, reset, and its selector of pixels.
 
-    It decides as often as `early.every_us` says. The selector is not reset: its counts go on.
+    A thread uses the same ones for all recordings of a job. The processor decides as often as
+    `early.every_us` says. The selector is not reset: its counts go on.
 
     Raises
     ------
@@ -179,22 +207,28 @@ def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
     """
     kept: tuple[Job, Processor, PixelSelector] | None = getattr(_kept, "of_job", None)
     if kept is None or kept[0] != job:
-        if job.version != __version__:
-            raise ValueError(
-                f"a worker has async_tnt {__version__}, but this program is {job.version}: install "
-                "the same"
-            )
-        model = load_model(job.model)
-        if sha256_of(model) != job.model_sha256:
-            raise ValueError(
-                f"{job.model}: not the model that the job was made for; it has changed, or a "
-                "worker reads another file"
-            )
-        processor = Processor(model, every_us=every_us(model.config))
-        kept = _kept.of_job = job, processor, PixelSelector(job.pixels, model.config.sensor)
+        kept = (job, *_made_for(job))
+        _kept.of_job = kept
     _, processor, pixels = kept
     processor.reset()
     return processor, pixels
+
+
+def _made_for(job: Job) -> tuple[Processor, PixelSelector]:
+    """A new Processor and a new selector, see `processor_of`."""
+    if job.version != __version__:
+        raise ValueError(
+            f"a worker has async_tnt {__version__}, but this program is {job.version}: install "
+            "the same"
+        )
+    model = load_model(job.model)
+    if sha256_of(model) != job.model_sha256:
+        raise ValueError(
+            f"{job.model}: not the model that the job was made for; it has changed, or a "
+            "worker reads another file"
+        )
+    processor = Processor(model, every_us=every_us(model.config))
+    return processor, PixelSelector(job.pixels, model.config.sensor)
 
 
 def _decisions(
@@ -204,8 +238,8 @@ def _decisions(
 
     Raises
     ------
-    ValueError, TypeError, OSError : the recording is damaged, anywhere, or in a part's case before
-        its end; of another sensor; or without events.
+    ValueError, TypeError, OSError : the recording is damaged, is of another sensor, or has no
+        events. Damage behind the part of the file that is read is not seen.
     """
     for packet in packets:
         yield from processor.push(packet)
@@ -215,7 +249,7 @@ def _decisions(
 
 
 def _error_line(error: Exception, task: Task) -> str:
-    """The error in one line that contains the recording's name in the results."""
+    """The error in one line, which names the recording as the results do."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{task.recording}: {error.strerror}"
     text = " ".join(str(error).split()) or type(error).__name__

@@ -1,9 +1,9 @@
-"""Collect the records of many recordings in a result file: a line of JSON per recording, in order
-of their names.
+"""Collect the records of many recordings in a result file: a line of JSON for each recording, in
+order of their names.
 
-Until it is complete, it is its own journal: records are appended in the order they are done, by one
-process, which holds a lock on the file. A killed process leaves at most half a line, which the next
-one cuts off. When all recordings are done, their sorted lines replace the file.
+Until it is complete, the file is its own journal. One process holds a lock on it, and appends
+records in the order in which they are done. A killed process leaves at most half a line, which the
+next process cuts off. When all recordings are done, their sorted lines replace the file.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable, Collection, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from pathlib import Path
 
 from async_tnt.base.checks import one_line, parse_json, short
@@ -22,6 +22,7 @@ from async_tnt.evaluation.records import FIELDS, Record, lost
 
 SUFFIXES = (".jsonl",)
 START = b'{"recording": '
+"""The first bytes of each line."""
 Run = Callable[..., Generator[Record]]
 """`run_all` or `run_on_dask`, with all arguments given but the function, the tasks, and `lost`."""
 
@@ -32,7 +33,6 @@ def collect(
     run: Run,
     out: Path,
     *,
-    restart: bool = False,
     check: Callable[[Record], object] = lambda record: None,
     progress: Callable[..., Bar] = Bar,
     report: Callable[[str], object] = lambda line: None,
@@ -45,8 +45,10 @@ def collect(
 
     Parameters
     ----------
-    tasks : at least one, all of one job, no two of one recording.
-    restart : True discards the results of an earlier run.
+    function : makes a task's record, such as `evaluate_recording`.
+    tasks : at least one task. All belong to one job, and each has another recording.
+    run : runs the function over the tasks.
+    out : the result file.
     check : raises a ValueError for a record without an error that cannot be one of these tasks,
         such as `check_record`.
     progress : makes the progress bar, which counts recordings.
@@ -57,43 +59,26 @@ def collect(
     ValueError : this program has not written the file, or with other settings; it is damaged; or it
         holds only other recordings.
     OSError : another program is writing it, or it cannot be written.
-    KeyboardInterrupt : with how many are done.
+    KeyboardInterrupt : it says how many recordings are done.
     """
     out = check_writable(out)
-    job = tasks[0].job
     wanted = {task.recording: task for task in tasks}
-    with contextlib.closing(ResultFile(out, job, restart=restart)) as file:
-        good = {name: record for name, record in file.records.items() if record["error"] is None}
-        for name, record in good.items():
-            try:
-                check(record)
-            except ValueError as error:
-                raise ValueError(
-                    f"{out} is damaged: the record of {short(name)}: {one_line(error)}; restore "
-                    "the file, name another "
-                    "one, or discard it by a restart"
-                ) from None
-        of_file = {
-            name: (good[name]["bytes"], good[name]["modified_ns"], good[name]["class"])
-            for name in good
-        }
-        to_do = [
-            task
-            for task in tasks
-            if of_file.get(task.recording) != (task.bytes, task.modified_ns, task.label)
-        ]
-        n_gone = len(file.records.keys() - wanted.keys())
+    with contextlib.closing(ResultFile(out, tasks[0].job)) as file:
+        good = _good_records(file, out, check)
+        to_do = [task for task in tasks if not _is_done(task, good)]
         if good and len(to_do) == len(wanted):
             raise ValueError(
                 f"{out} holds results ({len(good):,}), but none of a recording as it is here: of "
-                "another folder? "
-                "Name another file, or discard it by a restart"
+                "another folder? Name another file, or delete this one"
             )
-        n_all, n_kept = len(wanted), len(wanted) - len(to_do)
+        n_all = len(wanted)
+        n_kept = n_all - len(to_do)
         if n_kept and to_do:
             report(f"{out}: {n_kept:,} of {n_all:,} recordings are done, resuming")
+        n_gone = len(file.records.keys() - wanted.keys())
         if n_gone:
             report(f"{out}: recordings that no longer exist are left out ({n_gone:,})")
+
         with (
             progress(n_all, "streaming", done=n_kept) as bar,
             contextlib.closing(run(function, to_do, lost=lost)) as records,
@@ -108,14 +93,39 @@ def collect(
         return [file.records[name] for name in sorted(wanted)]
 
 
+def _good_records(
+    file: ResultFile, out: Path, check: Callable[[Record], object]
+) -> dict[str, Record]:
+    """Recording -> its record in a file, if that has no error; a ValueError for one that `check`
+    refuses."""
+    good = {name: record for name, record in file.records.items() if record["error"] is None}
+    for name, record in good.items():
+        try:
+            check(record)
+        except ValueError as error:
+            raise ValueError(
+                f"{out} is damaged: the record of {short(name)}: {one_line(error)}; restore "
+                "the file, name another one, or delete this one"
+            ) from None
+    return good
+
+
+def _is_done(task: Task, good: Mapping[str, Record]) -> bool:
+    """Whether there is a record of this recording as it is now."""
+    record = good.get(task.recording)
+    if record is None:
+        return False
+    recorded = (record["bytes"], record["modified_ns"], record["class"])
+    return recorded == (task.bytes, task.modified_ns, task.label)
+
+
 class ResultFile:
     """A result file that is being written; locked until `close`.
 
     Parameters
     ----------
     out : the file, no link.
-    job : of its records.
-    restart : True discards the results that are there, whatever their settings.
+    job : the job that its records belong to.
 
     Attributes
     ----------
@@ -128,14 +138,16 @@ class ResultFile:
     OSError : another program is writing it, or it cannot be written.
     """
 
-    def __init__(self, out: Path, job: Job, *, restart: bool = False) -> None:
+    def __init__(self, out: Path, job: Job) -> None:
         self.records: dict[str, Record] = {}
-        self._out, self._job, self._is_new = out, job, not out.exists()
-        self._names: list[str] = []  # of all lines
+        self._out = out
+        self._job = job
+        self._is_new = not out.exists()
+        # the recordings of all lines, in the file's order
+        self._names: list[str] = []
         self._file = open_locked(
             out, f"{out}: another program is writing it; wait for that one, or name another file"
         )
-        self._restarts = restart
         try:
             self._load()
         except BaseException:
@@ -145,16 +157,13 @@ class ResultFile:
     def append(self, record: Record) -> None:
         """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
         with naming(self._out):
-            if self._restarts:  # not before there is something new
-                self._file.truncate(0)
-                self._restarts = False
             self._file.write(_line(record))
             self._file.flush()
         self._add(record)
 
     def finish(self, names: Collection[str]) -> None:
-        """Let it hold the records of these recordings and no others, in order; it is not written if
-        it does."""
+        """Let the file hold the records of these recordings and no others, in order. It is not
+        written if it holds them already."""
         if self._names == sorted(names):
             return
         with replacing(self._out) as part:
@@ -164,7 +173,7 @@ class ResultFile:
                 self._file.close()
 
     def close(self) -> None:
-        """Unlock it; a file that was made here and has no record is removed."""
+        """Unlock the file. One that was made here and has no record is removed."""
         if self._file.closed:
             return
         with naming(self._out), contextlib.closing(self._file):
@@ -175,13 +184,12 @@ class ResultFile:
                 self._out.unlink(missing_ok=True)
 
     def _load(self) -> None:
+        """Read the records of an earlier run."""
         start = self._file.read(len(START))
         if not START.startswith(start):
             raise ValueError(_not_ours(self._out))
-        if self._restarts:
-            return
         self._file.seek(0)
-        while line := self._file.readline():
+        for line in iter(self._file.readline, b""):
             if not line.endswith(b"\n"):
                 # half a line, which a killed process has left
                 self._file.truncate(self._file.tell() - len(line))
@@ -198,21 +206,22 @@ def _line(record: Record) -> bytes:
 
 
 def _record_of(line: bytes, job: Job, out: Path) -> Record:
+    """Read the record in a line of the file `out`; a ValueError if it does not belong to this
+    job."""
     try:
         record = parse_json(line)
     except ValueError:
         record = None
-    if (
-        not isinstance(record, dict)
-        or record.keys() != set(FIELDS)
-        or not isinstance(record["recording"], str)
-    ):
-        raise ValueError(f"{_not_ours(out)}, or damaged")
+    damaged = ValueError(f"{_not_ours(out)}, or damaged")
+    if not isinstance(record, dict) or record.keys() != set(FIELDS):
+        raise damaged
+    if not isinstance(record["recording"], str):
+        raise damaged
     if record["settings"] != job.id:
         raise ValueError(
             f"{out} was made with another model, version or selection of pixels, settings "
-            f"{short(record['settings'])} "
-            f"(now {job.id}): give the same again, name another file, or discard it by a restart"
+            f"{short(record['settings'])} (now {job.id}): give the same again, name another file, "
+            "or delete this one"
         )
     return record
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 N_BINS = 10
-"""Of probability, for the calibration."""
+"""Equal parts of the probability from 0 to 1, for the calibration."""
 
 
 def scores_of(
@@ -20,8 +20,9 @@ def scores_of(
     Parameters
     ----------
     classes : K names.
-    confusion : int64, shape (K, K), recordings by true class (row) and decided class (column). A
-        recording is decided by the mean of its windows' probabilities.
+    confusion : int64, shape (K, K): the number of recordings by true class (row) and decided class
+        (column). A recording's decided class is the one of the highest mean probability over its
+        windows.
     window_confusion : the same of windows, each by itself.
 
     Returns
@@ -30,18 +31,16 @@ def scores_of(
     per_class : class name -> share of its recordings decided right; None where it has none.
     balanced_accuracy : mean of `per_class`: a model that always answers the most frequent class
         scores low.
-    recordings, windows : how many. And what was given.
+    recordings, windows : how many. The arguments are returned, too.
     """
-    per_class = {
-        name: None if not row.sum() else float(row[k] / row.sum())
-        for k, (name, row) in enumerate(zip(classes, confusion, strict=True))
-    }
+    per_class: dict[str, float | None] = {}
+    for k, (name, row) in enumerate(zip(classes, confusion, strict=True)):
+        per_class[name] = float(row[k] / row.sum()) if row.sum() else None
+    shares = [share for share in per_class.values() if share is not None]
     return {
         "accuracy": share_right(confusion),
         "window_accuracy": share_right(window_confusion),
-        "balanced_accuracy": float(
-            np.mean([share for share in per_class.values() if share is not None])
-        ),
+        "balanced_accuracy": float(np.mean(shares)),
         "recordings": int(confusion.sum()),
         "windows": int(window_confusion.sum()),
         "classes": list(classes),
@@ -59,8 +58,9 @@ def score_recordings(
     Parameters
     ----------
     classes : K names.
-    labels : R, the class of each recording, in [0, K); R at least 1.
-    probabilities : R arrays of shape (n, K), of each recording's windows; n at least 1.
+    labels : the class of each of R recordings, in [0, K); R at least 1.
+    probabilities : for each recording an array of shape (n, K), a row for each of its windows; n at
+        least 1.
 
     Examples
     --------
@@ -89,7 +89,8 @@ def calibration_of(
 
     Parameters
     ----------
-    probability : float64, shape (N,), of the decided class. right : bool, shape (N,).
+    probability : float64, shape (N,): each decision's probability of the decided class.
+    right : bool, shape (N,): whether it is the true class.
 
     References
     ----------
@@ -97,7 +98,8 @@ def calibration_of(
 
     Examples
     --------
-    >>> bins, error = calibration_of(np.array([0.9, 1.0, 0.75, 0.75]), np.array([True, True, True, False]))
+    >>> probability = np.array([0.9, 1.0, 0.75, 0.75])
+    >>> bins, error = calibration_of(probability, np.array([True, True, True, False]))
     >>> [(row["decisions"], row["accuracy"]) for row in bins], round(error, 3)
     ([(2, 0.5), (2, 1.0)], 0.15)
     """
@@ -105,8 +107,9 @@ def calibration_of(
     rows = []
     error = 0.0
     for k in np.unique(place):
-        some = place == k
-        mean, accuracy = float(probability[some].mean()), float(right[some].mean())
-        rows.append({"decisions": int(some.sum()), "probability": mean, "accuracy": accuracy})
-        error += float(some.mean()) * abs(mean - accuracy)
+        in_bin = place == k
+        mean = float(probability[in_bin].mean())
+        accuracy = float(right[in_bin].mean())
+        rows.append({"decisions": int(in_bin.sum()), "probability": mean, "accuracy": accuracy})
+        error += float(in_bin.mean()) * abs(mean - accuracy)
     return rows, error

@@ -1,18 +1,29 @@
 """Motion re-synthesis: the events that a recorded object would have given under another motion.
 
-events of a window -> path and image       -> another path -> simulated events
-                      paths, moving_image                     reconstruction, calibration
+From the events of a window follow the path on which an image moved, and this image (`paths`,
+`moving_image`). The image is moved on another path, and its events are simulated
+(`reconstruction`), by pixels that are found with `calibration`.
+
+`async-tnt train --motions resynthesized` uses it; none of its names is public.
 """
 
-from async_tnt.resynthesis.calibration import Calibration, calibrate
-from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
+TYPE_CHECKING = False
+if not TYPE_CHECKING:  # type checkers would let every name pass
+    # public names of version 0.2 -> their modules
+    _INTERNAL = {
+        "Calibration": "calibration",
+        "calibrate": "calibration",
+        "MotionPath": "paths",
+        "MovedImage": "reconstruction",
+        "Reconstruction": "reconstruction",
+        "SimulatedPixels": "reconstruction",
+    }
 
-__all__ = [
-    "Calibration",
-    "MotionPath",
-    "MovedImage",
-    "Reconstruction",
-    "SimulatedPixels",
-    "calibrate",
-]
+    def __getattr__(name):
+        if name in _INTERNAL:
+            raise AttributeError(
+                f"async_tnt.resynthesis.{name} is no longer public: "
+                "`async-tnt train --motions resynthesized` trains with it, and "
+                f"async_tnt.resynthesis.{_INTERNAL[name]} has it"
+            )
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

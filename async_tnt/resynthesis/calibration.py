@@ -1,11 +1,13 @@
 """What events cannot tell directly, found by simulating the recorded motion again: contrast and
 refractory time.
 
-Events tell contrast in units of the pixels' thresholds, and each image is smoother than what was
-seen. So the thresholds are scaled until the re-synthesized recorded motion has as many events as
-the recordings. Intervals between a pixel's events only bound its refractory time; of some times
-within the bound, each with its own scale, the one whose intervals are most like the recorded ones
-is taken.
+Events tell contrast in units of the pixels' thresholds, and an image that is found in them is
+smoother than what was seen. So the thresholds are scaled until the recorded motion, re-synthesized,
+has as many events as the recordings.
+
+The intervals between a pixel's events only bound its refractory time. Several times within the
+bound are tried, each with its own scale. The one whose intervals are most like the recorded ones is
+taken.
 """
 
 from __future__ import annotations
@@ -22,18 +24,22 @@ from async_tnt.simulation.measured_pixels import Columns, measure_pixels, part_o
 from async_tnt.volume.events import structured
 
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
-"""Of the longest refractory time that the intervals allow."""
+"""Refractory times that are tried, as shares of the longest one that the intervals allow."""
 INTERVALS = ("same-pixel interval, 5 %", "same-pixel interval, median")
-"""The numbers of `describe` that are compared."""
+"""The numbers of `describe` by which refractory times are compared."""
 UNITS = {
     "active pixels": "%",
     "same-pixel interval": "ms",
     "ON share": "%",
     "ON - OFF centroid": "px",
 }
-"""What a number's name starts with, before a comma -> its unit; the others have none."""
-CLOCK_MS = 1e-3  # shorter intervals are 0 in whole microseconds
-MOST_STEPS, NEAR_ENOUGH = 8, 0.005
+"""The start of a number's name, before a comma -> its unit; the other numbers have none."""
+CLOCK_MS = 1e-3
+"""Least interval that is compared, in milliseconds: shorter ones are 0 in whole microseconds."""
+MOST_STEPS = 8
+"""Steps in which the scale of the thresholds is found, at most."""
+NEAR_ENOUGH = 0.005
+"""Deviation of the number of events, as a share, at which the scale is good enough."""
 UNLIKE = 4 / 3
 """Ratio of a simulated number to the recorded one that is worth a warning."""
 
@@ -44,10 +50,10 @@ class Calibration:
 
     Parameters
     ----------
-    pixels : of the simulated sensor.
+    pixels : the simulated sensor.
     length : median length of the recorded paths, in pixels.
-    match : "recorded" and "resynthesized": the same numbers of both, for the recorded motion; see
-        `describe`.
+    match : "recorded" and "resynthesized" -> the numbers of `describe`, of the recorded windows and
+        of the same motion re-synthesized.
     """
 
     pixels: SimulatedPixels
@@ -56,13 +62,13 @@ class Calibration:
 
 
 def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: int) -> Calibration:
-    """Calibrate on some windows.
+    """Calibrate re-synthesis on some windows.
 
     Parameters
     ----------
-    reconstruction : of windows of their sensor and length.
-    windows : of recordings, with their neighbours' events or without; a hundred are enough.
-    seed : of the simulation.
+    reconstruction : finds paths and images in windows of this sensor and length.
+    windows : windows of recordings, with their neighbours' events or without; a hundred are enough.
+    seed : seed of the simulation.
 
     Raises
     ------
@@ -71,44 +77,53 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
     model = reconstruction.model
     parts = [part_of(one, model.window_us) for one in windows]
     measured = measure_pixels(parts, model.sensor, model.window_us)
-    reconstructed = list(reconstruction(windows, measured))
-    moving = [
-        (path, image, structured(one))
-        for (path, image), one in zip(reconstructed, parts, strict=True)
-        if image
-    ]
-    if not moving:
-        reasons = ", ".join(
-            f"{why} {n}"
-            for why, n in Counter(path.refused for path, _ in reconstructed).most_common()
-        )
+
+    lengths = []
+    images = []
+    recorded = []
+    refusals: Counter[str] = Counter()
+    for (path, image), part in zip(reconstruction(windows, measured), parts, strict=True):
+        if image is None:
+            refusals[path.refused] += 1
+        else:
+            lengths.append(path.length)
+            images.append(image)
+            recorded.append(structured(part))
+    if not images:
+        reasons = ", ".join(f"{why} {n}" for why, n in refusals.most_common())
         raise ValueError(
             f"no motion was found in any of {len(parts)} windows ({reasons}): re-synthesis needs "
-            "windows in "
-            "which one image moves as a whole, with a few hundred events each"
+            "windows in which one image moves as a whole, with a few hundred events each"
         )
-    paths, images, recorded = zip(*moving, strict=True)
+
     target = describe(recorded, model.sensor)
+    n_events = sum(map(len, recorded))
     candidates = []
     for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
-        pixels, simulated = _scaled(pixels, images, sum(map(len, recorded)), seed)
+        pixels, simulated = _scaled(pixels, images, n_events, seed)
         found = describe(simulated, model.sensor)
-        unlike = sum(
-            abs(np.log(max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS)))
-            for name in INTERVALS
-        )
-        candidates.append((float(unlike), pixels, found))
+        candidates.append((_difference(found, target), pixels, found))
     _, pixels, found = min(candidates, key=lambda candidate: candidate[0])
     numbers = {"recorded": target, "resynthesized": found}
-    return Calibration(pixels, float(np.median([path.length for path in paths])), numbers)
+    return Calibration(pixels, float(np.median(lengths)), numbers)
+
+
+def _difference(found: Mapping[str, float], target: Mapping[str, float]) -> float:
+    """How far the intervals of two descriptions differ: the sum of |log ratio|."""
+    ratios = [max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS) for name in INTERVALS]
+    return float(sum(abs(np.log(ratio)) for ratio in ratios))
 
 
 def _scaled(
     pixels: SimulatedPixels, images: Sequence[MovedImage], n_events: int, seed: int
 ) -> tuple[SimulatedPixels, list[np.ndarray]]:
-    """The pixels whose scale gives as many events under the recorded motion as were recorded, and
-    these events."""
+    """Scale the thresholds until the recorded motion gives as many events as were recorded.
+
+    Returns
+    -------
+    The pixels with that scale, and the events of each image.
+    """
     ratio = 1.0
     for _ in range(MOST_STEPS):
         pixels = replace(pixels, scale=pixels.scale * ratio)
@@ -138,17 +153,23 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
     -------
     Name -> value, in the units of `UNITS`; nan where there is nothing to measure.
     """
-    n_active, n_events, n_on = 0, sum(map(len, windows)), 0
+    n_events = sum(map(len, windows))
+    n_active = 0
+    n_on = 0
     intervals = [np.empty(0, np.int64)]
     for events in windows:
         pixel = events["y"].astype(np.int64) * sensor[0] + events["x"]
-        order = np.argsort(pixel, kind="stable")  # by pixel, and by time within each
+        # stable: by pixel, and by time within each
+        order = np.argsort(pixel, kind="stable")
         same = np.diff(pixel[order]) == 0
         intervals.append(np.diff(events["t"][order])[same])
         n_active += len(np.unique(pixel))
         n_on += int((events["p"] == 1).sum())
     every = np.concatenate(intervals)
-    short, median = np.quantile(every, (0.05, 0.5)) if len(every) else (np.nan, np.nan)
+    short = np.nan
+    median = np.nan
+    if len(every):
+        short, median = np.quantile(every, (0.05, 0.5))
     return {
         "events per window": _ratio(n_events, len(windows)),
         "active pixels": 100.0 * _ratio(n_active, len(windows) * sensor[0] * sensor[1]),
@@ -160,7 +181,7 @@ def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str
 
 
 def unlike(match: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """The numbers of `Calibration.match` of which one is `UNLIKE` times the other or more.
+    """The names of the numbers of `Calibration.match` that differ by a factor of `UNLIKE` or more.
 
     Examples
     --------
@@ -168,26 +189,37 @@ def unlike(match: Mapping[str, Mapping[str, float]]) -> list[str]:
     >>> unlike({"recorded": recorded, "resynthesized": {"ON share": 40.0, "active pixels": 2.8}})
     ['active pixels']
     """
-    recorded, simulated = match["recorded"], match["resynthesized"]
-    small = CLOCK_MS  # of an interval; the other numbers are larger
-    ratios = {name: max(recorded[name], small) / max(simulated[name], small) for name in recorded}
-    return [name for name, ratio in ratios.items() if not 1 / UNLIKE < ratio < UNLIKE]
+    names = []
+    for name, recorded in match["recorded"].items():
+        # the bound is for intervals; the other numbers are larger
+        simulated = max(match["resynthesized"][name], CLOCK_MS)
+        ratio = max(recorded, CLOCK_MS) / simulated
+        if not 1 / UNLIKE < ratio < UNLIKE:
+            names.append(name)
+    return names
 
 
 def _ratio(part: float, whole: float) -> float:
+    """part / whole; nan where there is no whole."""
     return part / whole if whole else float("nan")
 
 
 def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
-    """A table of several descriptions, `columns` by title: a column for each, a row for each
-    number; - where one is missing."""
+    """A table of several descriptions: a column for each, a row for each number.
+
+    Parameters
+    ----------
+    columns : title -> description, see `describe`. A number that is missing is shown as -.
+    """
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
+    labels = {}
+    for name in names:
+        unit = UNITS.get(name.split(",")[0])
+        labels[name] = f"{name} [{unit}]" if unit else name
     width = max((len(title) for title in columns), default=0) + 3
-    units = {name: UNITS.get(name.split(",")[0]) for name in names}
-    labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
     margin = max([36, *map(len, labels.values())])
     lines = [" " * margin + "".join(f"{title:>{width}}" for title in columns)]
     for name in names:
-        values = (f"{column[name]:.2f}" if name in column else "-" for column in columns.values())
+        values = [f"{column[name]:.2f}" if name in column else "-" for column in columns.values()]
         lines.append(f"{labels[name]:<{margin}}" + "".join(f"{value:>{width}}" for value in values))
     return "\n".join(lines)

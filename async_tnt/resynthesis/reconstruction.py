@@ -2,8 +2,8 @@
 another motion.
 
 Other motions are drawn around the recorded ones: half to double their length, see `random_motion`.
-At half time the object's centre lies between where it was recorded at half time and the sensor's
-centre, and up to an eleventh of the sensor's smaller side (3 of 34 pixels) beside.
+At half time the object's centre lies at random between its recorded place at half time and the
+sensor's centre, and up to an eleventh of the sensor's smaller side (3 of 34 pixels) beside that.
 """
 
 from __future__ import annotations
@@ -21,17 +21,23 @@ from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
 
 N_PICTURES = 52
-"""Pictures of a window; the light runs straight between them."""
+"""Pictures of a window; the light changes linearly from one to the next."""
 FINENESS = 3
-"""Places of the image along a cell: between them it is interpolated, which does not blur it
-visibly."""
+"""Places of the image along a cell. The image is interpolated between them, which then does not
+blur it visibly."""
 SPAN = 3
-"""Windows that tell a path together where one alone does not: that of before, itself, and the
-next."""
-OTHER_LENGTHS, PLACE_SHARE = (0.5, 2.0), 1 / 11
+"""Windows in which a path is looked for if one alone does not tell it: the one before, the window
+itself, and the next one."""
+OTHER_LENGTHS = (0.5, 2.0)
+"""Least and greatest length of another motion, as shares of the recorded one."""
+PLACE_SHARE = 1 / 11
+"""Distance by which the object is moved aside at most, as a share of the sensor's smaller side."""
 BATCH = 64
 """Windows at a time: some 40 MB of spectra and images."""
-THRESHOLD_SPREAD, REFRACTORY_SPREAD = 0.1, 0.4
+THRESHOLD_SPREAD = 0.1
+"""Standard deviation, from window to window, of the log of the thresholds."""
+REFRACTORY_SPREAD = 0.4
+"""Share by which the refractory time of a window differs from the measured one, at most."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +47,15 @@ class SimulatedPixels:
     Parameters
     ----------
     measured : what the recordings tell.
-    scale : thresholds, in units of those that images are measured in; `calibration` finds it.
+    scale : factor of the thresholds to those that images are measured in; `calibrate` finds it.
     """
 
     measured: MeasuredPixels
     scale: float = 1.0
 
     def draw(self, rng: np.random.Generator) -> PixelModel:
-        """The pixels of one window, drawn by `rng`: thresholds and refractory time vary from window
-        to window."""
+        """The pixels of one window. `rng` draws thresholds and refractory time, which vary from
+        window to window."""
         scale = self.scale * np.exp(THRESHOLD_SPREAD * rng.standard_normal())
         spread = rng.uniform(1 - REFRACTORY_SPREAD, 1 + REFRACTORY_SPREAD)
         return PixelModel(
@@ -67,9 +73,9 @@ class MovedImage:
 
     Parameters
     ----------
-    model : of the window.
+    model : the model that the image was found with.
     image : float64, (rows, columns) of the torus, in thresholds, where it is at the path's start.
-    path : how it was recorded.
+    path : the path on which it was recorded.
 
     Attributes
     ----------
@@ -77,13 +83,16 @@ class MovedImage:
     """
 
     def __init__(self, model: MovingImage, image: np.ndarray, path: MotionPath) -> None:
-        self.model, self.path = model, path
-        origin = (model.cell - 1) / 2  # the middle of the first cell, in sensor pixels
+        self.model = model
+        self.path = path
+        # the middle of the first cell, in sensor pixels
+        origin = (model.cell - 1) / 2
         self._halfway = path.before + path.at(np.array([0.5]))[0]
         centre = origin + model.cell * centre_of(image) + self._halfway
-        torus, middle = model.cell * np.array(model.shape[::-1]), (np.array(model.sensor) - 1) / 2
-        # the torus has no first cell: of the equivalent places, the one nearest to the sensor's
-        # centre
+        torus = model.cell * np.array(model.shape[::-1])
+        middle = (np.array(model.sensor) - 1) / 2
+        # on the torus the centre has many equivalent places; take the one that is nearest to the
+        # sensor's centre
         self._centre = middle + (centre - middle + torus / 2) % torus - torus / 2
         start = self._centre - self._halfway
         self.picture = PeriodicImage(
@@ -92,21 +101,23 @@ class MovedImage:
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
         """Events of simulated `pixels` under the motion that was recorded; `rng` draws."""
-        return self.events(
-            self.path.before + self.path.at(shares()), np.zeros((N_PICTURES, 2)), pixels, rng
-        )
+        displacement = self.path.before + self.path.at(shares())
+        return self.events(displacement, np.zeros((N_PICTURES, 2)), pixels, rng)
 
     def moved(
         self, length: float, pixels: SimulatedPixels, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Events under a random motion, and the motion: displacement since the window's start, (n,
-        2), in pixels.
+        """Events under a random motion.
 
         Parameters
         ----------
-        length : of the recorded motions, in sensor pixels.
-        pixels : of the simulated sensor.
+        length : length of the recorded motions, in sensor pixels.
+        pixels : the simulated sensor.
         rng : draws the motion, the pixels and their noise.
+
+        Returns
+        -------
+        The events, and the motion: displacement since the window's start, (n, 2), in pixels.
         """
         motion, turn = random_motion(length * rng.uniform(*OTHER_LENGTHS), shares(), rng)
         middle = (np.array(self.model.sensor) - 1) / 2
@@ -125,18 +136,17 @@ class MovedImage:
         rng: np.random.Generator,
     ) -> np.ndarray:
         """Events of `pixels` while the image moves, see `PeriodicImage.events`; `rng` draws."""
-        return self.picture.events(
-            self.model.window_us * shares(), displacement, turn, pixels.draw(rng), rng
-        )
+        times_us = self.model.window_us * shares()
+        return self.picture.events(times_us, displacement, turn, pixels.draw(rng), rng)
 
 
 def shares() -> np.ndarray:
-    """Of the window, from 0 to 1, at each picture."""
+    """The share of the window that has passed at each picture, from 0 to 1."""
     return np.linspace(0.0, 1.0, N_PICTURES)
 
 
 class Reconstruction:
-    """Paths and images of windows of one sensor and length.
+    """Finds paths and images in windows of one sensor and length.
 
     Parameters
     ----------
@@ -156,31 +166,31 @@ class Reconstruction:
     def __call__(
         self, windows: Sequence[Columns], pixels: MeasuredPixels
     ) -> Iterator[tuple[MotionPath, MovedImage | None]]:
-        """Path of each window, and its image where the path may be relied on.
+        """Yield the path of each window, and its image if the path may be relied on.
 
         Parameters
         ----------
-        windows : t, x, y, p of each. Where a window alone does not tell, its neighbours' events
-            help, if there are any.
-        pixels : measured on recordings.
+        windows : t, x, y, p of each. If a window alone does not tell its path, its neighbours'
+            events help, if it has them.
+        pixels : the sensor's pixels, measured on recordings.
         """
         for first in range(0, len(windows), BATCH):
             some = windows[first : first + BATCH]
             found = self._reconstruct(some, pixels, 1)
-            wider = [
+            unclear = [
                 i for i, one in enumerate(some) if found[i][0].refused and self._has_neighbours(one)
             ]
-            for i, one in zip(
-                wider, self._reconstruct([some[i] for i in wider], pixels, SPAN), strict=True
-            ):
-                if not one[0].refused:
-                    found[i] = one
+            in_wider = self._reconstruct([some[i] for i in unclear], pixels, SPAN)
+            for i, (path, image) in zip(unclear, in_wider, strict=True):
+                if not path.refused:
+                    found[i] = (path, image)
             yield from found
 
     def _has_neighbours(self, window: Columns) -> bool:
-        return len(part_of(window, self.model.window_us, SPAN)[0]) > len(
-            part_of(window, self.model.window_us)[0]
-        )
+        """Whether a window has events of the windows beside it."""
+        alone, _, _, _ = part_of(window, self.model.window_us)
+        together, _, _, _ = part_of(window, self.model.window_us, SPAN)
+        return len(together) > len(alone)
 
     def _reconstruct(
         self, windows: Sequence[Columns], pixels: MeasuredPixels, span: int
@@ -188,47 +198,48 @@ class Reconstruction:
         """Path and image of each window, found in `span` windows together."""
         if not windows:
             return []
-        parts = [part_of(one, self.model.window_us, span) for one in windows]
-        frames = self.model.frames(windows, pixels, span)
-        spectra = self.model.spectra(frames)
-        band = self.model.band_of(spectra)
-        paths = self._finder.find(
-            band, self._halves(parts, frames, band), [len(t) for t, _, _, _ in parts], span
-        )
+        model = self.model
+        parts = [part_of(one, model.window_us, span) for one in windows]
+        n_events = [len(t) for t, _, _, _ in parts]
+        frames = model.frames(windows, pixels, span)
+        spectra = model.spectra(frames)
+        band = model.band_of(spectra)
+        paths = self._finder.find(band, self._halves(parts, frames, band), n_events, span)
+
         moving = np.flatnonzero([not path.refused for path in paths])
-        positions = (
-            np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2)
-            / self.model.cell
-        )
-        images = dict(zip(moving, find_images(self.model, spectra[moving], positions), strict=True))
-        return [
-            (path, MovedImage(self.model, images[i], path) if i in images else None)
-            for i, path in enumerate(paths)
-        ]
+        positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2)
+        images = find_images(model, spectra[moving], positions / model.cell)
+        found: list[tuple[MotionPath, MovedImage | None]] = [(path, None) for path in paths]
+        for i, image in zip(moving, images, strict=True):
+            found[i] = (paths[i], MovedImage(model, image, paths[i]))
+        return found
 
     def _halves(
         self, windows: Sequence[Columns], frames: np.ndarray, band: np.ndarray
     ) -> np.ndarray:
-        """The band of what is left, right, above and below the middle of each window's events, (N,
-        4, F, K)."""
+        """The band of each half of the pictures: complex128, (N, 4, F, K).
+
+        The halves lie left, right, above and below the middle of each window's events.
+
+        Parameters
+        ----------
+        windows : N windows.
+        frames, band : their `MovingImage.frames`, and the band of these.
+        """
         halves = np.empty((len(band), 4, *band.shape[1:]), np.complex128)
-        for k, axis in enumerate((1, 2)):  # of (t, x, y, p)
+        for k, axis in enumerate((1, 2)):  # x and y in (t, x, y, p)
             cut = frames.copy()
             for one, columns in zip(cut, windows, strict=True):
-                middle = (
-                    int(np.median(columns[axis])) // self.model.cell if len(columns[axis]) else 0
-                )
-                # of a frame (rows, columns): the last axis is x
+                places = columns[axis]
+                middle = int(np.median(places)) // self.model.cell if len(places) else 0
+                # a frame is (rows, columns): its last axis is x
                 np.moveaxis(one, -axis, 0)[middle:] = 0
             halves[:, 2 * k] = self.model.band_of(self.model.spectra(cut))
             halves[:, 2 * k + 1] = band - halves[:, 2 * k]
         return halves
 
     def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
-        """The image of one `window` whose `path` is known, with measured `pixels`."""
+        """Find the image of one window. Its path is known, and the pixels are measured."""
         spectra = self.model.spectra(self.model.frames([window], pixels, path.span))
-        return MovedImage(
-            self.model,
-            find_images(self.model, spectra, path.positions[None] / self.model.cell)[0],
-            path,
-        )
+        images = find_images(self.model, spectra, path.positions[None] / self.model.cell)
+        return MovedImage(self.model, images[0], path)

@@ -1,23 +1,25 @@
 """What recordings tell of their sensor: thresholds of ON against OFF, refractory time, noise,
 after-pulses.
 
-How large the thresholds are, the events do not tell: contrast is measured in thresholds.
+The events do not tell how large the thresholds are: contrast is measured in thresholds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from async_tnt.simulation.simulator import AFTER_US
 
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""t, x, y, p of one window's events, in order; t in microseconds since the window's start. May have
-those of its neighbours, too: before 0, and from the window's end on."""
+"""t, x, y, p of one window's events, in order, with t in microseconds since the window's start.
+
+Events of the neighbouring windows may be there, too: before 0, and from the window's end on."""
 
 LARGEST_RATIO = 4.0
+"""Ratio of the thresholds of ON and OFF events that is believed, at most."""
 REFRACTORY_SHARE = 0.01
 """Share of the intervals between a pixel's events that may be shorter than the longest possible
 refractory time."""
@@ -30,10 +32,10 @@ class MeasuredPixels:
     Parameters
     ----------
     step_on, step_off : thresholds of ON and OFF events; their product is 1.
-    refractory_us : time that a pixel is held in reset after an event.
+    refractory_us : microseconds that a pixel is held in reset after an event.
     noise_hz : events per pixel and second where nothing moves.
-    noise_on_share : share of these that are ON.
-    after_share : share of events with an after-pulse.
+    noise_on_share : share of these events that are ON.
+    after_share : share of all events that an after-pulse follows.
     """
 
     step_on: float = 1.0
@@ -45,8 +47,8 @@ class MeasuredPixels:
 
 
 def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
-    """The events of `span` windows with `window` in their middle; times since the first one's
-    start."""
+    """The events of `span` windows with `window` in their middle. Times are since the start of the
+    first of these windows."""
     t, x, y, p = window
     before_us = (span - 1) // 2 * window_us
     first, last = np.searchsorted(t, (-before_us, window_us + before_us))
@@ -56,61 +58,102 @@ def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
 def is_after_pulse(window: Columns) -> np.ndarray:
     """Which events follow one of the other sign at their pixel within `AFTER_US`: bool, (n,)."""
     t, x, y, p = window
-    order = np.lexsort((y, x))  # stable: by pixel, and by time within each
+    # stable: by pixel, and by time within each
+    order = np.lexsort((y, x))
     same = (np.diff(x[order]) == 0) & (np.diff(y[order]) == 0) & (p[order[1:]] != p[order[:-1]])
     after = np.zeros(len(t), bool)
     after[order[1:]] = same & (np.diff(t[order].astype(np.int64)) <= AFTER_US)
     return after
 
 
+@dataclass
+class _Counts:
+    """Counts over several windows, after-pulses left out.
+
+    Attributes
+    ----------
+    n_on, n_off : events of both signs.
+    n_after : after-pulses.
+    n_quiet : pixels of all windows whose eight neighbours are silent.
+    n_lonely : quiet pixels that have events themselves.
+    n_lonely_on : sum over these of the share of their events that are ON.
+    intervals : microseconds between consecutive events of a pixel of one sign, an array a window.
+    """
+
+    n_on: int = 0
+    n_off: int = 0
+    n_after: int = 0
+    n_quiet: int = 0
+    n_lonely: int = 0
+    n_lonely_on: float = 0.0
+    intervals: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, window: Columns, sensor: tuple[int, int]) -> None:
+        """Count a window."""
+        width, height = sensor
+        is_after = is_after_pulse(window)
+        t, x, y, p = [column[~is_after] for column in window]
+        n_on = int(p.sum())
+        self.n_after += int(is_after.sum())
+        self.n_on += n_on
+        self.n_off += len(p) - n_on
+
+        pixel = y.astype(np.int64) * width + x
+        counts = np.bincount(pixel, minlength=width * height)
+        on_counts = np.bincount(pixel, p, width * height)
+        quiet = neighbours(counts.reshape(height, width)).ravel() == 0
+        lonely = quiet & (counts > 0)
+        self.n_quiet += int(quiet.sum())
+        self.n_lonely += int(lonely.sum())
+        self.n_lonely_on += float((on_counts[lonely] / counts[lonely]).sum())
+
+        # stable: by pixel, and by time within each
+        order = np.argsort(pixel, kind="stable")
+        same = (np.diff(pixel[order]) == 0) & (np.diff(p[order].astype(np.int8)) == 0)
+        self.intervals.append(np.diff(t[order].astype(np.int64))[same])
+
+
 def measure_pixels(
     windows: Sequence[Columns], sensor: tuple[int, int], window_us: int
 ) -> MeasuredPixels:
-    """Measure the pixels on some windows; the refractory time is the longest that the intervals
-    allow.
+    """Measure the pixels on some windows.
 
-    - Of an image that stays within the sensor, the light of all pixels together ends as it began.
-      So ON and OFF events, but for noise, are to each other as their thresholds are not: step_on n_on = step_off n_off.
+    - If an image stays within the sensor, the light of all pixels together ends as it began. So,
+      but for noise, step_on n_on = step_off n_off: there are fewer events of the sign with the
+      larger threshold.
     - Noise is measured at pixels whose eight neighbours are all silent. Active pixels are counted,
       not their events, because some pixels fire all the time.
+    - The refractory time is the longest that the intervals between a pixel's events allow.
     """
     width, height = sensor
-    n_on = n_off = n_lonely = n_quiet = n_after = 0
-    n_lonely_on = 0.0
-    intervals = [np.empty(0, np.int64)]
+    counts = _Counts()
     for window in windows:
-        after = is_after_pulse(window)
-        n_after += int(after.sum())
-        t, x, y, p = (column[~after] for column in window)
-        pixel = y.astype(np.int64) * width + x
-        counts = np.bincount(pixel, minlength=width * height).reshape(height, width)
-        quiet = neighbours(counts).ravel() == 0
-        lonely = quiet & (counts.ravel() > 0)
-        n_quiet += int(quiet.sum())
-        n_lonely += int(lonely.sum())
-        n_lonely_on += float(
-            (np.bincount(pixel, p, width * height)[lonely] / counts.ravel()[lonely]).sum()
-        )
-        n_on += int(p.sum())
-        n_off += len(p) - int(p.sum())
-        order = np.argsort(pixel, kind="stable")
-        same = (np.diff(pixel[order]) == 0) & (np.diff(p[order].astype(np.int8)) == 0)
-        intervals.append(np.diff(t[order].astype(np.int64))[same])
+        counts.add(window, sensor)
+    n_on = counts.n_on
+    n_off = counts.n_off
+
     # events of a pixel in a window, of a Poisson process
-    noise = -np.log1p(-min(0.99, n_lonely / max(1, n_quiet)))
-    noise_on_share = n_lonely_on / n_lonely if n_lonely else 0.5
+    noise = -np.log1p(-min(0.99, counts.n_lonely / max(1, counts.n_quiet)))
+    noise_on_share = counts.n_lonely_on / counts.n_lonely if counts.n_lonely else 0.5
     n_noise = noise * width * height * len(windows)
-    # below it noise differs from what is expected of it by chance
+
+    # fewer events than this may be what noise differs by chance from what is expected of it
     least = max(1.0, 3 * np.sqrt(n_on + n_off))
-    ratio = max(least, n_off - (1 - noise_on_share) * n_noise) / max(
-        least, n_on - noise_on_share * n_noise
-    )
+    moved_on = max(least, n_on - noise_on_share * n_noise)
+    moved_off = max(least, n_off - (1 - noise_on_share) * n_noise)
+    ratio = moved_off / moved_on
     step_on = float(np.sqrt(np.clip(ratio, 1 / LARGEST_RATIO, LARGEST_RATIO)))
-    all_intervals = np.concatenate(intervals)
-    shortest = float(np.quantile(all_intervals, REFRACTORY_SHARE)) if len(all_intervals) else 0.0
-    after_share = n_after / max(1, n_on + n_off)
-    noise_hz = float(noise / (window_us * 1e-6))
-    return MeasuredPixels(step_on, 1 / step_on, shortest, noise_hz, noise_on_share, after_share)
+
+    intervals = np.concatenate([np.empty(0, np.int64), *counts.intervals])
+    shortest = float(np.quantile(intervals, REFRACTORY_SHARE)) if len(intervals) else 0.0
+    return MeasuredPixels(
+        step_on=step_on,
+        step_off=1 / step_on,
+        refractory_us=shortest,
+        noise_hz=float(noise / (window_us * 1e-6)),
+        noise_on_share=noise_on_share,
+        after_share=counts.n_after / max(1, n_on + n_off),
+    )
 
 
 def neighbours(counts: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
-"""An image that moves, turns and grows before a sensor, and its events. It repeats itself, so that
-it has no border."""
+"""An image that moves, turns and grows before a sensor, and its events.
+
+The image repeats itself, so that it has no border.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from async_tnt.simulation.simulator import PixelModel, simulate
 from async_tnt.volume.events import EVENT_DTYPE
 
 MOST_VALUES = 1 << 22
-"""Of frames in memory: a large sensor is simulated in bands of rows."""
+"""Values of frames in memory, at most: a large sensor is simulated in bands of rows."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +23,10 @@ class PeriodicImage:
 
     Parameters
     ----------
-    image : float64, (h, w): log luminance, bilinear between its places.
-    step : its places in a sensor pixel.
-    origin : where its first place is, in sensor pixels, in x and in y.
-    centre : float64, (2,): what it turns about, (x, y) in sensor pixels.
+    image : float64, (h, w): log luminance at its places, bilinear between them.
+    step : number of places in a sensor pixel.
+    origin : where the first place is, in x and in y, in sensor pixels.
+    centre : float64, (2,): the point (x, y) about which the image turns, in sensor pixels.
     sensor : (width, height), in pixels.
     """
 
@@ -41,28 +43,33 @@ class PeriodicImage:
         first: int = 0,
         n_rows: int | None = None,
     ) -> np.ndarray:
-        """What the sensor sees.
+        """What the sensor sees, at n moments.
 
         Parameters
         ----------
-        displacement : float64, (n, 2): of the centre, in sensor pixels.
-        turn : float64, (n, 2): by which angle the image is turned about its centre, in radians,
-            from x to y, and the logarithm of its size; None: 0.
-        first, n_rows : the sensor's rows; None: all from `first` on.
+        displacement : float64, (n, 2): displacement of the centre, in sensor pixels.
+        turn : float64, (n, 2): angle by which the image is turned about its centre, in radians,
+            from x to y; and the logarithm of its size. None: both are 0.
+        first, n_rows : the first of the sensor's rows, and how many; None: all from `first` on.
 
         Returns
         -------
-        float64, (n, n_rows, width).
+        float64, (n, n_rows, width): log luminance.
         """
         width, height = self.sensor
-        angle, growth = np.zeros((2, len(displacement))) if turn is None else turn.T
-        cos, sin = np.exp(-growth) * np.cos(angle), np.exp(-growth) * np.sin(angle)
+        if turn is None:
+            turn = np.zeros((len(displacement), 2))
+        angle, growth = turn.T
+        cos = np.exp(-growth) * np.cos(angle)
+        sin = np.exp(-growth) * np.sin(angle)
         # from the sensor to the image
         back = np.stack([cos, sin, -sin, cos], axis=-1).reshape(-1, 2, 2)
         places = np.empty((len(displacement), 2, 3))
         places[..., :2] = back
         places[..., 2] = self.centre - np.einsum("kij,kj->ki", back, self.centre + displacement)
-        frames = np.empty((len(places), height - first if n_rows is None else n_rows, width))
+        if n_rows is None:
+            n_rows = height - first
+        frames = np.empty((len(places), n_rows, width))
         move_periodic(frames, self.image, places, first, self.origin, self.step)
         return frames
 
@@ -74,8 +81,14 @@ class PeriodicImage:
         pixels: PixelModel,
         rng: np.random.Generator,
     ) -> np.ndarray:
-        """Events of `pixels` while the image moves, see `frames`, from one time to the next; `rng`
-        draws.
+        """Events of a sensor while the image moves before it.
+
+        Parameters
+        ----------
+        times_us : float64, (n,), increasing, in microseconds.
+        displacement, turn : where the image is at these times, see `frames`.
+        pixels : the sensor's pixels.
+        rng : draws what differs from pixel to pixel, and noise.
 
         Returns
         -------
@@ -92,4 +105,5 @@ class PeriodicImage:
         events = np.concatenate(parts).astype(EVENT_DTYPE, copy=False)
         if len(parts) > 1:
             events = events[np.argsort(events["t"], kind="stable")]
-        return events[events["t"] < times_us[-1]]  # the last half microsecond is rounded up
+        # an event of the last half microsecond is rounded up to the end
+        return events[events["t"] < times_us[-1]]

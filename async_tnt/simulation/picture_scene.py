@@ -1,20 +1,20 @@
-"""Pictures before a camera that nobody has seen, in motions that nobody recorded -> events.
+"""Record pictures by a simulated camera: pixels that nobody has seen, motions that nobody recorded.
 
     picture -> its surroundings, contrast, posture -> a random motion -> random pixels -> events
 
-size        the object's longer side, as a share of the sensor's shorter one, in a stated range
-place       at half time all of it is on the sensor, anywhere
-posture     a plane that is seen from aside: each corner is moved inwards by up to .08 of the
-            object's size
-contrast    white to black 2 to 15, log-uniform; as on the picture, or dark against bright as on a
-            negative
-ground      that of the picture, or a random one; in half of the recordings with a texture, 1/f,
-            which moves along
-lens        blur of .3 to .9 pixels
-motion      lengths of .06 to .5 of the sensor's shorter side, to 4 where it follows the object,
-            log-uniform; turns of up to 15 degrees, growth of up to .15; a quarter of them come
-            back; see `random_motion`
-pixels      see `random_pixels`
+size        The object's longer side, as a share of the sensor's shorter one, in a stated range.
+place       At half time all of the object is on the sensor, anywhere.
+posture     A plane that is seen from aside: each corner is moved inwards by up to .08 of the
+            object's size.
+contrast    White to black 2 to 15, log-uniform; as on the picture, or dark against bright as on a
+            negative.
+ground      That of the picture, or a random one; in half of the recordings with a texture, 1/f,
+            which moves along.
+lens        Blur of .3 to .9 pixels.
+motion      Lengths of .06 to .5 of the sensor's shorter side, log-uniform, or to 4 if the sensor
+            follows the object; turns of up to 15 degrees, growth of up to .15; a quarter of the
+            motions come back; see `random_motion`.
+pixels      See `random_pixels`.
 """
 
 from __future__ import annotations
@@ -24,42 +24,69 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.simulation.measured_pixels import MeasuredPixels
 from async_tnt.simulation.periodic_image import PeriodicImage
 from async_tnt.simulation.pictures import Picture
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.random_pixels import random_pixels
 
-SHORTEST, LONGEST, LONGEST_FOLLOWED = 0.06, 0.5, 4.0
-MOST_TURN, MOST_GROWTH, BACK = np.radians(15.0), 0.15, 0.25
-CONTRASTS, BLURS_PX, POSTURE = (2.0, 15.0), (0.3, 0.9), 0.08
-TEXTURE, TEXTURED, FADES = 0.15, 0.5, 0.1
-"""Largest deviation of a texture, the share of recordings with one, and the rim in which a
-photograph fades into it."""
+SHORTEST = 0.06
+"""Least length of a motion, as a share of the sensor's shorter side."""
+LONGEST = 0.5
+"""Greatest length of a motion, likewise."""
+LONGEST_FOLLOWED = 4.0
+"""Greatest length of a motion that the sensor follows, likewise."""
+MOST_TURN = np.radians(15.0)
+"""Largest turn of a motion, in radians."""
+MOST_GROWTH = 0.15
+"""Largest growth of a motion, as the logarithm of the size."""
+BACK = 0.25
+"""Share of the motions that come back."""
+
+CONTRASTS = (2.0, 15.0)
+"""Range of the ratio of white to black."""
+BLURS_PX = (0.3, 0.9)
+"""Range of the standard deviation of the lens' blur, in pixels."""
+POSTURE = 0.08
+"""Distance by which a corner is moved inwards at most, as a share of the object's size."""
+TEXTURED = 0.5
+"""Share of the recordings whose ground has a texture."""
+TEXTURE = 0.15
+"""Largest standard deviation of a texture, in luminance."""
+FADES = 0.1
+"""Width of the rim in which a photograph fades into its ground, as a share of its sides."""
 APART = 0.25
-"""Between the light of an object that is cut out and its ground, at least."""
+"""Difference between the luminance of an object that is cut out and its ground, at least."""
+
 FINENESS = 2
 """Places of the image in a sensor pixel."""
-FRAMES_A_PX, FEWEST_FRAMES, MOST_FRAMES = 2.0, 52, 500
-"""Of a motion, closer together in time where it is faster: the light runs straight from one to the
-next."""
+FRAMES_A_PX = 2.0
+"""Frames for each pixel of a motion: they are closer together in time where it is faster. The light
+changes linearly from one frame to the next."""
+FEWEST_FRAMES = 52
+"""Frames of a recording without motion."""
+MOST_FRAMES = 500
+"""Frames of a recording, at most."""
 FINE = 4_000
 """Moments at which a motion is drawn."""
 LIGHTS = "positive", "negative", "both"
+"""Whether bright and dark are as on the picture, as on its negative, or either at random."""
 
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """What pictures are recorded with.
+    """Camera and scene with which pictures are recorded.
 
     Parameters
     ----------
-    sensor : (width, height), in pixels. window_us : length of a recording.
+    sensor : (width, height), in pixels.
+    window_us : length of a recording, in microseconds.
     size : range of the object's longer side, as a share of the sensor's shorter one.
-    light : of `LIGHTS`.
+    light : one of `LIGHTS`.
     follow : the sensor is a crop of a larger one, which follows the object in steps of whole
         pixels.
-    camera : what is known of its pixels; None: nothing.
+    camera : what is known of the camera's pixels; None: nothing.
     """
 
     sensor: tuple[int, int]
@@ -71,66 +98,98 @@ class SceneSettings:
 
     def __post_init__(self) -> None:
         if not 0 < self.size[0] <= self.size[1] <= 1:
-            raise ValueError(f"`size` must be a range within (0, 1], got {self.size}")
+            raise ParameterValueError("size", "must be a range within (0, 1]", self.size)
         if self.light not in LIGHTS:
-            raise ValueError(f"`light` must be one of {', '.join(LIGHTS)}, got {self.light!r}")
+            rule = f"must be one of {', '.join(LIGHTS)}"
+            raise ParameterValueError("light", rule, repr(self.light))
 
 
 def record_picture(
     picture: Picture, settings: SceneSettings, rng: np.random.Generator
 ) -> np.ndarray:
-    """Events of one recording, as `rng` draws it: a structured array of `EVENT_DTYPE`, times in [0,
-    window_us)."""
+    """Simulate one recording of a picture.
+
+    Parameters
+    ----------
+    picture : the object.
+    settings : camera and scene.
+    rng : draws the scene, the motion and the pixels.
+
+    Returns
+    -------
+    Structured array of `EVENT_DTYPE`, times in [0, window_us).
+    """
     smaller = min(settings.sensor)
     side_px = smaller * rng.uniform(*settings.size)
-    longest = LONGEST_FOLLOWED if settings.follow else LONGEST
-    length = smaller * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
-    fine = np.linspace(0, 1, FINE)
-    drawn = random_motion(
-        length, fine, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK
-    )
-    shares, motion, turn = _frames_of(*drawn)
-    times_us = settings.window_us * shares
+    shares, motion, turn = _draw_motion(settings, rng)
     reach = np.ceil(np.abs(motion).max(0)).astype(int)
     scene = _scene(picture, side_px, reach, settings, rng)
+
+    # at half time the object is anywhere on the sensor
     half = side_px * np.array(picture.light.shape[::-1]) / max(picture.light.shape) / 2
     free = np.maximum(0, np.array(settings.sensor) / 2 - half)
-    displacement = (
-        (np.array(scene.sensor) - 1) / 2 + rng.uniform(-free, free) - scene.centre + motion
-    )
+    middle = (np.array(scene.sensor) - 1) / 2
+    displacement = middle + rng.uniform(-free, free) - scene.centre + motion
+
+    times_us = settings.window_us * shares
     pixels = random_pixels(rng, settings.camera)
     if not settings.follow:
         return scene.events(times_us, displacement, turn, pixels, rng)
-    # of the sensor, what is near the crop for a while: all of its way takes three times as long
+
+    # The crop moves over a large sensor. To simulate all of that takes three times as long as to
+    # simulate, part by part of the way, what is near the crop.
     parts = []
-    n_parts = math.ceil(np.hypot(*np.diff(motion, axis=0).T).sum() / smaller)
-    for frames in np.array_split(np.arange(len(times_us) - 1), max(1, n_parts)):
+    way_px = np.hypot(*np.diff(motion, axis=0).T).sum()
+    n_parts = max(1, math.ceil(way_px / smaller))
+    for frames in np.array_split(np.arange(len(times_us) - 1), n_parts):
         some = slice(frames[0], frames[-1] + 2)
-        first, last = (
-            np.floor(motion[some].min(0)).astype(int),
-            np.ceil(motion[some].max(0)).astype(int),
-        )
-        part = replace(scene, sensor=tuple((np.array(settings.sensor) + last - first).tolist()))
+        first = np.floor(motion[some].min(0)).astype(int)
+        last = np.ceil(motion[some].max(0)).astype(int)
+        width, height = (np.array(settings.sensor) + last - first).tolist()
+        part = replace(scene, sensor=(width, height))
         events = part.events(times_us[some], displacement[some] - first, turn[some], pixels, rng)
         parts.append(_crop(events, times_us, motion, first, settings.sensor))
     return np.concatenate(parts)
 
 
-def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Shares of the window, (n,), at which frames are made, and motion and turn there, (n, 2).
+def _draw_motion(
+    settings: SceneSettings, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A random motion: shares of the window, (n,), at which frames are made; displacement in pixels
+    and turn there, (n, 2) each."""
+    longest = LONGEST_FOLLOWED if settings.follow else LONGEST
+    length = min(settings.sensor) * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
+    fine = np.linspace(0, 1, FINE)
+    motion, turn = random_motion(
+        length, fine, rng, most_turn=MOST_TURN, most_growth=MOST_GROWTH, back=BACK
+    )
+    return _frames_of(motion, turn)
 
-    motion, turn : at `FINE` moments, evenly.
+
+def _frames_of(motion: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """When frames are made, and where the image is then.
+
+    Parameters
+    ----------
+    motion, turn : (N, 2) each, at N moments, evenly over the window.
+
+    Returns
+    -------
+    Shares of the window, (n,), and motion and turn there, (n, 2) each.
     """
     shares = np.linspace(0, 1, len(motion))
-    gone_px = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(motion, axis=0).T))])
-    frames = FRAMES_A_PX * gone_px + FEWEST_FRAMES * shares  # so many until then
-    n = int(min(np.ceil(frames[-1]), MOST_FRAMES))
-    at = np.interp(np.linspace(0, frames[-1], n + 1), frames, shares)
-    motion, turn = (
-        np.stack([np.interp(at, shares, column) for column in of.T], axis=1)
-        for of in (motion, turn)
-    )
-    return at, motion, turn
+    steps_px = np.hypot(*np.diff(motion, axis=0).T)
+    gone_px = np.concatenate([[0.0], np.cumsum(steps_px)])
+    # how many frames are made until each moment
+    n_until = FRAMES_A_PX * gone_px + FEWEST_FRAMES * shares
+    n = int(min(np.ceil(n_until[-1]), MOST_FRAMES))
+    at = np.interp(np.linspace(0, n_until[-1], n + 1), n_until, shares)
+    return at, _columns_at(at, shares, motion), _columns_at(at, shares, turn)
+
+
+def _columns_at(at: np.ndarray, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Two columns of values, (N, 2), interpolated at other places: (n, 2)."""
+    return np.stack([np.interp(at, places, column) for column in values.T], axis=1)
 
 
 def _crop(
@@ -140,8 +199,16 @@ def _crop(
     first: np.ndarray,
     sensor: tuple[int, int],
 ) -> np.ndarray:
-    """What a crop of the size of `sensor` sees that moves along. Pixel (0, 0) is the crop's first
-    one after a motion by `first`, (x, y)."""
+    """What a crop sees that moves along with the object. The events are changed in place.
+
+    Parameters
+    ----------
+    events : events of a larger sensor.
+    times_us, motion : where the crop is, (n, 2), at these times, in pixels.
+    first : (x, y): pixel (0, 0) of the larger sensor is the first one of a crop that has moved by
+        so much.
+    sensor : (width, height) of the crop.
+    """
     inside = np.ones(len(events), bool)
     for axis, name in enumerate("xy"):
         moved = np.rint(np.interp(events["t"], times_us, motion[:, axis]))
@@ -158,33 +225,38 @@ def _scene(
     settings: SceneSettings,
     rng: np.random.Generator,
 ) -> PeriodicImage:
-    """The object in its surroundings, as log luminance, seen through a lens. It moves `reach`
-    pixels (x, y) either way: so far apart are copies on the torus, unless a crop follows the
-    object."""
+    """The object in its surroundings, as log luminance, seen through a lens.
+
+    Parameters
+    ----------
+    side_px : the object's longer side, in pixels.
+    reach : (x, y), pixels by which the object moves either way. Copies of the object on the torus
+        are so far apart, unless a crop follows it.
+    """
     sensor = np.array(settings.sensor)
     apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
     apart *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
-    shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])  # of small factors
-    texture = (
-        rng.uniform(0, TEXTURE) * _texture(shape, rng)
-        if rng.random() < TEXTURED
-        else np.zeros(shape)
-    )
-    if picture.ground is None:
-        inside = float(covered.sum() / max(cover.sum(), 1e-6))
-        ground = rng.uniform(0, 1)
-        if abs(ground - inside) < APART:
-            ground = inside + APART if inside < 0.5 else inside - APART
+    # multiples of 8, for a fast Fourier transform
+    shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])
+
+    if rng.random() < TEXTURED:
+        texture = rng.uniform(0, TEXTURE) * _texture(shape, rng)
     else:
-        ground = picture.ground
+        texture = np.zeros(shape)
+    ground = picture.ground
+    if ground is None:
+        ground = _random_ground(float(covered.sum() / max(cover.sum(), 1e-6)), rng)
     seen = np.clip(ground + texture, 0, 1)
+
     rows, columns = cover.shape
-    top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
+    top = (shape[0] - rows) // 2
+    left = (shape[1] - columns) // 2
     place = slice(top, top + rows), slice(left, left + columns)
     seen[place] = (1 - cover) * seen[place] + covered
     if settings.light == "negative" or (settings.light == "both" and rng.random() < 0.5):
         seen = 1.0 - seen
+
     seen = _blurred(seen, FINENESS * rng.uniform(*BLURS_PX))
     darkest = 1.0 / np.exp(rng.uniform(*np.log(CONTRASTS)))
     centre = np.array([left + (columns - 1) / 2, top + (rows - 1) / 2]) / FINENESS
@@ -192,28 +264,38 @@ def _scene(
     return PeriodicImage(image, FINENESS, 0.0, centre, settings.sensor)
 
 
+def _random_ground(luminance: float, rng: np.random.Generator) -> float:
+    """The luminance of a ground about an object of this mean luminance."""
+    ground = rng.uniform(0, 1)
+    if abs(ground - luminance) >= APART:
+        return ground
+    return luminance + APART if luminance < 0.5 else luminance - APART
+
+
 def _posed(
     picture: Picture, side: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Light times cover, and cover, with `side` places along the longer side, of a plane that is
-    seen from aside."""
+    """The object as a plane that is seen from aside, with `side` places along its longer side.
+
+    Returns
+    -------
+    Light times cover, and cover: float64, (h, w) each.
+    """
     from PIL import Image
 
-    size = tuple(
-        max(2, round(side * n / max(picture.light.shape))) for n in picture.light.shape[::-1]
-    )
-    corners = np.array([(0, 0), (0, size[1]), (size[0], size[1]), (size[0], 0)], float)
-    # of a thin object less: its corners shall not cross
+    longer = max(picture.light.shape)
+    height, width = [max(2, round(side * n / longer)) for n in picture.light.shape]
+    size = (width, height)
+    corners = np.array([(0, 0), (0, height), (width, height), (width, 0)], float)
+    # less for a thin object, whose corners must not cross
     most = np.minimum(POSTURE * side, np.array(size) / 3)
     seen = corners + most * rng.uniform(0, 1, (4, 2)) * np.where(corners > 0, -1, 1)
     coefficients = _perspective(seen, corners)
-    faded = (
-        _rim(picture.cover)
-        if picture.ground is None and picture.cover.min() == 1
-        else picture.cover
-    )
+
+    is_photograph = picture.ground is None and picture.cover.min() == 1
+    cover = _rim(picture.cover) if is_photograph else picture.cover
     layers = []
-    for layer in (picture.light * faded, faded):
+    for layer in (picture.light * cover, cover):
         sized = Image.fromarray(np.asarray(layer, np.float32)).resize(
             size, Image.Resampling.BILINEAR
         )
@@ -225,8 +307,11 @@ def _posed(
 
 
 def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:
-    """(a, ..., h) of (x, y) -> ((a x + b y + c) / (g x + h y + 1), (d x + e y + f) / (g x + h y +
-    1)), which takes the four places `seen` to `corners`."""
+    """The coefficients (a, ..., h) of the perspective that takes the four places `seen` to
+    `corners`:
+
+    (x, y) -> ((a x + b y + c) / (g x + h y + 1), (d x + e y + f) / (g x + h y + 1))
+    """
     rows = []
     for (x, y), (u, v) in zip(seen, corners, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
@@ -234,11 +319,11 @@ def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:
 
 
 def _rim(cover: np.ndarray) -> np.ndarray:
-    """Rises from 0 at the border to 1 within `FADES` of the sides."""
-    rises = [
-        np.clip((np.minimum(np.arange(n), np.arange(n)[::-1]) + 0.5) / max(1.0, FADES * n), 0, 1)
-        for n in cover.shape
-    ]
+    """A cover that rises from 0 at the border to 1 within `FADES` of the sides."""
+    rises = []
+    for n in cover.shape:
+        from_border = np.minimum(np.arange(n), np.arange(n)[::-1]) + 0.5
+        rises.append(np.clip(from_border / max(1.0, FADES * n), 0, 1))
     return rises[0][:, None] * rises[1]
 
 
@@ -251,10 +336,7 @@ def _texture(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
 
 
 def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Behind a Gaussian of `sigma` places, on the torus."""
+    """An image on the torus, blurred by a Gaussian of `sigma` places."""
     squared = np.fft.fftfreq(image.shape[0])[:, None] ** 2 + np.fft.rfftfreq(image.shape[1]) ** 2
-    return np.asarray(
-        np.fft.irfft2(
-            np.fft.rfft2(image) * np.exp(-2 * (np.pi * sigma) ** 2 * squared), image.shape
-        )
-    )
+    passed = np.exp(-2 * (np.pi * sigma) ** 2 * squared)
+    return np.asarray(np.fft.irfft2(np.fft.rfft2(image) * passed, image.shape))

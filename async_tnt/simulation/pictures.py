@@ -1,11 +1,11 @@
-"""Pictures of objects -> luminance, and where the object is.
+"""From pictures of objects to luminance, and where the object is.
 
-Values are linear luminance: sRGB is decoded, and colours are weighted as in Rec. 709. What is the
-object?
+Values are linear luminance: sRGB is decoded, and colours are weighted as in Rec. 709. What the
+object is depends on the picture:
 
 with an alpha channel       what is opaque
-on a plain ground           what differs from it: from the median of the picture's outermost pixels,
-                            which are alike
+on a plain ground           what differs from the ground: from the median of the picture's outermost
+                            pixels, if these are alike
 else, a photograph          all of it
 """
 
@@ -22,15 +22,18 @@ from async_tnt.base.files import open_regular, refuse_git_lfs
 
 SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
-"""Pillow's names of what these suffixes promise. It knows others by their first bytes, and starts
-programs for some."""
+"""Pillow's names of the formats of these suffixes. Pillow would also open files of other formats by
+their first bytes, and start programs for some."""
 MAX_PIXELS = 50_000_000
 """Pixels of the largest picture that is read: to decode more takes more than a gigabyte."""
 LARGEST_SIDE = 512
 """Larger pictures are made smaller: no object is that large on an event camera."""
-ALIKE, DIFFERS = 0.03, 0.05
-"""Of luminance: the deviation of a plain ground, and what is not the ground."""
+ALIKE = 0.03
+"""Standard deviation of the luminance of a plain ground, at most."""
+DIFFERS = 0.05
+"""Difference of luminance from the ground, from which on a pixel belongs to the object."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""What red, green and blue add to the luminance."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Picture:
     ----------
     light : float32, (h, w): linear luminance, from 0 to 1.
     cover : float32, (h, w): 1 on the object, 0 beside it.
-    ground : luminance of a plain ground around it; None: there is none.
+    ground : luminance of a plain ground around the object; None if it has no plain ground.
     """
 
     light: np.ndarray
@@ -54,25 +57,28 @@ def read_picture(path: Path) -> Picture:
 
     Raises
     ------
-    ValueError : no picture of one of the `FORMATS`, a damaged one, one of more than `MAX_PIXELS`, a
-        pointer of Git LFS, or nothing on it.
-    OSError : no regular file, or one that cannot be read.
+    ValueError : the file is no picture of one of the `FORMATS`, is damaged, has more than
+        `MAX_PIXELS`, is a pointer of Git LFS, or shows nothing.
+    OSError : it is no regular file, or cannot be read.
     """
     refuse_git_lfs(path)
     try:
         colours = _colours(path)
+    except ImportError:
+        raise
     except Exception as error:  # a damaged file surfaces as any of a dozen types
-        if isinstance(error, ImportError) or (
-            isinstance(error, OSError) and error.errno is not None
-        ):
+        if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ValueError(f"not a picture: {one_line(error)}") from None
-    rgb, alpha = colours[..., :3], colours[..., 3]
+
+    rgb = colours[..., :3]
+    alpha = colours[..., 3]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     light = (linear @ LUMINANCE).astype(np.float32)
     if min(light.shape) < 2:
         size = f"{light.shape[1]}x{light.shape[0]}, if at most {LARGEST_SIDE} are used"
         raise ValueError(f"a picture must have sides of at least 2 pixels, got {size}")
+
     if (alpha < 1).any():
         return _cut_out(light, alpha, None, alpha > 0.5)
     border = np.concatenate([light[0], light[-1], light[1:-1, 0], light[1:-1, -1]])
@@ -88,7 +94,8 @@ def _colours(path: Path) -> np.ndarray:
     with needs_extra("train", "pictures need Pillow"):
         from PIL import Image, ImageOps, UnidentifiedImageError
     with warnings.catch_warnings(), open_regular(path) as content:
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our limit is lower
+        # our limit is lower
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
             opened = Image.open(content, formats=FORMATS)
         except UnidentifiedImageError:
@@ -102,13 +109,14 @@ def _colours(path: Path) -> np.ndarray:
                     "make it smaller"
                 )
             image: Image.Image = ImageOps.exif_transpose(file)
-            if image.mode.startswith(("I", "F")):  # 16 bits and more; `convert` would cut them off
+            # 16 bits and more, which `convert` would cut off
+            if image.mode.startswith(("I", "F")):
                 values = np.array(image, np.float32)
                 if not np.isfinite(values).all():
                     raise ValueError("a picture must have finite values")
                 values *= np.float32(255.0 / max(float(values.max()), 1e-12))
                 image = Image.fromarray(np.clip(values, 0, 255, out=values).astype(np.uint8))
-            # before: pictures with a palette would be made smaller without averaging
+            # colours first: a picture with a palette would be made smaller without averaging
             image = image.convert("RGBA")
             image.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
             return np.asarray(image, np.float32) / 255.0
@@ -117,9 +125,10 @@ def _colours(path: Path) -> np.ndarray:
 def _cut_out(
     light: np.ndarray, cover: np.ndarray, ground: float | None, is_object: np.ndarray
 ) -> Picture:
-    """What lies between the object's outermost pixels."""
+    """The part of a picture between the object's outermost pixels."""
     if not is_object.any():
         raise ValueError("nothing is on this picture: all of it is transparent, or alike")
-    rows, columns = np.flatnonzero(is_object.any(1)), np.flatnonzero(is_object.any(0))
+    rows = np.flatnonzero(is_object.any(1))
+    columns = np.flatnonzero(is_object.any(0))
     part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     return Picture(light[part], cover[part], ground)

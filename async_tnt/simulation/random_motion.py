@@ -1,20 +1,28 @@
 """Motions that nobody recorded, drawn at random.
 
-direction   uniform
-time        half of them last the whole window; the others .4 to 1 of it, somewhere in it
-speed       half of them constant, half minimum jerk
-shape       half of them straight; the others also go sideways meanwhile, by up to .4 of their
-            length
-turn        meanwhile they turn and grow or shrink
-back        some turn round on their way, and come back
+direction   Uniform.
+time        Half of them last the whole window, the others .4 to 1 of it, somewhere in it.
+speed       Half of them have a constant speed, the others the one of minimum jerk.
+shape       Half of them are straight; the others also go sideways meanwhile, by up to .4 of their
+            length.
+turn        Meanwhile they turn and grow or shrink.
+back        Some turn round on their way and come back.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-SHORTEST_TIME, WIDEST_BEND, TURNS_AT = 0.4, 0.4, (0.4, 0.9)
-TURN, GROWTH = np.radians(6.0), 0.06
+SHORTEST_TIME = 0.4
+"""Least duration, as a share of the window."""
+WIDEST_BEND = 0.4
+"""How far a motion goes sideways at most, as a share of its length."""
+TURNS_AT = (0.4, 0.9)
+"""Least and greatest share of its way after which a motion turns round, if it does."""
+TURN = np.radians(6.0)
+"""Turn of a whole motion, in radians, at most."""
+GROWTH = 0.06
+"""Growth of a whole motion, as the logarithm of the size, at most."""
 
 
 def random_motion(
@@ -26,16 +34,21 @@ def random_motion(
     most_growth: float = GROWTH,
     back: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement at `shares` of the window, (n, 2), and turn, (n, 2), see `PeriodicImage`; 0 at
-    half time.
+    """Draw a motion.
 
     Parameters
     ----------
-    length : of the motion, one way; the displacement's unit.
-    shares : float64, (n,), increasing from 0 to 1.
-    most_turn : in all, either way, in radians.
-    most_growth : in all, either way: of the logarithm of the size.
+    length : length of the way, without the way back; the displacement is in its unit.
+    shares : float64, (n,), moments as shares of the window, increasing from 0 to 1.
+    rng : draws the motion.
+    most_turn : largest turn of the whole motion, in either direction, in radians.
+    most_growth : largest change of the logarithm of the size, in either direction.
     back : share of motions that turn round, at .4 to .9 of their time, and come back.
+
+    Returns
+    -------
+    Displacement and turn at these moments, float64, (n, 2) each, see `PeriodicImage.frames`. Both
+    are 0 at half time.
     """
     angle = rng.uniform(0.0, 2 * np.pi)
     lasts = 1.0 if rng.random() < 0.5 else rng.uniform(SHORTEST_TIME, 1.0)
@@ -47,14 +60,17 @@ def random_motion(
     turns_at = rng.uniform(*TURNS_AT) if back and rng.random() < back else 1.0
 
     def position(share: np.ndarray) -> np.ndarray:
+        """x, y, angle and growth since the motion's start."""
         u = np.clip((share - starts) / lasts, 0.0, 1.0)
-        # at the same speed, to the start
+        # the way back is as fast, to the start
         u = np.where(u < turns_at, u / turns_at, np.maximum(0.0, 2.0 - u / turns_at))
         forward = u if constant else minimum_jerk(u)
         aside = bend * minimum_jerk((u - bend_starts) / 0.5)
-        cos, sin = length * np.cos(angle), length * np.sin(angle)
-        displacement = forward * cos - aside * sin, forward * sin + aside * cos
-        return np.stack([*displacement, forward * turn[0], forward * turn[1]], axis=-1)
+        cos = length * np.cos(angle)
+        sin = length * np.sin(angle)
+        x = forward * cos - aside * sin
+        y = forward * sin + aside * cos
+        return np.stack([x, y, forward * turn[0], forward * turn[1]], axis=-1)
 
     motion = position(shares) - position(np.array(0.5))
     return motion[:, :2], motion[:, 2:]

@@ -5,15 +5,16 @@ thresholds    .1 to .4 in log luminance, log-uniform; ON against OFF within a fa
 mismatch      .03 to .25
 refractory    .1 to 3 ms, log-uniform
 bandwidth     200 to 5,000 Hz in the brightest light, log-uniform
-noise         .01 to 3 events a pixel and second, log-uniform; 10 to 100 % of it ON
+noise         .01 to 3 events a pixel and second, log-uniform; 10 to 100 % of them are ON
 leak          up to .3 events a pixel and second
-after-pulses  none in half of the cameras, else of up to a third of the events
-hot pixels    none in half of the cameras, else up to one in 500, of 50 events a second
+after-pulses  half of the cameras have none; in the others up to a third of the events have one
+hot pixels    half of the cameras have none; in the others up to one pixel in 500 is hot, with 50
+              events a second
 
-What a recording of a camera tells of its pixels takes the place of these ranges: ratio of
-thresholds, noise and after-pulses within a quarter, and the bound of the refractory time, if it is
-shorter. A recording without a quiet pixel tells no noise, and one without two events of a pixel no
-refractory time.
+What a recording of a camera tells of its pixels takes the place of these ranges. Ratio of
+thresholds, noise and after-pulses are drawn within a quarter of what was measured. The refractory
+time is at most its measured bound. A recording without a quiet pixel tells no noise. One without
+two events of a pixel tells no refractory time.
 """
 
 from __future__ import annotations
@@ -23,40 +24,63 @@ import numpy as np
 from async_tnt.simulation.measured_pixels import LARGEST_RATIO, MeasuredPixels
 from async_tnt.simulation.simulator import PixelModel
 
-THRESHOLDS, RATIO_SPREAD, MISMATCHES = (0.1, 0.4), 0.35, (0.03, 0.25)
-REFRACTORY_US, BANDWIDTHS_HZ = (100.0, 3_000.0), (200.0, 5_000.0)
-NOISE_HZ, NOISE_ON_SHARES, LEAK_HZ = (0.01, 3.0), (0.1, 1.0), 0.3
-AFTER_SHARE, HOT_SHARE, HOT_HZ = 1 / 3, 1 / 500, 50.0
+THRESHOLDS = (0.1, 0.4)
+"""Range of the contrast threshold, in log luminance."""
+RATIO_SPREAD = 0.35
+"""Standard deviation of the log of the ratio of ON and OFF thresholds."""
+MISMATCHES = (0.03, 0.25)
+"""Range of the standard deviation, over pixels, of the log of the thresholds."""
+REFRACTORY_US = (100.0, 3_000.0)
+"""Range of the refractory time, in microseconds."""
+BANDWIDTHS_HZ = (200.0, 5_000.0)
+"""Range of a pixel's bandwidth in the brightest light, in hertz."""
+NOISE_HZ = (0.01, 3.0)
+"""Range of the noise, in events a pixel and second."""
+NOISE_ON_SHARES = (0.1, 1.0)
+"""Range of the share of the noise that is ON."""
+LEAK_HZ = 0.3
+"""Most events that leak, a pixel and second."""
+AFTER_SHARE = 1 / 3
+"""Largest share of the events that an after-pulse follows."""
+HOT_SHARE = 1 / 500
+"""Largest share of the pixels that are hot."""
+HOT_HZ = 50.0
+"""Events of a hot pixel a second, in the mean."""
 NEAR = 1.25
-"""How far a camera that is known may be from what a recording tells."""
+"""Factor by which a known camera may differ from what a recording tells, at most."""
 
 
 def random_pixels(rng: np.random.Generator, camera: MeasuredPixels | None = None) -> PixelModel:
-    """Pixels of a camera, as `rng` draws them; of one that is known, as far as its events tell."""
+    """Draw the pixels of a camera.
+
+    Parameters
+    ----------
+    rng : draws them.
+    camera : what a recording tells of the camera; None: nothing is known.
+    """
 
     def between(low: float, high: float) -> float:
+        """A number, log-uniform."""
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
     threshold = between(*THRESHOLDS)
     ratio = np.clip(np.exp(RATIO_SPREAD * rng.standard_normal()), 1 / LARGEST_RATIO, LARGEST_RATIO)
-    refractory_us, noise_hz, noise_on_share = (
-        between(*REFRACTORY_US),
-        between(*NOISE_HZ),
-        rng.uniform(*NOISE_ON_SHARES),
-    )
+    refractory_us = between(*REFRACTORY_US)
+    noise_hz = between(*NOISE_HZ)
+    noise_on_share = rng.uniform(*NOISE_ON_SHARES)
     leak_hz = rng.uniform(0, LEAK_HZ)
-    after_share, hot_share = (
-        rng.uniform(0, most) * (rng.random() < 0.5) for most in (AFTER_SHARE, HOT_SHARE)
-    )
+    # half of the cameras have no after-pulses, and half no hot pixels
+    after_share = rng.uniform(0, AFTER_SHARE) * (rng.random() < 0.5)
+    hot_share = rng.uniform(0, HOT_SHARE) * (rng.random() < 0.5)
+
     if camera is not None:
-        known = camera.step_on / camera.step_off, camera.after_share
-        ratio, after_share = (number * between(1 / NEAR, NEAR) for number in known)
+        ratio = camera.step_on / camera.step_off * between(1 / NEAR, NEAR)
+        after_share = camera.after_share * between(1 / NEAR, NEAR)
         if camera.noise_hz:
-            noise_hz, noise_on_share, leak_hz = (
-                camera.noise_hz * between(1 / NEAR, NEAR),
-                camera.noise_on_share,
-                0.0,
-            )
+            # the measured noise contains what leaks
+            noise_hz = camera.noise_hz * between(1 / NEAR, NEAR)
+            noise_on_share = camera.noise_on_share
+            leak_hz = 0.0
         if camera.refractory_us:
             refractory_us = rng.uniform(0, 1) * min(camera.refractory_us, REFRACTORY_US[1])
     return PixelModel(

@@ -6,17 +6,18 @@ R:
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
 
-as often as L gets there. After an event at t the pixel is held in reset for `refractory_us`: it
-sees nothing, and then R := L(t + refractory_us). Times are rounded to whole microseconds, and
-events are sorted by (t, y, x); those of one pixel at one time stay in order.
+This repeats as often as L gets there. After an event at t the pixel is held in reset for
+`refractory_us`: it sees nothing, and then R := L(t + refractory_us). Times are rounded to whole
+microseconds, and events are sorted by (t, y, x). Events of one pixel at one time stay in order.
 
 What a circuit adds, each off by default:
 
-    bandwidth     the pixel follows its light as a low-pass does, y' = 2 pi f (L - y), the slower the darker it is:
-                  f = bandwidth_hz max(exp(L), DARKEST), and L is 0 where it is brightest
-    leak          R drifts down by C_on leak_hz a second: ON events without a change
-    after-pulses  some events are followed by one of the other sign
-    hot pixels    some pixels have noise of their own rate
+    bandwidth     The pixel follows its light as a low-pass does, y' = 2 pi f (L - y), the slower
+                  the darker it is: f = bandwidth_hz max(exp(L), DARKEST), with L = 0 in the
+                  brightest light.
+    leak          R drifts down by C_on leak_hz a second: ON events without a change.
+    after-pulses  Some events are followed by one of the other sign.
+    hot pixels    Some pixels have noise at a rate of their own.
 
 References
 ----------
@@ -24,7 +25,7 @@ Hu, Liu, Delbruck 2021, v2e: From Video Frames to Realistic DVS Events: bandwidt
 the light, leak. Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous
 Temporal Contrast Vision Sensor: the pixel. Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event
 Camera Simulator: crossings placed by linear interpolation between frames. ESIM drops events in the
-refractory time and keeps R; here R follows the light, as in the pixel's circuit, whose capacitor is
+refractory time and keeps R. Here R follows the light, as in the pixel's circuit, whose capacitor is
 shorted during that time.
 """
 
@@ -36,16 +37,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.base.checks import plain_array
+from async_tnt.base.checks import ParameterValueError, plain_array
 from async_tnt.kernels.training.simulate import low_pass, pixel_events
 from async_tnt.volume.events import EVENT_DTYPE, structured
 
 MIN_THRESHOLD = 1e-3
 """Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""
 DARKEST = 0.1
-"""Luminance below which a pixel's bandwidth falls no further."""
+"""Luminance below which a pixel's bandwidth falls no further; 1 is the brightest."""
 AFTER_US = 1_000
-"""An after-pulse follows its event within this time."""
+"""Microseconds within which an after-pulse follows its event."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +60,15 @@ class PixelModel:
         luminance.
     mismatch : standard deviation, over pixels, of the log of the thresholds; ON and OFF are
         independent.
-    refractory_us : time a pixel is held in reset after each event, in microseconds.
+    refractory_us : microseconds that a pixel is held in reset after each event.
     noise_hz : background events per pixel and second, uniform in time, independent of the light.
     noise_on_share : share of the background events that are ON.
-    bandwidth_hz : corner of the pixel's low-pass in the brightest light, or None: it has no
-        low-pass.
+    bandwidth_hz : corner frequency of the pixel's low-pass in the brightest light; None: the pixel
+        has no low-pass.
     leak_hz : ON events per pixel and second that leak in steady light.
     after_share : share of the events that an after-pulse follows.
-    hot_share, hot_hz : share of the pixels that are hot, and the noise of each, in the mean.
+    hot_share : share of the pixels that are hot.
+    hot_hz : background events of a hot pixel a second, in the mean.
     """
 
     threshold_on: float = 0.197
@@ -83,23 +85,21 @@ class PixelModel:
 
     def __post_init__(self) -> None:
         for name in ("threshold_on", "threshold_off"):
-            if not MIN_THRESHOLD <= getattr(self, name) < math.inf:
-                raise ValueError(
-                    f"`{name}` must be finite and at least {MIN_THRESHOLD}, got "
-                    f"{getattr(self, name)}"
-                )
+            value = getattr(self, name)
+            if not MIN_THRESHOLD <= value < math.inf:
+                rule = f"must be finite and at least {MIN_THRESHOLD}"
+                raise ParameterValueError(name, rule, value)
         for name in ("mismatch", "refractory_us", "noise_hz", "leak_hz", "hot_hz"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(
-                    f"`{name}` must be finite and at least 0, got {getattr(self, name)}"
-                )
+            value = getattr(self, name)
+            if not 0 <= value < math.inf:
+                raise ParameterValueError(name, "must be finite and at least 0", value)
         for name in ("noise_on_share", "after_share", "hot_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"`{name}` must be in [0, 1], got {getattr(self, name)}")
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise ParameterValueError(name, "must be in [0, 1]", value)
         if self.bandwidth_hz is not None and not 0 < self.bandwidth_hz < math.inf:
-            raise ValueError(
-                f"`bandwidth_hz` must be None, or finite and above 0, got {self.bandwidth_hz}"
-            )
+            rule = "must be None, or finite and above 0"
+            raise ParameterValueError("bandwidth_hz", rule, self.bandwidth_hz)
 
 
 def simulate(
@@ -129,37 +129,47 @@ def simulate(
     ------
     ValueError : wrong shapes, light that is not finite, or times that do not increase.
     """
-    pixels = PixelModel() if pixels is None else pixels
+    if pixels is None:
+        pixels = PixelModel()
     frames, times = _checked_frames(log_frames, frame_times_us)
     shape = frames.shape[1:]
-    threshold_on = np.maximum(
-        pixels.threshold_on * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
-    )
-    threshold_off = np.maximum(
-        pixels.threshold_off * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
-    )
+    threshold_on = _thresholds(pixels.threshold_on, pixels.mismatch, shape, rng)
+    threshold_off = _thresholds(pixels.threshold_off, pixels.mismatch, shape, rng)
     reference = frames[0] - threshold_on + rng.random(shape) * (threshold_on + threshold_off)
-    refractory_us = float(pixels.refractory_us)
+
     if pixels.bandwidth_hz is not None:
         frames = low_pass(frames, times, pixels.bandwidth_hz, DARKEST)
     if pixels.leak_hz:
         frames = frames + pixels.leak_hz * 1e-6 * (times - times[0])[:, None, None] * threshold_on
-    events = structured(
-        pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us)
-    )
-    noise = [_noise(pixels.noise_hz, (0, 0), shape, times, rng, pixels)]
+    refractory_us = float(pixels.refractory_us)
+    seen = pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us)
+
+    parts = [structured(seen), _noise(pixels.noise_hz, (0, 0), shape, times, rng, pixels)]
     if pixels.hot_share:
         hot = np.argwhere(rng.random(shape) < pixels.hot_share)
-        for place, hz in zip(hot.tolist(), rng.exponential(pixels.hot_hz, len(hot)), strict=True):
-            noise.append(_noise(hz, place, (1, 1), times, rng, pixels))
-    events = np.concatenate([events, *noise])
+        rates_hz = rng.exponential(pixels.hot_hz, len(hot))
+        for place, hz in zip(hot.tolist(), rates_hz, strict=True):
+            parts.append(_noise(hz, place, (1, 1), times, rng, pixels))
+    events = np.concatenate(parts)
     if pixels.after_share:
-        after = events[rng.random(len(events)) < pixels.after_share]
-        after["t"] += rng.integers(1, AFTER_US, len(after))
-        after["p"] ^= 1
-        events = np.concatenate([events, after])
+        events = np.concatenate([events, _after_pulses(events, pixels.after_share, rng)])
     # stable; the last key counts most
     return events[np.lexsort((events["x"], events["y"], events["t"]))]
+
+
+def _thresholds(
+    mean: float, mismatch: float, shape: tuple[int, ...], rng: np.random.Generator
+) -> np.ndarray:
+    """A threshold for each pixel."""
+    return np.maximum(mean * np.exp(mismatch * rng.standard_normal(shape)), MIN_THRESHOLD)
+
+
+def _after_pulses(events: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """After-pulses of this share of the events."""
+    after = events[rng.random(len(events)) < share]
+    after["t"] += rng.integers(1, AFTER_US, len(after))
+    after["p"] ^= 1
+    return after
 
 
 def _noise(
@@ -170,8 +180,14 @@ def _noise(
     rng: np.random.Generator,
     pixels: PixelModel,
 ) -> np.ndarray:
-    """Background events: a Poisson process of one rate at each pixel of a rectangle; `corner` is
-    (row, column)."""
+    """Background events: a Poisson process of the same rate at each pixel of a rectangle.
+
+    Parameters
+    ----------
+    hz : events a pixel and second.
+    corner, shape : (row, column) of the rectangle's first pixel, and its (rows, columns).
+    times : the frames' times, in microseconds; the noise is between the first and the last.
+    """
     span_us = times[-1] - times[0]
     events = np.empty(rng.poisson(hz * shape[0] * shape[1] * span_us * 1e-6), EVENT_DTYPE)
     events["t"] = np.floor(times[0] + span_us * rng.random(len(events)))
@@ -184,28 +200,24 @@ def _noise(
 def _checked_frames(
     log_frames: np.ndarray, frame_times_us: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
+    """The arguments of `simulate` as contiguous float64 arrays. A ValueError if they break a
+    rule."""
     frames = np.ascontiguousarray(plain_array("log_frames", log_frames), np.float64)
     times = np.ascontiguousarray(plain_array("frame_times_us", frame_times_us), np.float64)
     if frames.ndim != 3 or frames.shape[0] == 0:
-        raise ValueError(f"`log_frames` must have shape (K, H, W) with K >= 1, got {frames.shape}")
+        rule = "must have shape (K, H, W) with K >= 1"
+        raise ParameterValueError("log_frames", rule, frames.shape)
     if max(frames.shape[1:]) > 1 << 16:
-        raise ValueError(
-            f"`log_frames` must be at most 65536 pixels wide and high, got {frames.shape}"
-        )
+        rule = "must be at most 65536 pixels wide and high"
+        raise ParameterValueError("log_frames", rule, frames.shape)
     if times.shape != frames.shape[:1]:
-        raise ValueError(
-            f"`frame_times_us` must have shape ({frames.shape[0]},), one per frame, got "
-            f"{times.shape}"
-        )
+        rule = f"must have shape ({frames.shape[0]},), one per frame"
+        raise ParameterValueError("frame_times_us", rule, times.shape)
     if not np.isfinite(frames).all():
-        raise ValueError("`log_frames` must be finite; luminance 0 has no logarithm")
-    if (
-        not np.isfinite(times).all()
-        or (np.diff(times) <= 0).any()
-        or times[0] < 0
-        or times[-1] > 2**53
-    ):
-        raise ValueError(
-            "`frame_times_us` must be strictly increasing, in [0, 2^53]: what float64 holds exactly"
-        )
+        rule = "must be finite; luminance 0 has no logarithm"
+        raise ParameterValueError("log_frames", rule)
+    is_increasing = np.isfinite(times).all() and (np.diff(times) > 0).all()
+    if not is_increasing or times[0] < 0 or times[-1] > 2**53:
+        rule = "must be strictly increasing, in [0, 2^53]: what float64 holds exactly"
+        raise ParameterValueError("frame_times_us", rule)
     return frames, times

@@ -24,7 +24,7 @@ import numpy as np
 
 from async_tnt.base.checks import ParameterValueError
 from async_tnt.base.files import open_regular, replacing
-from async_tnt.resynthesis import MotionPath
+from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.training.augment import LATEST, Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows

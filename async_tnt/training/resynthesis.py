@@ -33,9 +33,15 @@ from async_tnt.base.checks import (
 from async_tnt.base.files import read_regular, write_text
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_counted
-from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
+from async_tnt.resynthesis.calibration import Calibration, calibrate
 from async_tnt.resynthesis.moving_image import N_FRAMES, cell_for
-from async_tnt.resynthesis.reconstruction import N_PICTURES, SimulatedPixels, shares
+from async_tnt.resynthesis.paths import MotionPath
+from async_tnt.resynthesis.reconstruction import (
+    N_PICTURES,
+    Reconstruction,
+    SimulatedPixels,
+    shares,
+)
 from async_tnt.simulation.measured_pixels import MeasuredPixels, part_of
 from async_tnt.training.moved_windows import (
     Motions,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.networks.models.model import Model
-from async_tnt.streaming.decision import Decision
+from async_tnt.streaming.decision import Decision, Object
 from async_tnt.streaming.processor import Processor
 from async_tnt.views.figure_style import OFF, ON, TEXT, WIDTH, axes_at, headline, new_figure
 from async_tnt.views.figure_subject import Window
@@ -18,12 +18,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHARES = 1 / 3, 2 / 3, 1.0
-"""Of a window, at which it is drawn."""
-EDGE, GAP, TOP = 0.15, 0.28, 0.7  # inches
+"""Shares of a window after which it is drawn."""
+EDGE = 0.15
+"""Inches left, right and below the panels."""
+GAP = 0.28
+"""Inches between panels."""
+TOP = 0.7
+"""Inches above the panels."""
+RIGHTMOST = 0.85
+"""Share of the width from which on words stand left of an object, to stay inside."""
 
 
 def draw_window_objects(window: Window, model: Model) -> Figure:
-    """A panel for each third of a window."""
+    """A panel for each of `SHARES` of a window."""
     processor = Processor(model, start_us=window.start_us)
     decisions = []
     in_order = window.events[np.argsort(window.events["t"], kind="stable")]
@@ -32,7 +39,8 @@ def draw_window_objects(window: Window, model: Model) -> Figure:
         processor.push(part)
         decisions.append(processor.fire())
     titles = [f"{(end_us - window.start_us) / 1e3:g} ms" for end_us in ends_us]
-    words = f"{window.subject.name}, window {window.number}: objects that {window.subject.model_name} finds"
+    subject = window.subject
+    words = f"{subject.name}, window {window.number}: objects that {subject.model_name} finds"
     return draw_objects(decisions, titles, in_order, model.config.sensor, words)
 
 
@@ -43,8 +51,15 @@ def draw_objects(
     sensor: tuple[int, int],
     words: str,
 ) -> Figure:
-    """A panel for each decision, with those of the events, in order, that its window had until
-    then."""
+    """A panel for each decision.
+
+    Parameters
+    ----------
+    decisions, titles : one for each panel.
+    events : events of the recording, in order. A panel shows what its window had until then.
+    sensor : (width, height), in pixels.
+    words : the headline.
+    """
     width, height = sensor
     side = (WIDTH - 2 * EDGE - (len(titles) - 1) * GAP) / len(titles)
     figure = new_figure(TOP + side * height / width + EDGE)
@@ -55,19 +70,24 @@ def draw_objects(
             some = events[since & (events["p"] == p)]
             axes.plot(some["x"], some["y"], ",", color=colour, alpha=0.6)
         for found in decision.objects or ():
-            axes.plot(found.x, found.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
-            is_right = found.x > 0.85 * width  # words are to stay inside
-            look: dict[str, Any] = {
-                "color": TEXT,
-                "ha": "right" if is_right else "left",
-                "textcoords": "offset points",
-            }
-            for text, down, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
-                axes.annotate(
-                    text, (found.x, found.y), (-14 if is_right else 14, down), fontsize=size, **look
-                )
+            _draw_object(axes, found, words_left=found.x > RIGHTMOST * width)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
         axes.spines[:].set_visible(True)
         axes.set_title(title, loc="left", fontsize=9, color=TEXT)
     headline(figure, words)
     return figure
+
+
+def _draw_object(axes: Any, found: Object, *, words_left: bool) -> None:
+    """A circle, with class and probability beside it."""
+    axes.plot(found.x, found.y, "o", ms=26, mfc="none", mec=TEXT, mew=0.7)
+    for text, down, size in ((found.label, 7, 13), (f"{found.probability:.2f}", -4, 7)):
+        axes.annotate(
+            text,
+            (found.x, found.y),
+            (-14 if words_left else 14, down),
+            fontsize=size,
+            color=TEXT,
+            ha="right" if words_left else "left",
+            textcoords="offset points",
+        )

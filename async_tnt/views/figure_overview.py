@@ -29,11 +29,18 @@ from async_tnt.views.figure_window import draw_both, draw_layers, layers_height
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-EVENTS_HEIGHT, CLASSES_HEIGHT = 4.0, 1.9  # inches
-EVERY_US = 2_500  # between decisions; more in a long recording
-MOST_DECISIONS = 2_000  # that can still be told apart
-MOST_SLICES = 12  # in a row, evenly spread
-MOST_NAMED = 20  # windows whose decision is written
+EVENTS_HEIGHT = 4.0
+"""Inches that the events take, with what is above them."""
+CLASSES_HEIGHT = 1.9
+"""Inches of the plot of class probabilities."""
+EVERY_US = 2_500
+"""Microseconds between decisions; more in a long recording."""
+MOST_DECISIONS = 2_000
+"""Decisions that can still be told apart."""
+MOST_SLICES = 12
+"""Bins of a volume that are drawn, evenly spread."""
+MOST_NAMED = 20
+"""Windows whose decisions are written, at most."""
 
 
 def draw_overview(subject: Subject, number: int = 1) -> Figure:
@@ -41,7 +48,8 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
 
     Without a model the probabilities are left out.
     """
-    window, config = subject.window(number), subject.config
+    window = subject.window(number)
+    config = subject.config
     shown = shown_evenly(config.bins, MOST_SLICES).tolist()
     classes_top = EVENTS_HEIGHT + 0.55 + layers_height(config, len(shown))
     figure = new_figure(classes_top + (0.0 if subject.model is None else CLASSES_HEIGHT + 0.5))
@@ -52,58 +60,62 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     if subject.model is None:
         headline(figure, subject.name)
         return figure
+
     t = subject.events["t"]
     every_us = max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
-    last = [d for d in decisions if d.trigger in ("window", "end")]  # of each window
+    # of each window
+    last = [d for d in decisions if d.trigger in ("window", "end")]
     label, words = class_of_recording(subject.model.classes, [d.probabilities for d in last])
     headline(figure, f"{subject.name}: “{label}”, {words}")
     axes = axes_at(figure, 0.75, classes_top, 8.6, CLASSES_HEIGHT)
     draw_classes(axes, subject, subject.model, decisions, last)
-    words = f"decisions of {printable(subject.model_name)} every {every_us / 1e3:g} ms and at the ends of windows"
-    axes.set_xlabel(f"time in the recording (ms); {words}", fontsize=SMALL)
+    who = printable(subject.model_name)
+    when = f"every {every_us / 1e3:g} ms and at the ends of windows"
+    axes.set_xlabel(f"time in the recording (ms); decisions of {who} {when}", fontsize=SMALL)
     return figure
 
 
 def draw_classes(
     axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]
 ) -> None:
-    """A line for each class, the likeliest ones in colour and named; above each window, its last
-    decision."""
-    probabilities = np.array([d.probabilities for d in decisions])  # (decisions, classes)
+    """Draw a line for each class, the likeliest ones in colour and named, and write each window's
+    decision above it.
+
+    Parameters
+    ----------
+    decisions : all decisions.
+    last : the last decision of each window.
+    """
+    # (decisions, classes)
+    probabilities = np.array([d.probabilities for d in decisions])
     times = subject.since_start_ms(np.array([d.time_us for d in decisions]))
     starts_us = np.array([d.window_start_us for d in decisions])
-    ends = np.flatnonzero(np.diff(starts_us)) + 1  # a line ends with its window
-    x, y = np.insert(times, ends, np.nan), np.insert(probabilities, ends, np.nan, axis=0)
+    # a line ends with its window
+    ends = np.flatnonzero(np.diff(starts_us)) + 1
+    x = np.insert(times, ends, np.nan)
+    y = np.insert(probabilities, ends, np.nan, axis=0)
     likeliest = np.argsort(-probabilities.mean(axis=0), kind="stable")
-    for rank, k in reversed(list(enumerate(likeliest))):  # the likeliest on top
+    # the likeliest on top
+    for rank, k in reversed(list(enumerate(likeliest))):
         look = {"color": GREY, "lw": 0.8}
         if rank < len(HIGHLIGHTS):
             colour, dashes = HIGHLIGHTS[rank]
-            look = {
-                "color": colour,
-                "ls": dashes,
-                "lw": 2.0,
-                "label": f"“{shortened(model.classes[k], 10)}”",
-            }
+            name = f"“{shortened(model.classes[k], 10)}”"
+            look = {"color": colour, "ls": dashes, "lw": 2.0, "label": name}
         (line,) = axes.plot(x, y[:, k], marker=".", ms=2, **look)
         line.set_gid(f"class {k}")
-    for decision in last if len(last) <= MOST_NAMED else ():
-        start_ms = subject.since_start_ms(decision.window_start_us)
-        axes.axvline(start_ms, color=PALE, lw=0.8, zorder=0)
-        note(
-            axes,
-            f"“{shortened(decision.label or 'nothing', 10)}” {decision.probability:.2f}",
-            (start_ms, 1.0),
-            (3, 3),
-        )
-    axes.set(
-        xlim=subject.since_start_ms(
-            np.array([starts_us[0], starts_us[-1] + model.config.window_us])
-        ),
-        ylim=(0, 1),
-    )
+
+    if len(last) <= MOST_NAMED:
+        for decision in last:
+            start_ms = subject.since_start_ms(decision.window_start_us)
+            axes.axvline(start_ms, color=PALE, lw=0.8, zorder=0)
+            name = shortened(decision.label or "nothing", 10)
+            note(axes, f"“{name}” {decision.probability:.2f}", (start_ms, 1.0), (3, 3))
+
+    ends_us = np.array([starts_us[0], starts_us[-1] + model.config.window_us])
+    axes.set(xlim=subject.since_start_ms(ends_us), ylim=(0, 1))
     axes.set(yticks=[0, 0.5, 1], ylabel="class probability")
     handles, names = axes.get_legend_handles_labels()
     axes.legend(handles[::-1], names[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -23,23 +23,31 @@ from async_tnt.views.figure_style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEFT, TOP, SIDE, GAP = 0.9, 0.95, 1.42, 0.12  # inches
-STRONGEST = 4.0  # events of a pixel that have the full colour
+LEFT = 0.9
+"""Inches left of the pictures, for the names of classes."""
+TOP = 0.95
+"""Inches above the pictures."""
+SIDE = 1.42
+"""Width of a picture, in inches."""
+GAP = 0.12
+"""Inches between pictures."""
+STRONGEST = 4.0
+"""Events of a pixel that have the full colour."""
 
 
 @dataclass(frozen=True)
 class ResynthesizedWindow:
-    """One window, in sensor pixels.
+    """One window, and what was simulated of it, in sensor pixels.
 
     Parameters
     ----------
-    name : of its class.
+    name : name of its class.
     recorded : its events, with fields x, y, p.
     image : (H, W), log luminance halfway through the window.
     same_motion : events of that image under the motion that was found.
-    motions : displacement since the window's start: the one that was found, and each new one, (n,
-        2).
-    others : events under each new one.
+    motions : displacement since the window's start, (n, 2): of the motion that was found, and of
+        each new one.
+    others : events under each new motion.
     """
 
     name: str
@@ -56,7 +64,7 @@ class RefusedWindow:
 
     Parameters
     ----------
-    name : of its class.
+    name : name of its class.
     recorded : its events, with fields x, y, p.
     reason : why its path may not be relied on.
     """
@@ -69,26 +77,26 @@ class RefusedWindow:
 def draw_resynthesis(
     windows: Sequence[ResynthesizedWindow], refused: Sequence[RefusedWindow] = ()
 ) -> Figure:
-    """Events as recorded, the image and path found in them, and events of that image under this and
-    other paths; and windows in which none was found. `windows` has at least one.
+    """A row for each window: events as recorded, the image and path found in them, and events of
+    that image under this and other paths.
+
+    Parameters
+    ----------
+    windows : at least one, all with as many other paths.
+    refused : windows in which no path was found.
     """
     n_others = len(windows[0].others)
     height, width = windows[0].image.shape
     high = SIDE * height / width
     rows: list[ResynthesizedWindow | RefusedWindow] = [*windows, *refused]
-    figure = new_figure(
-        TOP + len(rows) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1
-    )
+    figure = _figure_of(len(rows), 3 + n_others, high)
     headline(figure, "motion re-synthesis")
-    titles = [
-        "as recorded",
-        "image, path found",
-        "the same path",
-        *(f"other path {i + 1}" for i in range(n_others)),
-    ]
+    titles = ["as recorded", "image, path found", "the same path"]
+    titles += [f"other path {i + 1}" for i in range(n_others)]
     for column, title in enumerate(titles):
         left = LEFT + column * (SIDE + GAP) + SIDE / 2
         write_at(figure, left, TOP - 0.2, title, ha="center")
+
     for row, window in enumerate(rows):
         top = TOP + row * (high + GAP)
         write_at(figure, LEFT - 0.1, top + high / 2, shortened(window.name, 14), ha="right")
@@ -96,13 +104,11 @@ def draw_resynthesis(
         if isinstance(window, RefusedWindow):
             write_at(figure, LEFT + SIDE + 2 * GAP, top + high / 2, f"no path: {window.reason}")
             continue
-        simulated = [
-            _counts(events, (height, width)) for events in (window.same_motion, *window.others)
-        ]
+        pictures = [window.image]
+        for events in (window.same_motion, *window.others):
+            pictures.append(_counts(events, (height, width)))
         paths = [window.motions[0], *window.motions]
-        for column, (picture, path) in enumerate(
-            zip([window.image, *simulated], paths, strict=True), 1
-        ):
+        for column, (picture, path) in enumerate(zip(pictures, paths, strict=True), 1):
             axes = _draw_picture(figure, column, top, picture, is_image=column == 1)
             _draw_path(axes, path, (width, height))
     polarity_legend(figure)
@@ -112,19 +118,17 @@ def draw_resynthesis(
 def draw_recorded_pictures(
     pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int]
 ) -> Figure:
-    """Pictures, and their recordings.
+    """A row for each picture: the picture, and its recordings.
 
     Parameters
     ----------
-    pictures : class, luminance (h, w), and events with fields x, y, p of each of its recordings, of
-        equally many.
-    sensor : (width, height).
+    pictures : for each its class, its luminance (h, w), and the events, with fields x, y, p, of
+        each of its recordings. All have as many recordings.
+    sensor : (width, height), in pixels.
     """
     high = SIDE * sensor[1] / sensor[0]
-    n = len(pictures[0][2])
-    figure = new_figure(
-        TOP + len(pictures) * (high + GAP) + 0.1, LEFT + (1 + n) * (SIDE + GAP) + 0.1
-    )
+    n_recordings = len(pictures[0][2])
+    figure = _figure_of(len(pictures), 1 + n_recordings, high)
     headline(figure, "pictures, as simulated cameras record them")
     for row, (name, light, recordings) in enumerate(pictures):
         top = TOP + row * (high + GAP)
@@ -139,9 +143,15 @@ def draw_recorded_pictures(
     return figure
 
 
+def _figure_of(n_rows: int, n_columns: int, high: float) -> Figure:
+    """A figure with room for rows of pictures, each `high` inches."""
+    return new_figure(TOP + n_rows * (high + GAP) + 0.1, LEFT + n_columns * (SIDE + GAP) + 0.1)
+
+
 def _draw_picture(
     figure: Figure, column: int, top: float, picture: np.ndarray, *, is_image: bool
 ) -> Any:
+    """Axes with a picture in a column, from `top` inches on: an image, or ON minus OFF events."""
     high = SIDE * picture.shape[0] / picture.shape[1]
     axes = picture_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
     if is_image:

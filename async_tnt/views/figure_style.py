@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Okabe and Ito's colours, which colour-blind people can distinguish
-ON, OFF = "#D55E00", "#0072B2"
+ON = "#D55E00"
+"""Colour of ON events."""
+OFF = "#0072B2"
+"""Colour of OFF events."""
 OFF_TO_ON = OFF, "#ffffff", ON
 """Colours of what has a sign, from its smallest value over zero to its largest."""
 HIGHLIGHTS = (
@@ -24,11 +27,20 @@ HIGHLIGHTS = (
     ("#CC79A7", (0, (3, 1, 1, 1))),
     ("#E69F00", (0, (1, 1))),
 )
-GREY, PALE, TEXT = "#8a8a8a", "#c4c4c4", "#555555"
+"""Colours and dashes of the lines that are named."""
+GREY = "#8a8a8a"
+"""Colour of lines that are not named."""
+PALE = "#c4c4c4"
+"""Colour of frames."""
+TEXT = "#555555"
+"""Colour of small words."""
 
-# points; a figure 10.4 inches wide shown 900 pixels wide keeps them legible
-SMALL, NORMAL, LARGE = 9, 10, 11
-WIDTH = 10.4  # inches
+# sizes of letters in points: legible in a figure 10.4 inches wide that is shown 900 pixels wide
+SMALL = 9
+NORMAL = 10
+LARGE = 11
+WIDTH = 10.4
+"""Inches of a figure."""
 
 FORMATS = (".png", ".svg", ".pdf")
 _STYLE: dict[str, Any] = {
@@ -49,7 +61,7 @@ _STYLE: dict[str, Any] = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Within the block figures have our style whatever the user's settings, which stay as they
+    """Give figures our style within the block. The user's settings do not matter and stay as they
     are."""
     import matplotlib.style
 
@@ -81,9 +93,8 @@ def picture_at(figure: Figure, left: float, top: float, width: float, height: fl
 def write_at(figure: Figure, left: float, top: float, words: str, **settings: Any) -> None:
     """One line of words at inches from the figure's upper left corner."""
     w, h = figure.get_size_inches()
-    figure.text(
-        left / w, 1 - top / h, printable(words), **{"va": "center", "fontsize": LARGE, **settings}
-    )
+    look = {"va": "center", "fontsize": LARGE, **settings}
+    figure.text(left / w, 1 - top / h, printable(words), **look)
 
 
 def headline(figure: Figure, words: str) -> None:
@@ -104,7 +115,8 @@ def check_picture(path: Path) -> None:
 
     Raises
     ------
-    ImportError : matplotlib is missing. ValueError, OSError : see `check_writable`.
+    ImportError : matplotlib is missing.
+    ValueError, OSError : see `check_writable`.
     """
     with needs_extra("plot", "pictures are drawn by matplotlib"):
         import matplotlib  # noqa: F401
@@ -115,6 +127,8 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
     """Write a figure, drawn `styled`, in the format of the suffix. An existing file is replaced
     when the new one is complete.
 
+    Parameters
+    ----------
     dpi : pixels per inch of a PNG, and of the clouds of dots in SVG and PDF.
     """
     kind = path.suffix.lower().removeprefix(".")
@@ -129,7 +143,7 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> None:
 
 
 def colour_map(*colours: str) -> Colormap:
-    """From the first colour to the last, over those between them."""
+    """A colour map from the first colour to the last, over those between them."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("async_tnt", colours)

@@ -21,18 +21,18 @@ class Subject:
 
     Parameters
     ----------
-    name : of the recording, for titles.
+    name : name of the recording, for titles.
     events : structured array of `EVENT_DTYPE`, in order of arrival, at least one.
     config : how events and volumes are drawn; transform "tnt".
     model : makes the decisions, with its own configuration; None: no decisions. With landmark
         "regressor" its network computes the landmark.
-    model_name : for titles.
+    model_name : name of the model, for titles.
     start_us : start of the first window; by default the first event.
 
     Raises
     ------
-    ValueError : no events; or a landmark network is needed and the model has none, or one of
-        another shape.
+    ValueError : there are no events; or a landmark network is needed and the model has none, or one
+        of another shape.
     """
 
     name: str
@@ -111,24 +111,23 @@ class Window:
         return self._volume(raw_config).array, self._volume(config).array
 
     def coordinates(self) -> Coordinates:
-        """Where the transform puts each event: u = (x - l) / tau + c, where l is what the volume
-        had for the event."""
+        """Where the transform puts each event: u = (x - l) / tau + c, with the landmark l that the
+        volume had for the event."""
         config = self.subject.config
-        # (N, 2)
-        place = np.stack([self.events["x"], self.events["y"]], axis=1) * config.to_grid(1.0, 1.0)
+        pixels = np.stack([self.events["x"], self.events["y"]], axis=1)  # (N, 2)
+        place = pixels * config.to_grid(1.0, 1.0)
         centre = np.subtract(config.grid, 1) / 2
         landmark = self._landmarks()
         tau = config.t_max * (self.events["t"] - self.start_us) / config.window_us
         with np.errstate(divide="ignore", invalid="ignore"):
             u, v = ((place - landmark) / tau[:, np.newaxis] + centre).T
-        return Coordinates(
-            u, v, _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1), landmark
-        )
+        kept = _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1)
+        return Coordinates(u, v, kept, landmark)
 
     def _landmarks(self) -> np.ndarray:
         """The point that each event is centred on: float64, shape (N, 2)."""
         config = self.subject.config
-        # known only when the volume is read, and then one for all events
+        # a landmark that is known only when the volume is read is the same for all events
         if config.defers_landmark:
             return np.tile(self._volume(config).landmark, (self.events.size, 1))
         centred_on = np.empty((self.events.size, 2))
@@ -139,9 +138,8 @@ class Window:
             volume.update_one(*event)
             centred_on[i] = volume.landmark
             if config.remove_flow:
-                centred_on[i] += np.multiply(
-                    volume.flow, (event[0] - self.start_us) / config.window_us
-                )
+                fraction = (event[0] - self.start_us) / config.window_us
+                centred_on[i] += np.multiply(volume.flow, fraction)
         return centred_on
 
     def _volume(self, config: TNTConfig) -> TNTVolume:
@@ -154,7 +152,7 @@ class Window:
 
 
 class Coordinates(NamedTuple):
-    """Of N events of a window, in order of arrival."""
+    """Where the transform puts N events of a window, in order of arrival."""
 
     u: np.ndarray
     """float64, shape (N,): column in the transformed grid; inf or nan at the window's very start,
@@ -162,14 +160,15 @@ class Coordinates(NamedTuple):
     v: np.ndarray
     """float64, shape (N,): row."""
     kept: np.ndarray
-    """bool, shape (N,): on the grid, and so in the volume."""
+    """bool, shape (N,): the event is on the grid, and so in the volume."""
     landmark: np.ndarray
     """float64, shape (N, 2): the point (x, y) each event was centred on, in grid pixels. With
     `remove_flow`, the place of the fitted line at the event's time."""
 
 
 def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
-    """As `kernels.splat.on_grid`: False for nan and inf."""
+    """Whether each value is on the grid, as `kernels.volume.splat.on_grid` has it: not nan or
+    inf."""
     return (values >= -BORDER_TOLERANCE) & (values <= upper + BORDER_TOLERANCE)
 
 

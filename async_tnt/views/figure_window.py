@@ -29,26 +29,45 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-MOST_DOTS = 12_000  # in a window; more would hide one another
+MOST_DOTS = 12_000
+"""Events of a window that are drawn; more would hide one another."""
 INK = {"unsigned": "#222222", "ON": ON, "OFF": OFF}
-LEFT, RIGHT, GAP, ROW_GAP, HEAD, TALLEST = 0.75, 0.85, 0.06, 0.12, 0.36, 1.9  # inches
+"""Colours of volumes without a sign."""
+
+# inches
+LEFT = 0.75
+"""Left of the pictures."""
+RIGHT = 0.85
+"""Right of the pictures, for the colour bars."""
+GAP = 0.06
+"""Between the pictures of a row."""
+ROW_GAP = 0.12
+"""Between rows."""
+HEAD = 0.36
+"""Above the pictures, for the titles."""
+TALLEST = 1.9
+"""Height of a picture, at most."""
 
 
 def draw_both(figure: Figure, window: Window, height: float) -> None:
-    """Raw and transformed events side by side under their titles, and the legend, at the top of a
-    figure."""
-    config, events = window.subject.config, window.events
+    """Draw raw and transformed events side by side under their titles, and the legend, at the top
+    of a figure."""
+    config = window.subject.config
+    events = window.events
     u, v, kept, _ = window.coordinates()
-    raw, tnt = (axes_at(figure, left, 0.7, 5.0, height, projection="3d") for left in (0.0, 5.2))
+    raw = axes_at(figure, 0.0, 0.7, 5.0, height, projection="3d")
+    tnt = axes_at(figure, 5.2, 0.7, 5.0, height, projection="3d")
+
     _draw_events(raw, window, events["x"], events["y"], np.ones(events.size, bool))
     _frame(raw, window, config.sensor, "x", "y")
-    write_at(
-        figure, 2.6, 0.7, f"raw: {events.size:,} events in window {window.number}", ha="center"
-    )
+    words = f"raw: {events.size:,} events in window {window.number}"
+    write_at(figure, 2.6, 0.7, words, ha="center")
+
     _draw_events(tnt, window, u, v, kept)
     _frame(tnt, window, config.grid, "u", "v")
     words = f"after TNT ({transform_words(config)}): {int(kept.sum()):,} events kept"
     write_at(figure, 7.8, 0.7, words, ha="center")
+
     polarity_legend(figure)
 
 
@@ -59,8 +78,8 @@ def transform_words(config: TNTConfig) -> str:
 
 
 def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
-    """Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of
-    moments."""
+    """Draw events as dots. Time goes to the right, x into the depth, y downwards: what the sensor
+    sees, in a row of moments."""
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     size = 3.0 * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)
@@ -77,6 +96,7 @@ def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: 
 
 
 def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_name: str) -> None:
+    """Set the limits, the labels and the view of axes whose sides are (x, y) pixels."""
     axes.set(
         xlim=(0, window.subject.config.window_us / 1e3),
         ylim=(0, sides[0] - 1),
@@ -107,7 +127,7 @@ class Layer(NamedTuple):
 
 
 def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:
-    """A volume as pictures: one row, or with split polarity two."""
+    """The rows of pictures of a volume: one, or two for split polarity."""
     if config.polarity == "split":
         return [
             Layer(volume[: config.bins], f"{name}, ON", "ON"),
@@ -117,11 +137,10 @@ def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:
 
 
 def layers_of_window(window: Window) -> list[Layer]:
-    """Its raw and its transformed volume as pictures."""
+    """The rows of pictures of a window's raw and transformed volume."""
+    config = window.subject.config
     raw, tnt = window.volumes()
-    return layers_of(raw, window.subject.config, "raw") + layers_of(
-        tnt, window.subject.config, "TNT"
-    )
+    return layers_of(raw, config, "raw") + layers_of(tnt, config, "TNT")
 
 
 def layers_height(config: TNTConfig, n_shown: int) -> float:
@@ -131,9 +150,10 @@ def layers_height(config: TNTConfig, n_shown: int) -> float:
 
 
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
-    """Rows of pictures over the figure's width, from `top` inches below its upper edge on, and
+    """Draw rows of pictures over the figure's width, from `top` inches below its upper edge on, and
     their colour bars."""
-    config, layers = window.subject.config, layers_of_window(window)
+    config = window.subject.config
+    layers = layers_of_window(window)
     width, height = _picture(config, len(shown))
     titles = [f"bin {k}\n{bin_ms(config, k)}" for k in shown]
     images = draw_rows(figure, layers, shown, titles, (LEFT, top + HEAD), (width, height))
@@ -152,16 +172,21 @@ def draw_rows(
     corner: tuple[float, float],
     picture: tuple[float, float],
 ) -> list[AxesImage]:
-    """A row of pictures for each layer: its bins `shown`, in common colours. Returns an image of
-    each row.
+    """Draw a row of pictures for each layer, in common colours. Returns an image of each row.
 
-    corner, picture : (left, top) of the first picture and (width, height) of each, in inches.
+    Parameters
+    ----------
+    layers : what the rows show.
+    shown, titles : the bins of the columns, and their titles.
+    corner : (left, top) of the first picture, in inches.
+    picture : (width, height) of each picture, in inches.
     """
-    (left, top), (width, height), images = corner, picture, []
+    left, top = corner
+    width, height = picture
+    images = []
     for row, layer in enumerate(layers):
         used = np.abs(layer.cells[shown])
-        # the value of full colour is exceeded by the largest cells, which would leave the others
-        # pale
+        # full colour begins below the largest cells, which would leave the others pale
         limit = float(np.quantile(used[used > 0], 0.98)) if used.any() else 1.0
         signed = layer.colours == "signed"
         shades = colour_map(*(OFF_TO_ON if signed else ("#ffffff", INK[layer.colours])))

@@ -16,21 +16,38 @@ from async_tnt.volume.config import TNTConfig
 
 TIMELINE = "time"
 """The recording's own microseconds, as a duration."""
-EVENTS, LANDMARK, OBJECTS = "events/image", "events/landmark", "events/objects"
-RAW, TNT = "volumes/raw", "volumes/tnt"
+
+# names of what is logged
+EVENTS = "events/image"
+LANDMARK = "events/landmark"
+OBJECTS = "events/objects"
+RAW = "volumes/raw"
+TNT = "volumes/tnt"
 PROBABILITIES = "probabilities"
-CLASS, DECISIONS = "class", "decisions"
+CLASS = "class"
+DECISIONS = "decisions"
 
 # Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is
 # dark
-ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
-NOTHING_COLOUR, GAP_COLOUR, WHITE = (18, 20, 24), (70, 74, 80), (255, 255, 255)
-NOTHING, OFF, ON = 0, 1, 2
-"""Cells of an event image."""
-MOST_LINES = 20  # decisions written between two pictures, the newest
-MOST_NAMED = 12  # classes in the text, the likeliest
+ON_COLOUR = (230, 159, 0)
+OFF_COLOUR = (86, 180, 233)
+NOTHING_COLOUR = (18, 20, 24)
+GAP_COLOUR = (70, 74, 80)
+WHITE = (255, 255, 255)
+
+# cells of an event image
+NOTHING = 0
+OFF = 1
+ON = 2
+
+MOST_LINES = 20
+"""Decisions that are written between two pictures, the newest."""
+MOST_NAMED = 12
+"""Classes in the text, the likeliest."""
 MOST_SHEET_PIXELS = 1 << 17
-LIVE_SECONDS = 10  # of the plots, where a stream has no end
+"""Pixels of a picture of a volume, at most."""
+LIVE_SECONDS = 10
+"""Seconds that the plots show of a stream without an end."""
 
 
 class StreamLog:
@@ -40,13 +57,15 @@ class StreamLog:
     ----------
     rr : the module `rerun`.
     stream : a `rerun.RecordingStream`.
-    config : of the processor.
+    config : the processor's configuration.
     live : whether the stream may go on for hours.
     """
 
     def __init__(self, rr: Any, stream: Any, config: TNTConfig, live: bool = False) -> None:
         self.n_pictures = 0
-        self._rr, self._stream, self._config = rr, stream, config
+        self._rr = rr
+        self._stream = stream
+        self._config = config
         self._classes: tuple[str, ...] = ()
         self._pending: deque[Decision] = deque(maxlen=MOST_LINES)
         self._n_pending = 0
@@ -66,14 +85,15 @@ class StreamLog:
     def write(
         self, at_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor
     ) -> None:
-        """A picture.
+        """Log a picture, and the decisions since the last one.
 
         Parameters
         ----------
-        at_us : the moment.
+        at_us : the picture's moment.
         now : the result of the processor's `fire`.
         recent : events for the event image.
         raw : the volume without the transform, float32, shape (C, H, W).
+        processor : has the transformed volume and the landmark.
         """
         rr = self._rr
         self.n_pictures += 1
@@ -86,33 +106,34 @@ class StreamLog:
         self._stream.log(RAW, rr.Image(bin_sheet(raw)))
         if self._config.transform == "tnt":
             self._stream.log(TNT, rr.Image(bin_sheet(processor.volume())))
-            # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
-            places = (
-                [np.add(self._config.to_sensor(*processor.landmark), 0.5)]
-                if now.events
-                else np.empty((0, 2))
-            )
-            radius = rr.components.Radius.ui_points(5.0)
-            self._stream.log(
-                LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0)
-            )
+            landmarks = [self._config.to_sensor(*processor.landmark)] if now.events else []
+            self._log_points(LANDMARK, landmarks, 5.0)
         if now.objects is not None:
-            # as above
-            centres = np.array([(found.x, found.y) for found in now.objects]).reshape(-1, 2) + 0.5
+            places = [(found.x, found.y) for found in now.objects]
             labels = [f"{found.label} {found.probability:.2f}" for found in now.objects]
-            size = rr.components.Radius.ui_points(6.0)
-            self._stream.log(
-                OBJECTS,
-                rr.Points2D(centres, radii=size, labels=labels, colors=[WHITE], draw_order=100.0),
-            )
-        self._stream.log(
-            CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN)
-        )
+            self._log_points(OBJECTS, places, 6.0, labels)
+        text = class_text(now, self._classes)
+        self._stream.log(CLASS, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
         if now.events:
             self._log_probabilities(now)
 
+    def _log_points(
+        self,
+        name: str,
+        places: Sequence[tuple[float, float]],
+        size: float,
+        labels: Sequence[str] | None = None,
+    ) -> None:
+        """White points at places (x, y) in sensor pixels."""
+        rr = self._rr
+        # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
+        centres = np.array(places).reshape(-1, 2) + 0.5
+        radius = rr.components.Radius.ui_points(size)
+        points = rr.Points2D(centres, radii=radius, labels=labels, colors=[WHITE], draw_order=100.0)
+        self._stream.log(name, points)
+
     def write_decisions(self) -> None:
-        """Those since the last picture, each at its own time."""
+        """Write the decisions since the last picture, each at its own time."""
         n_left_out = self._n_pending - len(self._pending)
         for d in self._pending:
             span = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
@@ -122,23 +143,23 @@ class StreamLog:
                 text += f" ({n_left_out:,} decisions before it are not shown)"
                 n_left_out = 0
             self._set_time(d.time_us)
-            self._stream.log(
-                DECISIONS,
-                self._rr.TextLog(
-                    text, level="INFO" if d.complete or d.trigger == "end" else "TRACE"
-                ),
-            )
+            level = "INFO" if d.complete or d.trigger == "end" else "TRACE"
+            self._stream.log(DECISIONS, self._rr.TextLog(text, level=level))
             self._log_probabilities(d)
         self._pending.clear()
         self._n_pending = 0
 
     def _log_probabilities(self, decision: Decision) -> None:
+        """Log the probability of each class.
+
+        A class of a map model has the probability of its likeliest object.
+        """
         shown: Any = decision.probabilities
-        if decision.objects is not None:  # of each class the likeliest object
-            shown = [
-                max((o.probability for o in decision.objects if o.label == c), default=0.0)
-                for c in self._classes
-            ]
+        if decision.objects is not None:
+            likeliest = dict.fromkeys(self._classes, 0.0)
+            for found in decision.objects:
+                likeliest[found.label] = max(likeliest[found.label], found.probability)
+            shown = list(likeliest.values())
         self._stream.log(PROBABILITIES, self._rr.Scalars(shown))
 
     def _set_time(self, t_us: int) -> None:
@@ -148,6 +169,8 @@ class StreamLog:
 def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
     """The initial layout: pictures and class at the top, plots and the log of decisions below.
 
+    Parameters
+    ----------
     transformed : whether there are a TNT volume and a landmark.
     live : the plots show the last seconds only.
     """
@@ -169,7 +192,7 @@ def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
 
 
 def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
-    """Which polarity each pixel's newest event had.
+    """The polarity of each pixel's newest event.
 
     Parameters
     ----------
@@ -181,7 +204,7 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
     uint8, shape (height, width), indexed [y, x]: NOTHING, OFF or ON.
     """
     image = np.zeros((sensor[1], sensor[0]), np.uint8)
-    # of several at one pixel NumPy keeps the last
+    # of several events at one pixel NumPy keeps the last
     image[events["y"], events["x"]] = OFF + events["p"]
     return image
 
@@ -195,8 +218,8 @@ def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.nd
     Parameters
     ----------
     volume : float32, shape (C, H, W).
-    most_pixels : of the sheet, gaps not counted. A larger volume is reduced by a whole number, each
-        of its blocks of cells shown by the largest value in it.
+    most_pixels : pixels of the sheet without its gaps, at most. A larger volume is reduced by a
+        whole number: each block of cells is shown by the largest value in it.
 
     Returns
     -------
@@ -211,38 +234,45 @@ def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.nd
     coloured = np.rint(NOTHING_COLOUR + level * (colours - np.array(NOTHING_COLOUR)))
     sheet = np.full((rows * (height + 1) - 1, columns * (width + 1) - 1, 3), GAP_COLOUR, np.uint8)
     for k in range(channels):
-        top, left = k // columns * (height + 1), k % columns * (width + 1)
+        row, column = divmod(k, columns)
+        top = row * (height + 1)
+        left = column * (width + 1)
         sheet[top : top + height, left : left + width] = coloured[k]
     return sheet
 
 
 def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
-    """Each block of factor x factor cells as the one of the largest magnitude, with its sign."""
-    rows, columns = (np.arange(0, side, factor) for side in volume.shape[1:])
-    high, low = (
-        f.reduceat(f.reduceat(volume, rows, axis=1), columns, axis=2)
-        for f in (np.maximum, np.minimum)
-    )
+    """A volume in which each block of factor x factor cells is one cell: the one of the largest
+    magnitude, with its sign."""
+    _, height, width = volume.shape
+    rows = np.arange(0, height, factor)
+    columns = np.arange(0, width, factor)
+    high = np.maximum.reduceat(np.maximum.reduceat(volume, rows, axis=1), columns, axis=2)
+    low = np.minimum.reduceat(np.minimum.reduceat(volume, rows, axis=1), columns, axis=2)
     return np.where(high >= -low, high, low)
 
 
 def class_text(now: Decision, classes: Sequence[str]) -> str:
-    """Markdown: the class of the open window at this moment, and the likeliest classes."""
+    """Markdown: the class of the open window at this moment, and the likeliest classes; of a map
+    model the objects."""
     if now.events == 0:
         return "# no event\n\nThe window has no event yet."
     if now.objects is not None:
-        rows = "\n".join(
-            f"| {o.id} | {_plain(o.label)} | {o.probability:.3f} | {o.x:.0f}, {o.y:.0f} |"
-            for o in now.objects
-        )
-        return f"# {len(now.objects)} objects\n\n| number | class | probability | place |\n|---|---|---|---|\n{rows}\n"
+        lines = [f"# {len(now.objects)} objects", ""]
+        lines += ["| number | class | probability | place |", "|---|---|---|---|"]
+        for o in now.objects:
+            place = f"{o.x:.0f}, {o.y:.0f}"
+            lines.append(f"| {o.id} | {_plain(o.label)} | {o.probability:.3f} | {place} |")
+        return "\n".join(lines) + "\n"
+
     length_ms = (now.time_us - now.window_start_us) / 1e3
-    likeliest = np.argsort(-now.probabilities, kind="stable")[:MOST_NAMED]
-    rows = "\n".join(f"| {_plain(classes[k])} | {now.probabilities[k]:.3f} |" for k in likeliest)
-    about = (
-        f"with probability {now.probability:.3f}, from {now.events:,} events in {length_ms:,.1f} ms"
-    )
-    return f"# {_plain(now.label or 'nothing')}\n\n{about}\n\n| class | probability |\n|---|---|\n{rows}\n"
+    since = f"from {now.events:,} events in {length_ms:,.1f} ms"
+    lines = [f"# {_plain(now.label or 'nothing')}", ""]
+    lines += [f"with probability {now.probability:.3f}, {since}", ""]
+    lines += ["| class | probability |", "|---|---|"]
+    for k in np.argsort(-now.probabilities, kind="stable")[:MOST_NAMED]:
+        lines.append(f"| {_plain(classes[k])} | {now.probabilities[k]:.3f} |")
+    return "\n".join(lines) + "\n"
 
 
 def _plain(text: str) -> str:

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from async_tnt.base.checks import needs_extra, positive_int
+from async_tnt.base.checks import ParameterValueError, needs_extra, positive_int
 from async_tnt.base.files import Replacement, check_writable, user_path
 from async_tnt.networks.models.model import Model
 from async_tnt.streaming.decision import Decision
@@ -26,11 +26,16 @@ from async_tnt.volume.events import EVENT_DTYPE, as_events
 from async_tnt.volume.volume import TNTVolume
 
 SUFFIXES = (".rrd",)
-DEFAULT_PORT = 9876  # where a Rerun viewer listens
-PATIENCE_S = 5.0  # for a viewer that does not respond
-LIVE_S = 1 / 60  # between pictures of a live stream
-CHECK_S = 1.0  # between flushes, which report a full disk and bound what waits for a slow viewer
-LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
+DEFAULT_PORT = 9876
+"""The port where a Rerun viewer listens."""
+PATIENCE_S = 5.0
+"""Seconds that a viewer has to respond."""
+LIVE_S = 1 / 60
+"""Seconds between pictures of a live stream, at least."""
+CHECK_S = 1.0
+"""Seconds between flushes, which report a full disk and bound what waits for a slow viewer."""
+LAST_US = (1 << 63) // 1000
+"""The latest time that Rerun can show: it counts nanoseconds in 64 bits."""
 
 
 def import_rerun() -> Any:
@@ -42,7 +47,7 @@ def import_rerun() -> Any:
 
 
 class RerunView(contextlib.AbstractContextManager["RerunView"]):
-    """Classifies a stream and shows it.
+    """Classifies a stream, and shows it in the Rerun viewer.
 
     Parameters
     ----------
@@ -53,11 +58,11 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         viewer is started.
     picture_us : recorded microseconds between pictures. Another one is taken at the end of each
         window.
-    live : for streams without an end: at most 60 pictures a second of real time, and drawing takes
-        half of the time at most; the plots show the last seconds.
-    name : of this recording in the viewer's list; by default a number.
-    settings : keyword arguments of `Processor`. Of overlapping windows the one that
-        `Processor.fire` names is shown.
+    live : for streams without an end. There are at most 60 pictures a second of real time, drawing
+        takes at most half of the time, and the plots show the last seconds.
+    name : name of this recording in the viewer's list; by default a number.
+    settings : keyword arguments of `Processor`. If windows overlap, the one that `Processor.fire`
+        is about is shown.
 
     Attributes
     ----------
@@ -67,8 +72,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
     ------
     ImportError : rerun-sdk is not installed.
     ValueError, TypeError : a setting breaks its rule.
-    OSError : the file cannot be written, no viewer responds, or there is no display to start one
-        on.
+    OSError : the file cannot be written, no viewer responds, or there is no display on which to
+        start one.
     """
 
     def __init__(
@@ -85,7 +90,8 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         rr = import_rerun()
         self._picture_us = positive_int("picture_us", picture_us)
         if out is not None and connect is not None:
-            raise ValueError("`out` writes a file and `connect` goes to a viewer: give one of them")
+            rule = "writes a file and {connect} goes to a viewer: give one of them"
+            raise ParameterValueError("out", rule)
         self.processor = as_processor(model, **settings)
         config = self.processor.config
         if config.window_events is not None:
@@ -103,8 +109,11 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             _connect(self._stream, connect)
         else:
             _start_viewer(self._stream)
-        viewer = "the Rerun viewer was closed or does not respond"
-        self._trouble = str(out or (f"{connect}: {viewer}" if connect else viewer))
+        self._trouble = "the Rerun viewer was closed or does not respond"
+        if out is not None:
+            self._trouble = str(out)
+        elif connect is not None:
+            self._trouble = f"{connect}: {self._trouble}"
         if name is not None:
             self._stream.send_recording_name(name)
         self.log = StreamLog(rr, self._stream, config, live=live)
@@ -112,8 +121,9 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
         self._origin_us: int | None = None
-        self._due_us = self._newest_us = 0
-        # packets, of the open window and of the event image
+        self._due_us = 0
+        self._newest_us = 0
+        # packets with the events of the open window and of the event image
         self._recent = [np.empty(0, EVENT_DTYPE)]
         self._next_picture_s = 0.0
 
@@ -128,7 +138,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         packet = as_events(events, self.processor.config.sensor)
         if len(packet) == 0:
             return []
-        # an event out of order comes with the newest before it
+        # the time of the stream: an event out of order comes with the newest one before it
         newest = np.maximum.accumulate(packet["t"])
         np.maximum(newest, self._newest_us, out=newest)
         if int(newest[-1]) > LAST_US:
@@ -136,11 +146,14 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
                 f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}"
             )
         if self.processor.late == "raise" and (newest > packet["t"]).any():
-            return self.processor.push(packet)  # as a whole: it is refused
-        if self._origin_us is None:  # windows, and thus pictures, begin with the first event
+            # the whole packet is refused
+            return self.processor.push(packet)
+        # windows, and thus pictures, begin with the first event
+        if self._origin_us is None:
             start_us = self.processor.start_us
             self._origin_us = int(newest[0]) if start_us is None else start_us
             self._due_us = self._after(int(newest[0]))
+
         decisions: list[Decision] = []
         first = 0
         while first < len(packet):
@@ -158,7 +171,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return decisions
 
     def finish(self) -> list[Decision]:
-        """End the stream: a last picture, and the decision of `Processor.finish` on the open
+        """End the stream: log a last picture, and the decision of `Processor.finish` on the open
         window."""
         if self._origin_us is None:
             return []
@@ -170,11 +183,13 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
         return decisions
 
     def _after(self, t_us: int) -> int:
+        """When the next picture is due."""
         assert self._origin_us is not None
         return next_moment(t_us, self._origin_us, self.processor.config.window_us, self._picture_us)
 
     def _picture(self, at_us: int, last: bool = False) -> None:
-        """The state just before `at_us`."""
+        """Log the state just before `at_us`; of a live stream only if the last picture is some time
+        ago."""
         clock_s = time.perf_counter()
         now = self.processor.fire()
         events = np.concatenate(self._recent)
@@ -202,7 +217,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
     def close(self) -> None:
         """Finish, and complete the file; a viewer stays open. May be called twice.
 
-        A file without events is not written: an existing one stays.
+        Without events no file is written, and an existing one stays.
         """
         if self._closed:
             return
@@ -227,7 +242,7 @@ class RerunView(contextlib.AbstractContextManager["RerunView"]):
             self._file.discard()
 
     def _flush(self) -> None:
-        """Wait until all is written that was logged. Raises OSError if it cannot be."""
+        """Wait until all is written that was logged; an OSError if it cannot be."""
         with _as_os_error(self._trouble):
             self._stream.flush(timeout_sec=PATIENCE_S)
 
@@ -255,9 +270,8 @@ def _save(stream: Any, path: Path) -> Replacement:
 
 def _start_viewer(stream: Any) -> None:
     """Send to a viewer that is started and outlives this program."""
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
+    has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not has_display:
         raise OSError(
             "no display to open the Rerun viewer on: write a file, or connect to a viewer elsewhere"
         )
@@ -271,10 +285,10 @@ def _connect(stream: Any, url: str) -> None:
     parts = urlsplit(url)
     if not parts.hostname or parts.path != "/proxy":
         raise ValueError(f"a viewer's URL is rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
-    try:  # the SDK would wait for seconds, and print lines of its own
-        socket.create_connection(
-            (parts.hostname, parts.port or DEFAULT_PORT), timeout=PATIENCE_S
-        ).close()
+    address = (parts.hostname, parts.port or DEFAULT_PORT)
+    # without a viewer the SDK would wait for seconds, and print lines of its own
+    try:
+        socket.create_connection(address, timeout=PATIENCE_S).close()
     except OSError:
         raise OSError(f"{url}: no Rerun viewer listens there; `rerun` starts one") from None
     with _as_os_error(url):
@@ -295,8 +309,8 @@ def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
     """The first moment after `t_us` at which a picture is due.
 
     Windows follow each other from `origin_us`. Pictures are due every `step_us` from a window's
-    start and at its end, so that the last picture of a window shows all of it. Where a window is
-    shorter than a step: at the end of as many whole windows as a step needs.
+    start, and at its end, so that the last picture of a window shows all of it. If a window is
+    shorter than a step, pictures are due at the end of as many whole windows as a step needs.
 
     Parameters
     ----------
@@ -311,6 +325,8 @@ def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
     [1060, 1120]
     """
     if window_us < step_us:
-        window_us = step_us = window_us * -(-step_us // window_us)
+        n_windows = -(-step_us // window_us)
+        window_us = n_windows * window_us
+        step_us = window_us
     start_us = t_us - (t_us - origin_us) % window_us
     return min(start_us + ((t_us - start_us) // step_us + 1) * step_us, start_us + window_us)

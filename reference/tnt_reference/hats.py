@@ -7,6 +7,7 @@ import torch
 from .window import Column, check_polarity, check_size, signs, whole_pixels, window_events
 
 RADIUS = 3
+"""Pixels about an event, in each direction, that a histogram shows."""
 
 
 def hats(
@@ -22,10 +23,12 @@ def hats(
     polarity: str = "split",
     dtype: torch.dtype = torch.float32,
 ) -> torch.Tensor:
-    """For each cell of a grid, where its pixels' earlier events lie about an event, on average.
+    """How many earlier events of its cell an event has at each place about it: the mean over the
+    events of each cell of a grid.
 
-        T_i(z)  = #{j < i : x_j = x_i + z, p_j = p_i, j and i in the same cell}       z in {-3..3}^2
-        h(z, p) = 1 / |C| sum_{i in C, p_i = p} T_i(z)                                |C| events in the cell, of both p
+        T_i(z)  = #{j < i : x_j = x_i + z, p_j = p_i, j and i in the same cell}    z in {-3..3}^2
+        h(z, p) = 1 / |C| sum_{i in C, p_i = p} T_i(z)
+        |C|     = number of events in the cell, of both polarities
 
     Parameters
     ----------
@@ -48,7 +51,8 @@ def hats(
     -------
     >>> at = dict(start_us=0, window_us=8, sensor=(4, 4), grid=(2, 2), polarity="unsigned")
     >>> h = hats([0, 1, 2], [0, 1, 1], [0, 0, 0], [1, 1, 1], **at)
-    >>> [(z // 7 - 3, z % 7 - 3, round(float(h[z, 0, 0]), 3)) for z in h[:, 0, 0].nonzero()[:, 0].tolist()]
+    >>> used = h[:, 0, 0].nonzero()[:, 0].tolist()
+    >>> [(z // 7 - 3, z % 7 - 3, round(float(h[z, 0, 0]), 3)) for z in used]
     [(0, -1, 0.667), (0, 0, 0.333)]
     """
     check_polarity(polarity)
@@ -60,19 +64,20 @@ def hats(
     columns, rows = check_size("grid", grid)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     polarities = 1 if polarity == "unsigned" else 2
-    of = (signs(p, len(events.dt)) < 0).long() * (polarities - 1)
+    # 0 or 1: the part of the histogram that an event belongs to
+    part = (signs(p, len(events.dt)) < 0).long() * (polarities - 1)
     side = 2 * RADIUS + 1
     total = torch.zeros(polarities, side, side, rows, columns, dtype=torch.float64)
     size = torch.zeros(rows, columns, dtype=torch.float64)
     earlier: list[tuple[int, int, int]] = []
-    for inside, (u, v), q in zip(
-        events.inside.tolist(), whole_pixels(events).tolist(), of.tolist(), strict=True
-    ):
+    pixels = whole_pixels(events).tolist()
+    for inside, (u, v), q in zip(events.inside.tolist(), pixels, part.tolist(), strict=True):
         if not inside:
             continue
         cell = v * rows // sensor[1], u * columns // sensor[0]
         for other_u, other_v, other_q in earlier:
-            dx, dy = other_u - u, other_v - v
+            dx = other_u - u
+            dy = other_v - v
             same = (other_v * rows // sensor[1], other_u * columns // sensor[0]) == cell
             if same and other_q == q and max(abs(dx), abs(dy)) <= RADIUS:
                 total[(q, dy + RADIUS, dx + RADIUS, *cell)] += 1

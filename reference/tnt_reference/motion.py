@@ -19,7 +19,9 @@ def move_by_flow(
     start_us: int,
     window_us: int,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """L_v (x, y, t) = (x + v_x f, y + v_y f, t)        f = (t - start_us) / window_us
+    """Move events by a constant flow:
+
+    L_v (x, y, t) = (x + v_x f, y + v_y f, t)        f = (t - start_us) / window_us
 
     Parameters
     ----------
@@ -27,7 +29,7 @@ def move_by_flow(
     x, y : (N,) pixels, whole or not.
     flow : v = (v_x, v_y) in pixels per window; a tensor that requires a gradient gets one, as do t,
         x and y.
-    start_us, window_us : where f is 0, and how much later it is 1.
+    start_us, window_us : the time at which f is 0, and how much later it is 1.
 
     Returns
     -------
@@ -39,13 +41,17 @@ def move_by_flow(
 
     Example
     -------
-    >>> x, y = move_by_flow([0, 50, 100], [7, 7, 7], [3, 3, 3], (8.0, -2.0), start_us=0, window_us=100)
+    >>> t = [0, 50, 100]
+    >>> flow = (8.0, -2.0)
+    >>> x, y = move_by_flow(t, [7, 7, 7], [3, 3, 3], flow, start_us=0, window_us=100)
     >>> x.tolist(), y.tolist()
     ([7.0, 11.0, 15.0], [3.0, 2.0, 1.0])
     """
     if whole_number("window_us", window_us) <= 0:
         raise ValueError(f"`window_us` must be positive, got {window_us}")
-    times, xs, ys = as_column("t", t), as_column("x", x), as_column("y", y)
+    times = as_column("t", t)
+    xs = as_column("x", x)
+    ys = as_column("y", y)
     check_same_length(t=times, x=xs, y=ys)
     v = torch.as_tensor(flow, dtype=torch.float64)
     if v.shape != (2,):

@@ -1,5 +1,8 @@
-"""Objects on a map of logits: peaks of how much likelier some class is than nothing; and their
-numbers over time."""
+"""Objects on a map of logits, and their numbers over time.
+
+An object is a peak of the difference between the logit of the likeliest class and the logit of
+"nothing".
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from torch.nn import functional as F
 
 
 class FoundObject(NamedTuple):
-    """A class by its number, its probability, and where on the map it stands, in columns and
+    """An object: the number of its class, its probability, and its place on the map, in columns and
     rows."""
 
     label: int
@@ -23,19 +26,24 @@ class FoundObject(NamedTuple):
 def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     """The objects on a map, the likeliest first.
 
-        s(y, x) = max_k<K z_k(y, x) - z_K(y, x)                            a class against nothing, the last channel
-        (y, x) is a peak:  s > 0, s > s(y', x') of the places before it, s >= s(y', x') of those
-                           behind it, by rows, for all |y' - y|, |x' - x| <= near
-        place = sum of s+ (y', x') over the 3x3 places around the peak / sum of s+,  s+ = max(s, 0)
+        s(y, x) = max_k<K z_k(y, x) - z_K(y, x)
+        (y, x) is a peak:  s > 0
+                           s >  s(y', x')   at the places before it, row by row
+                           s >= s(y', x')   at the places behind it
+                           for all |y' - y|, |x' - x| <= near
+        place = sum of s+ (y', x') over the 3x3 places around the peak / sum of s+
+        s+ = max(s, 0)
 
     Parameters
     ----------
-    logits : (K + 1, R, C).
+    logits : (K + 1, R, C); the last channel stands for nothing.
+    near : within so many places of an object, in rows and in columns, there is no other.
 
     Example
     -------
     >>> logits = torch.zeros(2, 3, 4)
-    >>> logits[0, 1, 2], logits[0, 1, 3] = 3.0, 1.0
+    >>> logits[0, 1, 2] = 3.0
+    >>> logits[0, 1, 3] = 1.0
     >>> logits[1] += 0.5
     >>> [(found.label, round(found.column, 3), found.row) for found in objects_on_map(logits)]
     [(0, 2.167, 1.0)]
@@ -44,9 +52,8 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
     s = z[:-1].amax(0) - z[-1]  # (R, C)
     rows, columns = s.shape
     side = 2 * near + 1
-    around = F.unfold(F.pad(s[None, None], [near] * 4, value=-torch.inf), side).reshape(
-        side * side, rows, columns
-    )
+    padded = F.pad(s[None, None], [near] * 4, value=-torch.inf)
+    around = F.unfold(padded, side).reshape(side * side, rows, columns)
     middle = side * side // 2
     is_peak = (s > 0) & (around[:middle] < s).all(0) & (around[middle + 1 :] <= s).all(0)
     probabilities = torch.softmax(z, 0)
@@ -56,21 +63,21 @@ def objects_on_map(logits: torch.Tensor, near: int = 1) -> list[FoundObject]:
         xs = torch.arange(max(0, column - 1), min(columns, column + 2))
         weights = s[ys][:, xs].clamp(min=0)
         index = int(z[:-1, row, column].argmax())
-        place_x, place_y = (
-            (weights.sum(0) * xs).sum() / weights.sum(),
-            (weights.sum(1) * ys).sum() / weights.sum(),
-        )
-        found.append(
-            FoundObject(
-                index, float(probabilities[index, row, column]), float(place_x), float(place_y)
-            )
-        )
+        place_x = float((weights.sum(0) * xs).sum() / weights.sum())
+        place_y = float((weights.sum(1) * ys).sum() / weights.sum())
+        probability = float(probabilities[index, row, column])
+        found.append(FoundObject(index, probability, place_x, place_y))
     return sorted(found, key=lambda one: -one.probability)
 
 
 class _Seen(NamedTuple):
-    """An object of an earlier decision: its number, where and when it was seen last, and how many
-    were likelier."""
+    """An object of an earlier decision.
+
+    number : its number.
+    x, y, time_us : where and when it was seen last.
+    decision : the decision that saw it, counted from 0.
+    rank : how many objects of that decision were likelier.
+    """
 
     number: int
     x: float
@@ -81,24 +88,28 @@ class _Seen(NamedTuple):
 
 
 class ObjectNumbers:
-    """Numbers for the objects of one decision after another: the same number while an object moves
-    little.
+    """Numbers for the objects of one decision after another.
 
-    From the likeliest object on, each takes the number of the nearest known object that no other
-    has taken, if
+    An object keeps its number while it moves little.
+
+    The objects of a decision are numbered from the likeliest on. Each takes the number of the
+    nearest known object whose number is not taken yet, if
 
         ((x - x') / reach_x)^2 + ((y - y') / reach_y)^2 < 1    and    time - time' <= memory_us
 
-    and else a new number. Of equally near ones it takes that of the latest decision, there the
-    likeliest. Known are the objects of this decision, `most` of them, and then those seen before,
-    of the latest decision first: `room` in all.
+    If there is no such object, it gets a new number. If several are equally near, the one that a
+    later decision has seen comes first, and then the likelier one.
+
+    After a decision, its `most` likeliest objects are known. Earlier objects are added, first the
+    ones that a later decision has seen, until `room` objects are known.
 
     Parameters
     ----------
     reach : (x, y), in pixels.
-    memory_us : how long an object that is not found is known.
-    most : objects of a decision, the likeliest, that may have the number of an earlier one.
-    room : objects that are known at a time.
+    memory_us : how long an object that is not found again is known.
+    most : how many objects of a decision, the likeliest ones, may have the number of an earlier
+        one.
+    room : how many objects are known at a time.
 
     Example
     -------
@@ -126,21 +137,21 @@ class ObjectNumbers:
             near = [seen for seen in free if self._distance(seen, x, y) < 1 and rank < self.most]
             number = self.next_number
             if near:
-                taken = min(
-                    near, key=lambda seen: (self._distance(seen, x, y), -seen.decision, seen.rank)
-                )
+                taken = min(near, key=lambda seen: self._preference(seen, x, y))
                 free.remove(taken)
                 number = taken.number
             else:
                 self.next_number += 1
             present.append(_Seen(number, x, y, time_us, self.decision, rank))
-        remembered = present[: self.most] + sorted(
-            free, key=lambda seen: (-seen.decision, seen.rank)
-        )
-        self.known = remembered[: self.room]
+        earlier = sorted(free, key=lambda seen: (-seen.decision, seen.rank))
+        self.known = (present[: self.most] + earlier)[: self.room]
         self.decision += 1
         return [seen.number for seen in present]
 
+    def _preference(self, seen: _Seen, x: float, y: float) -> tuple[float, int, int]:
+        """An object at (x, y) takes the number of the known object for which this is lowest."""
+        return self._distance(seen, x, y), -seen.decision, seen.rank
+
     def _distance(self, seen: _Seen, x: float, y: float) -> float:
-        """Squared, in units of the reach."""
+        """The squared distance, in units of the reach."""
         return float(((x - seen.x) / self.reach[0]) ** 2 + ((y - seen.y) / self.reach[1]) ** 2)

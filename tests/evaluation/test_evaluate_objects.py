@@ -69,7 +69,7 @@ def write_points(path, rows=TRUTH, head="t,class,x,y"):
 
 
 def write_boxes(path, rows=TRUTH):
-    """Of 8x6 pixels."""
+    """Boxes of 8x6 pixels about the points."""
     numbers = [(t, x - 4, y - 3, 8, 6, ("on", "off").index(name)) for t, name, x, y in rows]
     np.save(path, np.array(numbers, BOXES))
 
@@ -78,20 +78,17 @@ def write_boxes(path, rows=TRUTH):
     "write, name", [(write_points, "a_td_objects.csv"), (write_boxes, "a_bbox.npy")]
 )
 def test_counts_by_hand(folder, saved, program, write, name):
-    """At 6000: three are there, three found, two of them right; after .3 of the window one is
-    found. At 9900 one."""
+    """At 6000 three objects are there and three are found, two of them rightly. After .3 of the
+    window one is found. At 9900 one is there and found."""
     write(folder / name)
     code, out, _ = program("evaluate", saved, folder, "--json")
     report = json.loads(out)
     assert code == 0
     assert report["per_class"]["on"] == {"f1": 0.66667, "objects": 3, "found": 3, "right": 2}
     assert report["per_class"]["off"] == {"f1": 1.0, "objects": 1, "found": 1, "right": 1}
-    assert (report["objects"], report["found"], report["recordings"], report["moments"]) == (
-        4,
-        4,
-        1,
-        2,
-    )
+    assert report["objects"] == report["found"] == 4
+    assert report["recordings"] == 1
+    assert report["moments"] == 2
     assert report["precision"] == report["recall"] == report["f1"] == 0.75
     assert report["f1_against_time_ms"] == {
         "0.3": round(4 / 6, 5),
@@ -100,10 +97,8 @@ def test_counts_by_hand(folder, saved, program, write, name):
     }
     assert "F1 0.7500: 0.7500 of 4 objects found are right" in program("evaluate", saved, folder)[1]
     write_points(folder / "a_td_objects.csv", [(6000, "on", -1, 5)])
-    assert (
-        "off the sensor cannot be found: 1; is the table in"
-        in program("evaluate", saved, folder)[2]
-    )
+    _, _, err = program("evaluate", saved, folder)
+    assert "off the sensor cannot be found: 1; is the table in" in err
 
 
 def test_recordings_are_read_by_the_options(folder, saved, program):
@@ -119,7 +114,7 @@ def test_recordings_are_read_by_the_options(folder, saved, program):
 
 
 def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, saved, program):
-    """Of two that differ in what is there, found and right, and a third that cannot be read."""
+    """Two recordings differ in what is there, found and right; a third one cannot be read."""
     write_points(folder / "a_td_objects.csv")
     alone = [json.loads(program("evaluate", saved, folder, "--json")[1])]
     other = folder.parent / "other"
@@ -174,10 +169,8 @@ def test_what_is_wrong_is_said(folder, saved, program):
         assert "needs the columns t, class, x, y (and w, h of boxes), lacks " in error()
     for twice in ("t", "class", "x", "y"):
         write_points(folder / "a_td_objects.csv", [(*TRUTH[0], 5)], head=f"t,class,x,y,{twice}")
-        assert (
-            f"a_td_objects.csv: the column '{twice}' is there 2 times; leave out all but one"
-            in error()
-        )
+        expected = f"the column '{twice}' is there 2 times; leave out all but one"
+        assert f"a_td_objects.csv: {expected}" in error()
     write_points(folder / "a_td_objects.csv", [(6000, "on", 5)])
     assert "x, y, w and h numbers" in error()
     write_points(folder / "a_td_objects.csv", [(6000, 5, 5)], "t,x,y,class")
@@ -207,7 +200,8 @@ def test_what_is_wrong_is_said(folder, saved, program):
     "damage", [slice(0, 4), slice(10, 11)], ids=["another format", "no literal"]
 )
 def test_damaged_boxes_are_refused_in_one_line(tmp_path, damage):
-    write_boxes(path := tmp_path / "a_bbox.npy")
+    path = tmp_path / "a_bbox.npy"
+    write_boxes(path)
     content = bytearray(path.read_bytes())
     content[damage] = b"PK\x03\x04" if damage.start == 0 else b"\0"
     path.write_bytes(content)
@@ -219,12 +213,10 @@ def clusters(rng, n=45):
     """Twelve events at one pixel, again and again, on a grid of times, as ends of windows."""
     rows = []
     for _ in range(n):
-        t, x, y, p = (
-            100 * rng.integers(0, 120),
-            rng.integers(0, 64),
-            rng.integers(0, 40),
-            rng.integers(0, 2),
-        )
+        t = 100 * rng.integers(0, 120)
+        x = rng.integers(0, 64)
+        y = rng.integers(0, 40)
+        p = rng.integers(0, 2)
         rows += [(t + 100 * int(rng.integers(0, 5)), x, y, p) for _ in range(12)]
     rows.sort(key=lambda row: row[0] + rng.integers(0, 150))
     return events_of(*np.array(rows).T)
@@ -266,14 +258,17 @@ def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, order, packet_
 
     They depend neither on the order of the events nor on packets.
     """
-    rng, model = np.random.default_rng(4), load_model(saved)
+    rng = np.random.default_rng(4)
+    model = load_model(saved)
     events = clusters(rng)
     in_time = events[np.argsort(events["t"], kind="stable")]
     events = {"sorted": in_time, "late events": events, "backwards": in_time[::-1]}[order]
     rows = []
-    for event in in_time[rng.permutation(len(events))[:60]].tolist():
-        x, y = (int(np.clip(event[1 + k] + rng.integers(-4, 5), 0, (63, 39)[k])) for k in range(2))
-        rows.append((event[0] + 100 * int(rng.integers(1, 10)), ("off", "on")[event[3]], x, y))
+    for t, x, y, p in in_time[rng.permutation(len(events))[:60]].tolist():
+        beside_x = int(np.clip(x + rng.integers(-4, 5), 0, 63))
+        beside_y = int(np.clip(y + rng.integers(-4, 5), 0, 39))
+        later_us = 100 * int(rng.integers(1, 10))
+        rows.append((t + later_us, ("off", "on")[p], beside_x, beside_y))
     np.savez(tmp_path / "a.npz", sensor=CONFIG.sensor, events=events)
     write_points(tmp_path / "a_objects.csv", rows)
     recording = open_recording(tmp_path / "a.npz", packet_events=packet_events)
@@ -284,35 +279,30 @@ def test_scores_are_those_of_windows_cut_by_hand(saved, tmp_path, order, packet_
         assert [scores.there.tolist(), scores.found.tolist(), scores.right.tolist()] == expected, (
             share
         )
-        (there, n_found, right), words = (
-            np.sum(expected, axis=1).tolist(),
-            scores.to_dict(model.classes),
-        )
-        assert (5 if share == 1 else 0) < right < there and scores.f1 == 2 * right / (
-            there + n_found
-        )
-        assert words["precision"] == round(right / n_found, 5) and words["recall"] == round(
-            right / there, 5
-        )
+        there, n_found, right = np.sum(expected, axis=1).tolist()
+        assert (5 if share == 1 else 0) < right < there
+        assert scores.f1 == 2 * right / (there + n_found)
+        words = scores.to_dict(model.classes)
+        assert words["precision"] == round(right / n_found, 5)
+        assert words["recall"] == round(right / there, 5)
 
 
 @pytest.mark.parametrize(
     "moment, is_known", [(8900, False), (8901, True), (9900, True), (9901, False)]
 )
 def test_a_window_has_its_start_and_not_its_end(folder, saved, program, moment, is_known):
-    """Of a recording of one event, at 8900."""
+    """The recording has one event, at 8900."""
     np.savez(folder / "a_td.npz", sensor=CONFIG.sensor, events=events_of([8900], [20], [10], [1]))
     write_points(folder / "a_td_objects.csv", [(moment, "on", 20, 10)])
     code, _, err = program("evaluate", saved, folder)
     assert (code == 0) == is_known
-    assert (
-        is_known
-        or f"no event in the 1000 us before any time in its table, {moment} to {moment}" in err
-    )
+    if not is_known:
+        times = f"{moment} to {moment}"
+        assert f"no event in the 1000 us before any time in its table, {times}" in err
 
 
 def test_memory_does_not_grow_with_the_time_between_moments(saved):
-    """Of a recording of which all but the last window lies before the only moment."""
+    """All of the recording but its last window lies before the only moment."""
     n_alive = []
 
     class Packets:
@@ -328,8 +318,13 @@ def test_memory_does_not_grow_with_the_time_between_moments(saved):
                 del packet
                 n_alive.append(sum(one() is not None for one in alive))
 
-    label, middle = np.array([0]), np.array([[1.0, 1.0]])
-    table = ObjectTable(np.array([300_000]), label, middle, np.array([[5.0, 5.0]]), {})
+    table = ObjectTable(
+        t=np.array([300_000]),
+        label=np.array([0]),
+        middle=np.array([[1.0, 1.0]]),
+        reach=np.array([[5.0, 5.0]]),
+        unknown={},
+    )
     scores = score_recording(load_model(saved), Packets(), table)
     assert scores[1.0].right.sum() == 1 and max(n_alive) <= 5
 
@@ -342,15 +337,14 @@ def test_how_near_is_near_enough(tmp_path):
         "t,class,x,y,w,h",
     )
     table = read_table(tmp_path / "a_objects.csv", ("on",))
-    assert (table.reach.tolist(), table.middle.tolist()) == (
-        [[4, 0.5], [5, 5]],
-        [[14, 20], [10, 20]],
-    )
+    assert table.reach.tolist() == [[4, 0.5], [5, 5]]
+    assert table.middle.tolist() == [[14, 20], [10, 20]]
 
 
 def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
     """As spreadsheets write it."""
-    write_points(path := tmp_path / "a_objects.csv")
+    path = tmp_path / "a_objects.csv"
+    write_points(path)
     expected = read_table(path, ("on", "off"))
     path.write_bytes("\ufeff".encode() + path.read_bytes())
     found = read_table(path, ("on", "off"))
@@ -359,11 +353,12 @@ def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
 
 
 def test_matches_by_hand():
-    """An object is matched once, with the nearest of its class; a second one found there is too
-    many."""
+    """An object that is there is matched once, by the nearest find of its class; a second find near
+    it is wrong."""
     found = np.zeros((4, FOUND_SIZE))
     found[:, :4] = [(10, 10, 0.9, 0), (11, 10, 0.8, 0), (30, 10, 0.7, 1), (50, 10, 0.6, 1)]
-    labels, middles = np.array([0, 0, 1]), np.array([[10.0, 10], [40, 40], [50, 13]])
+    labels = np.array([0, 0, 1])
+    middles = np.array([[10.0, 10], [40, 40], [50, 13]])
 
     def n_right(found, labels, middles, reach):
         return int(score_objects(found, labels, middles, reach, 2).right.sum())
@@ -371,7 +366,7 @@ def test_matches_by_hand():
     assert n_right(found, labels, middles, 3.0) == 2
     assert n_right(found, labels, middles, 2.0) == 1
     assert n_right(found, labels, middles, np.array([[2.0, 2], [2, 2], [1, 3]])) == 2
-    # the likeliest takes the one a pixel away and leaves the other, four away, to the next
+    # the likeliest find takes the object a pixel away, and leaves the other one to the next find
     beside = np.array([[6.0, 10], [11, 10]])
     found[1, 0] = 2
     assert n_right(found[:2], np.zeros(2, int), beside, 5.0) == 2
@@ -382,17 +377,16 @@ def test_matches_by_hand():
 
 def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
     """At every angle, a thousandth inside and outside; with one number for all, a circle."""
-    middle, found = np.array([[20.0, 30.0]]), np.zeros((1, FOUND_SIZE))
+    middle = np.array([[20.0, 30.0]])
+    found = np.zeros((1, FOUND_SIZE))
     for reach in (np.array([[8.0, 3.0]]), np.array([[0.5, 6.0]]), 5.0):
         across, down = np.broadcast_to(reach, (1, 2))[0]
         for angle in np.linspace(0, 2 * np.pi, 33):
             for share, right in ((0.999, 1), (1.001, 0)):
-                found[0, [X, Y]] = middle[0] + share * np.array(
-                    [across * np.cos(angle), down * np.sin(angle)]
-                )
-                assert (
-                    score_objects(found, np.zeros(1, int), middle, reach, 1).right.sum() == right
-                ), (reach, angle)
+                away = np.array([across * np.cos(angle), down * np.sin(angle)])
+                found[0, [X, Y]] = middle[0] + share * away
+                scores = score_objects(found, np.zeros(1, int), middle, reach, 1)
+                assert scores.right.sum() == right, (reach, angle)
 
 
 CELLS = st.one_of(

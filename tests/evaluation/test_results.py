@@ -44,17 +44,15 @@ def stopping_after(n):
 
 def collected_to(out, tasks, function=record_of, run=HERE, progress=Bar, **words):
     """The records, how many of them were kept, and what was reported."""
-    kept, said = [], []
+    kept = []
+    said = []
 
     def noted(total, title, *, done):
         kept.append(done)
         return progress(total, title, done=done)
 
-    return (
-        collect(function, tasks, run, out, progress=noted, report=said.append, **words),
-        *kept,
-        said,
-    )
+    records = collect(function, tasks, run, out, progress=noted, report=said.append, **words)
+    return records, *kept, said
 
 
 def noting(done):
@@ -87,16 +85,15 @@ def unfinished(tmp_path):
 
 
 def test_interrupted_in_any_way_to_run_it_resumes_to_the_same_file(run, tasks, tmp_path):
-    plain, out = tmp_path / "plain.jsonl", tmp_path / "r.jsonl"
+    plain = tmp_path / "plain.jsonl"
+    out = tmp_path / "r.jsonl"
     records, *_ = collected_to(plain, tasks)
     with pytest.raises(Stopped):
         collected_to(out, tasks, run=run, progress=stopping_after(2))
     resumed, kept, said = collected_to(out, tasks[::-1], run=run)
     assert kept == 2 and said == [f"{out}: 2 of 5 recordings are done, resuming"]
-    assert (
-        out.read_bytes() == plain.read_bytes()
-        and sum(path.is_file() for path in tmp_path.iterdir()) == 2
-    )
+    assert out.read_bytes() == plain.read_bytes()
+    assert sum(path.is_file() for path in tmp_path.iterdir()) == 2
     assert resumed == records
 
 
@@ -165,7 +162,8 @@ def test_results_of_another_version_model_or_selection_of_pixels_are_refused(
         ValueError, match="was made with another model, version or selection of pixels"
     ):
         collected_to(finished, theirs)
-    assert len(collected_to(finished, theirs, restart=True)[0]) == len(NAMES)
+    finished.unlink()
+    assert len(collected_to(finished, theirs)[0]) == len(NAMES)
 
 
 def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished, tasks):
@@ -189,7 +187,6 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
             ):
                 collected_to(out, theirs)
             assert out.read_bytes() == before
-    collected_to(unfinished, theirs, restart=True)
 
 
 @pytest.mark.parametrize(
@@ -197,20 +194,11 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
 )
 def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
     lines = unfinished.read_bytes().splitlines(keepends=True)
-    for content, is_ours in (
-        (b"".join([*lines[:2], line + b"\n", *lines[2:]]), True),
-        (b"x" + line, False),
-    ):
+    for content in (b"".join([*lines[:2], line + b"\n", *lines[2:]]), b"x" + line):
         unfinished.write_bytes(content)
-        for restart in (False, True)[: 2 - is_ours]:
-            with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
-                ResultFile(unfinished, JOB, restart=restart)
+        with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
+            ResultFile(unfinished, JOB)
         assert unfinished.read_bytes() == content
-    unfinished.write_bytes(b"".join(lines))
-    with closing(ResultFile(unfinished, JOB, restart=True)) as file:
-        assert not file.records
-    # nothing is discarded before there is something new
-    assert unfinished.read_bytes() == b"".join(lines)
 
 
 def test_two_programs_at_once_are_refused(unfinished):
@@ -224,7 +212,8 @@ def test_two_programs_at_once_are_refused(unfinished):
 
 def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):
     """Opened, then locked: in between the program that had locked it may have finished."""
-    lock, before = fcntl.flock, unfinished.read_bytes()
+    lock = fcntl.flock
+    before = unfinished.read_bytes()
 
     def lock_late(file, how):
         unfinished.rename(unfinished.with_name("gone"))

@@ -4,6 +4,7 @@ import ast
 import asyncio
 import re
 import runpy
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ def test_packet_loop(lines_of):
     closed = [as_shown(decision) for decision in at_once.push(events) + at_once.finish()]
     assert [line.split("  ")[-1].strip() for line in lines if " fire " not in line] == closed
     assert sum(" fire " in line for line in lines) == len(events) // 1000 + 1
-    received, kept, outside, at_start = (int(number) for number in re.findall(r"\d+", last))
+    received, kept, outside, at_start = map(int, re.findall(r"\d+", last))
     assert received == kept + outside + at_start == len(events) < 2 * kept
 
 
@@ -63,7 +64,7 @@ RUN = re.compile(
 
 
 def test_every_asyncio_run_has_its_form_for_notebooks():
-    """Which have a running loop, in which `asyncio.run` fails."""
+    """A notebook has a running loop, in which `asyncio.run` fails."""
     root = EXAMPLES.parent
     pages = [
         root / "README.md",
@@ -89,33 +90,32 @@ def test_asyncio_source_runs_in_a_notebook_in_that_form(capsys):
 
 def test_background_reader(lines_of):
     n = open_recording(sample_recordings()[8]).n_events
-    every, newest = (
-        [int(k) for k in re.findall(r"\d+", line)] for line in lines_of("background_reader.py")
-    )
+    first, second = lines_of("background_reader.py")
+    every = [int(k) for k in re.findall(r"\d+", first)]
+    newest = [int(k) for k in re.findall(r"\d+", second)]
     assert every[:3] == [n, n, 0] and every[-1] == 8
     assert newest[0] == newest[1] + newest[2] == n > newest[2] > 0
 
 
 def test_own_torch_module(lines_of):
-    flow_removed, raw = (
-        int(re.search(r": (\d+) of 20", line)[1]) for line in lines_of("own_torch_module.py")
-    )
+    lines = lines_of("own_torch_module.py")
+    flow_removed, raw = [int(re.search(r": (\d+) of 20", line)[1]) for line in lines]
     assert flow_removed >= 15 and raw <= 7  # chance is 2
 
 
 def test_several_digits(lines_of):
-    """Each is found and named, at most one otherwise first."""
+    """Each is found and gets its class; at most two have another one before."""
     first, *lines = lines_of("several_digits.py")
     there = re.findall(r"(\d) at \((\d+), (\d+)\)", first)
     assert len(there) == 6 and len(lines) <= 8
-    named = [
-        re.search(r"object (\d+) is a (\d), at \((\d+), (\d+)\)", line).groups() for line in lines
-    ]
-    found = {number: (digit, int(x), int(y)) for number, digit, x, y in named}
+    found = {}
+    for line in lines:
+        words = re.search(r"object (\d+) is a (\d), at \((\d+), (\d+)\)", line)
+        number, digit, x, y = words.groups()
+        found[number] = (digit, int(x), int(y))
     for digit, x, y in there:
-        assert any(
-            d == digit and abs(u - int(x)) < 8 and abs(v - int(y)) < 8 for d, u, v in found.values()
-        ), digit
+        places = [(u, v) for other, u, v in found.values() if other == digit]
+        assert any(max(abs(u - int(x)), abs(v - int(y))) < 8 for u, v in places), digit
 
 
 def test_stream_equals_batch(lines_of):
@@ -128,11 +128,9 @@ def test_stream_equals_batch(lines_of):
 
 
 def test_send_recordings(lines_of, tmp_path):
-    """Whole, in order, each from the start of a window on."""
-    first, second = (
-        random_events(400, duration_us=3000),
-        random_events(300, duration_us=2000, start_us=50),
-    )
+    """They arrive whole and in order, each from the start of a window on."""
+    first = random_events(400, duration_us=3000)
+    second = random_events(300, duration_us=2000, start_us=50)
     for name, events in (("a.npy", first), ("b.npy", second)):
         np.save(tmp_path / name, events)
     with UdpSource(port=0, timeout_s=0.15) as source:
@@ -149,25 +147,21 @@ def test_hots_characters(lines_of, tmp_path):
     made = [random_events(9 + k, seed=k, duration_us=100_000, sensor=(32, 32)) for k in range(40)]
     cells = np.empty((1, len(made)), object)
     for k, e in enumerate(made):
-        x, y, p = (e[name].astype(np.int16) for name in "xyp")
         cells[0, k] = {
-            "x": x[None] + 1,
-            "y": y[None] + 1,
-            "p": 2 * p[None] - 1,
+            "x": e["x"].astype(np.int16)[None] + 1,
+            "y": e["y"].astype(np.int16)[None] + 1,
+            "p": 2 * e["p"].astype(np.int16)[None] - 1,
             "ts": e["t"][None].astype(np.int32),
         }
     io.savemat(tmp_path / "made.mat", {"ROI": cells})
     assert lines_of("hots_characters.py", "made.mat", "out") == [
         "40 recordings of 36 characters in out"
     ]
-    train, test = (find_recordings(tmp_path / "out", part) for part in ("Train", "Test"))
-    assert sorted(train) == sorted("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ") and sorted(test) == [
-        "F",
-        "G",
-        "X",
-        "Y",
-    ]
-    for one in (one for part in (train, test) for some in part.values() for one in some):
+    train = find_recordings(tmp_path / "out", "Train")
+    test = find_recordings(tmp_path / "out", "Test")
+    assert sorted(train) == sorted("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ")
+    assert sorted(test) == ["F", "G", "X", "Y"]
+    for one in chain(*train.values(), *test.values()):
         recording = open_recording(one.path)
         assert recording.sensor == (32, 32)
         np.testing.assert_array_equal(recording.read(), made[int(one.path.stem)])
@@ -176,14 +170,10 @@ def test_hots_characters(lines_of, tmp_path):
 def test_asl_dvs(lines_of, tmp_path):
     io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
     made = random_events(50, duration_us=100_000, sensor=(240, 180))
-    columns = {
-        name: made[field].astype(float)[:, None]
-        for name, field in (("ts", "t"), ("x", "x"), ("y", "y"))
-    }
+    names = {"t": "ts", "x": "x", "y": "y", "p": "pol"}
+    columns = {name: made[field].astype(float)[:, None] for field, name in names.items()}
     (tmp_path / "asl" / "a").mkdir(parents=True)
-    io.savemat(
-        tmp_path / "asl" / "a" / "a_0001.mat", columns | {"pol": made["p"].astype(float)[:, None]}
-    )
+    io.savemat(tmp_path / "asl" / "a" / "a_0001.mat", columns)
     assert lines_of("asl_dvs.py", "asl", "out") == ["1 recordings in out"]
     recording = open_recording(tmp_path / "out" / "a" / "a_0001.npz")
     assert recording.sensor == (240, 180)

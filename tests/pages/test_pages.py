@@ -28,44 +28,43 @@ from experiments.tables.parts import results
 PAGES = [
     page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))
 ]
-README, GUIDE, REFERENCE, THEORY = (
-    (ROOT / f"{name}.md").read_text(encoding="utf-8")
-    for name in ("README", "docs/guide", "docs/reference", "docs/theory")
-)
-NEEDS = {  # packages of a section's snippets
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
+REFERENCE = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+THEORY = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
+# section -> packages that its snippets need
+NEEDS = {
     "Viewing": ("rerun",),
     "Other networks and engines": ("torch", "onnx", "onnxruntime"),
 }
 
 
 def sections(page):
-    """(title, text) of what stands before the first heading of the second level, and of what
-    follows each."""
+    """(title, text) of each section: what follows a heading of the second level. The text before
+    the first one has the title ""."""
     before, *rest = re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return [("", before), *(part.split("\n", 1) for part in rest)]
 
 
 def commands(text):
     """The lines of `async-tnt` in shell blocks, as lists of words."""
-    lines = "".join(blocks(text, "sh")).splitlines()
-    shown = [
-        shlex.split(line, comments=True)[1:] for line in lines if line.startswith("async-tnt ")
-    ]
-    return [words[: words.index(">")] if ">" in words else words for words in shown]
+    found = []
+    for line in "".join(blocks(text, "sh")).splitlines():
+        if line.startswith("async-tnt "):
+            words = shlex.split(line, comments=True)[1:]
+            found.append(words[: words.index(">")] if ">" in words else words)
+    return found
 
 
 @functools.cache
 def options():
     """All options of all commands."""
-    parsers = [
-        build_parser([name])._subparsers._group_actions[0].choices[name] for name in COMMANDS
-    ]
-    return {
-        option
-        for parser in parsers
-        for action in parser._actions
-        for option in action.option_strings
-    }
+    found = set()
+    for name in COMMANDS:
+        parser = build_parser([name])._subparsers._group_actions[0].choices[name]
+        for action in parser._actions:
+            found.update(action.option_strings)
+    return found
 
 
 @functools.cache
@@ -76,15 +75,14 @@ def help_of(name):
     return set(re.findall(r"--[a-z][a-z-]*", printed.getvalue()))
 
 
-SNIPPETS = [
-    pytest.param(page, title, id=f"{page.stem}-{title}")
-    for page in PAGES
-    for title, text in sections(page)
-    if blocks(text, "python") and title
-]
+def sections_with_snippets():
+    for page in PAGES:
+        for title, text in sections(page):
+            if title and blocks(text, "python"):
+                yield pytest.param(page, title, id=f"{page.stem}-{title}")
 
 
-@pytest.mark.parametrize("page, title", SNIPPETS)
+@pytest.mark.parametrize("page, title", list(sections_with_snippets()))
 def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monkeypatch, capsys):
     """A section's snippets run after those that stand before the page's first section."""
     monkeypatch.chdir(tmp_path)
@@ -100,7 +98,8 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
             shutil.copy(path, tmp_path / "set" / str(digit))
         assert main(["evaluate", "digits", "set", "--out", "results.jsonl"]) == 0
     texts = dict(sections(page))
-    session, report = {"__name__": "__main__"}, []
+    session = {"__name__": "__main__"}
+    report = []
     for snippet in blocks(texts[""] + texts[title], "python"):
         if ">>>" not in snippet:
             exec(snippet, session)
@@ -111,15 +110,13 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
     assert not report, "".join(report)
     printed = capsys.readouterr().out
     if title == "Use":
-        assert [
-            line.split()[2] for line in printed.splitlines() if line.endswith(("window", "end"))
-        ] == ["3", "3", "3"]
+        ends = [line for line in printed.splitlines() if line.endswith(("window", "end"))]
+        assert [line.split()[2] for line in ends] == ["3", "3", "3"]
     if title == "Archives":
         assert len(session["results"]) == 10 and session["wrong"] == {}
     if title == "N-MOVING-MNIST":
-        assert (
-            printed.startswith("036deg-5px 9 ") and session["total"] > len(session["events"]) > 10
-        )
+        assert printed.startswith("036deg-5px 9 ")
+        assert session["total"] > len(session["events"]) > 10
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -128,12 +125,9 @@ def test_commands_and_options_exist(page):
     for words in commands(text):
         build_parser(words).parse_args(words)  # exits where it does not understand
     for name, words in re.findall(r"python -m experiments\.(\w+)((?: [^\s`|]+)*)", text):
-        assert [
-            option for option in re.findall(r"--[a-z][a-z-]*", words) if option not in help_of(name)
-        ] == []
+        assert set(re.findall(r"--[a-z][a-z-]*", words)) - help_of(name) == set()
     if page.parent.name == "docs":
-        named = re.findall(r"`(--[a-z][a-z-]*)", text)
-        assert [option for option in named if option not in options()] == []
+        assert set(re.findall(r"`(--[a-z][a-z-]*)", text)) - options() == set()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -146,9 +140,8 @@ def test_links_lead_to_files_and_headings(page):
         assert target.exists(), link
         if heading:
             titles = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE)
-            assert heading in {
-                re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles
-            }, link
+            plain = [re.sub(r"[^\w -]", "", title.lower()) for title in titles]
+            assert heading in [title.replace(" ", "-") for title in plain], link
 
 
 def test_ci_runs_the_two_commands_of_the_readme():
@@ -192,7 +185,10 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     monkeypatch.setattr(simulated_pictures, "N_TAKES", 1)
     write_pictures(Path("pictures"), n=2)
     rng = np.random.default_rng(0)
-    x, y, p = (rng.integers(0, n, 8_000) for n in (96, 72, 2))  # a smaller camera than the guide's
+    # a smaller camera than the guide's
+    x = rng.integers(0, 96, 8_000)
+    y = rng.integers(0, 72, 8_000)
+    p = rng.integers(0, 2, 8_000)
     np.savez("anything.npz", t=np.arange(0, 400_000, 50), x=x, y=y, p=p)
     text = dict(sections(ROOT / "docs" / "guide.md"))["Your own classes"]
     shown = commands(text)
@@ -203,10 +199,10 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
         capsys.readouterr()
         words = [word.replace("346x260", "96x72") for word in words]
         assert main([*words, *(quick if words[0] == "train" else [])]) == 0, capsys.readouterr().err
-        if "--json" in words:  # the reference names every number of an evaluation
-            assert [
-                name for name in json.loads(capsys.readouterr().out) if f"`{name}`" not in REFERENCE
-            ] == []
+        # the reference names every number of an evaluation
+        if "--json" in words:
+            for name in json.loads(capsys.readouterr().out):
+                assert f"`{name}`" in REFERENCE
     for name in ("gestures.json", "gestures.curves.png"):
         assert name in text and Path(name).is_file(), name
     (program,) = blocks(text, "py")
@@ -235,9 +231,11 @@ def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path):
     pytest.importorskip("matplotlib")
     from experiments import figure_equivariance
 
-    picture, report = tmp_path / "equivariance.png", tmp_path / "equivariance.json"
+    picture = tmp_path / "equivariance.png"
+    report = tmp_path / "equivariance.json"
     assert figure_equivariance.main(["--picture", str(picture), "--json", str(report)]) == 0
-    found, recorded = json.loads(report.read_text())["errors"], results("equivariance")["errors"]
+    found = json.loads(report.read_text())["errors"]
+    recorded = results("equivariance")["errors"]
     pixels = {"volume": 1, "convolution 1": 1, "pooling 1": 2, "convolution 2": 2, "pooling 2": 4}
     for name, of_layer in found.items():
         for layer, errors in of_layer.items():

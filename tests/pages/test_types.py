@@ -44,10 +44,6 @@ def test_snippets_and_public_names_are_typed_and_a_mistyped_setting_is_found(che
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     lines = sorted({int(line) for line in re.findall(r"program\.py:(\d+).* error: ", done.stdout)})
     found = [text.splitlines()[line - 1] for line in lines]
-    assert re.findall("runing|sined|every_ms|dorp", "".join(found)) == [
-        "runing",
-        "sined",
-        "every_ms",
-        "dorp",
-    ]
+    typos = re.findall("runing|sined|every_ms|dorp", "".join(found))
+    assert typos == ["runing", "sined", "every_ms", "dorp"]
     assert len(found) == 4, done.stdout + done.stderr

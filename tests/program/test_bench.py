@@ -31,7 +31,7 @@ def check(report):
 
 
 def test_the_report_has_machine_model_and_every_figure(program):
-    code, text, _ = program("bench", "--quick", "--json")
+    code, text, _ = program("bench", "--json")
     report = json.loads(text)
     check(report)
     assert code == 0 and report["machine"]["cpu"] and report["machine"]["numba"]
@@ -40,7 +40,7 @@ def test_the_report_has_machine_model_and_every_figure(program):
         "config": load_model("digits").config.to_dict(),
         "classes": 10,
     }
-    text = program("bench", "--quick")[1]
+    text = program("bench")[1]
     assert (
         "model digits: 34 x 34 pixels, landmark running; bundled samples" in text
         and "1,300 new events " in text
@@ -50,7 +50,7 @@ def test_the_report_has_machine_model_and_every_figure(program):
 @pytest.mark.parametrize("settings", CONFIGS.values(), ids=CONFIGS)
 def test_any_model_is_measured(settings, tmp_path, program):
     path = random_model(TNTConfig(**settings), widths=(4, 6, 8)).save(tmp_path / "own.safetensors")
-    code, text, _ = program("bench", "--quick", "--json", "--model", str(path))
+    code, text, _ = program("bench", "--json", "--model", str(path))
     report = json.loads(text)
     check(report)
     assert code == 0 and report["events_from"].endswith(

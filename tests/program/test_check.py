@@ -34,8 +34,8 @@ def test_it_holds_stream_and_batch_equal(program, tmp_path):
     assert {row["config"] for row in rows} == CONFIGS
 
 
-def test_a_start_behind_all_events_leaves_nothing_to_check(program):
-    code, _, err = program("check", sample_recordings()[1], "--start-us", 10**9)
+def test_a_part_behind_all_events_leaves_nothing_to_check(program):
+    code, _, err = program("check", sample_recordings()[1], "--between-us", f"{10**9},{10**10}")
     assert code == 2 and err.endswith("no events to check\n")
 
 

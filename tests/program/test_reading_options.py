@@ -189,7 +189,8 @@ def test_results_of_another_topic_are_not_taken_for_these(program, tmp_path, two
         assert code == 0 and json.loads(out)["events"] == len(EVENTS)
     code, _, err = program(*words, "--topic", "/right")
     assert code == 2 and "results.jsonl was made with another model, " in err
-    code, out, _ = program(*words, "--topic", "/right", "--restart")
+    (tmp_path / "results.jsonl").unlink()
+    code, out, _ = program(*words, "--topic", "/right")
     assert code == 0 and json.loads(out)["events"] == 5
     ids = {Job("digits", reading=ReadOptions(columns=order)).id for order in (None, "xypt", "yxpt")}
     assert len(ids | {Job("digits", reading=ReadOptions(topic="/left")).id}) == 4

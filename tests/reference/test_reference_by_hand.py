@@ -1,6 +1,8 @@
 """Volumes and landmarks worked out with pencil and paper: twins cannot see an error made on both
 sides."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 import torch
@@ -68,21 +70,18 @@ def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
         landmark="center",
     )
     for k, kept in ((1, 1), (2, 1), (3, 0), (4, 0), (1000, 0)):
-        assert tnt_volume([window_us - k], [x], [y], [1], **at).sum().item() == pytest.approx(
-            kept
-        ), k
+        volume = tnt_volume([window_us - k], [x], [y], [1], **at)
+        assert volume.sum().item() == pytest.approx(kept), k
 
 
 def test_eight_cells_and_polarities():
     # b = 1.5; x_g = 2 * 4 / 5 = 1.6; y_g = 4 * 4 / 5 = 3.2
     event = dict(t=[150], x=[2], y=[4], p=[0], **SQUARE | {"sensor": (6, 6)})
-    k_x, k_y = {1: 0.4, 2: 0.6}, {3: 0.8, 4: 0.2}
+    k_x = {1: 0.4, 2: 0.6}
+    k_y = {3: 0.8, 4: 0.2}
     for polarity, sign, first in (("signed", -1, 0), ("unsigned", 1, 0), ("split", 1, 9)):
         expected = {
-            (first + b, y, x): sign * 0.5 * k_y[y] * k_x[x]
-            for b in (1, 2)
-            for y in k_y
-            for x in k_x
+            (first + b, y, x): sign * 0.5 * k_y[y] * k_x[x] for b, y, x in product((1, 2), k_y, k_x)
         }
         assert cells(event_volume(**event, polarity=polarity)) == expected
 
@@ -99,7 +98,9 @@ def test_centroids():
 
 
 def test_line_is_the_ridge_intercept_of_the_events_so_far():
-    t, x, y = [102, 106, 108], [2, 6, 7], [4, 0, 2]  # f = 0.25, 0.75, 1
+    t = [102, 106, 108]  # f = 0.25, 0.75, 1
+    x = [2, 6, 7]
+    y = [4, 0, 2]
     # 1 event:  C = 0: the event itself.
     # 2 events: mean_x 4, mean_f 1/2, C_xf = 2 (2/4) = 1, C_ff = 1/8: m = 8/9, l = 4 - 4/9 = 32/9.
     #           y: mean 2, C_yf = -1, m = -8/9, l = 2 + 4/9 = 22/9.
@@ -113,7 +114,9 @@ def test_line_is_the_ridge_intercept_of_the_events_so_far():
 
 
 def test_events_outside_the_window_take_no_part():
-    t, x, y = [99, 101, 109, 102, 0], [8, 2, 8, 4, 8], [4, 1, 4, 3, 4]
+    t = [99, 101, 109, 102, 0]
+    x = [8, 2, 8, 4, 8]
+    y = [4, 1, 4, 3, 4]
     for name in ("running", "line", "window"):
         rows = landmark(name, t, x, y, **SMALL)
         assert torch.equal(rows[[1, 3]], landmark(name, [101, 102], [2, 4], [1, 3], **SMALL))
@@ -147,17 +150,17 @@ def test_an_image_of_counts_and_times_leaves_out_what_is_outside_its_window():
 
 
 def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
-    """Cells of 10 x 5 pixels. In the left upper one, ON at (2, 1) twice, then at (4, 2); OFF at (4,
-    1)."""
-    t, x, y, p = np.array(
-        [(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]
-    ).T
+    """Cells have 10 x 5 pixels. The upper left one has ON events at (2, 1), twice, then at (4, 2),
+    and an OFF event at (4, 1)."""
+    events = [(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]
+    t, x, y, p = np.array(events).T
     at = dict(start_us=0, window_us=100, sensor=(20, 10), grid=(2, 2))
     expected = torch.zeros(2, 7, 7, 2, 2)  # polarity, z_y + 3, z_x + 3, row, column
     # the second at (2, 1) finds the first; five events are in this cell
     expected[0, 3, 3, 0, 0] = 1 / 5
-    expected[0, 2, 1, 0, 0] = 2 / 5  # that at (4, 2) finds both, two pixels to the left and one up
-    # (9, 4) is too far; (10, 4) outside
+    # the one at (4, 2) finds both, two pixels to the left and one up
+    expected[0, 2, 1, 0, 0] = 2 / 5
+    # (9, 4) is too far from these; (10, 4) is in the next cell
     torch.testing.assert_close(hats(t, x, y, p, **at), expected.reshape(98, 2, 2))
     expected[0, 3, 1, 0, 0] = 2 / 5  # the OFF event finds both ON events
     expected[0, 2, 3, 0, 0] = 1 / 5  # and is found
@@ -174,13 +177,12 @@ def test_hats_reach_three_pixels_in_each_direction():
     at = dict(start_us=0, window_us=100, sensor=(18, 18), grid=(2, 2), polarity="unsigned")
     for z_x in range(-4, 5):
         for z_y in range(-4, 5):
-            histogram = hats([1, 2], [4 + z_x, 4], [4 + z_y, 4], [1, 1], **at)[:, 0, 0].reshape(
-                7, 7
-            )
-            found = {
-                (x - 3, y - 3): histogram[y, x].item() for y, x in histogram.nonzero().tolist()
-            }
-            assert found == ({(z_x, z_y): 0.5} if max(abs(z_x), abs(z_y)) <= 3 else {})
+            every = hats([1, 2], [4 + z_x, 4], [4 + z_y, 4], [1, 1], **at)
+            histogram = every[:, 0, 0].reshape(7, 7)
+            expected = torch.zeros(7, 7)
+            if max(abs(z_x), abs(z_y)) <= 3:
+                expected[z_y + 3, z_x + 3] = 0.5
+            assert torch.equal(histogram, expected)
 
 
 def test_an_image_of_times_leaves_out_shares_below_a_billionth():

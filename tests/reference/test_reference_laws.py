@@ -37,13 +37,18 @@ ATOL_VOLUME = 1e-12
     ids=str,
 )
 def test_gradients(options):
-    """Of real-valued events away from the edges of cells and border, and of a landmark for each
-    event."""
+    """The events are real-valued, away from the edges of cells and border; each has a landmark."""
     g = torch.Generator().manual_seed(1)
-    t, x, y, l_x, l_y = (
-        (torch.rand(4, generator=g, dtype=torch.float64) * (high - low) + low).requires_grad_()
-        for low, high in ((3_000, 5_900), (2, 9), (2, 6), (4.0, 4.3), (2.8, 3.0))
-    )
+
+    def drawn(low, high):
+        column = torch.rand(4, generator=g, dtype=torch.float64) * (high - low) + low
+        return column.requires_grad_()
+
+    t = drawn(3_000, 5_900)
+    x = drawn(2, 9)
+    y = drawn(2, 6)
+    l_x = drawn(4.0, 4.3)
+    l_y = drawn(2.8, 3.0)
     p = torch.tensor([1, 0, 1, 1])
 
     def volume(t, x, y, l_x, l_y):
@@ -60,16 +65,12 @@ def test_gradients(options):
 def test_degenerate_input_gives_finite_values_and_gradients(name):
     for times in ([], [1_000], [1_001], [2_000] * 5, [0, 999, 6_001]):
         n = len(times)
-        t, x, y = (
-            torch.tensor(column[:n], dtype=torch.float64, requires_grad=True)
-            for column in (times, [11, 3, 3, 4, 0], [8, 4, 4, 4, 0])
-        )
+        t = torch.tensor(times, dtype=torch.float64, requires_grad=True)
+        x = torch.tensor([11, 3, 3, 4, 0][:n], dtype=torch.float64, requires_grad=True)
+        y = torch.tensor([8, 4, 4, 4, 0][:n], dtype=torch.float64, requires_grad=True)
         u, v, _ = tnt_coordinates(t, x, y, **WINDOW, landmark=name)
-        assert (
-            u.isfinite().all()
-            and v.isfinite().all()
-            and fitted_flow(t, x, y, **WINDOW).shape == (n, 2)
-        )
+        assert u.isfinite().all() and v.isfinite().all()
+        assert fitted_flow(t, x, y, **WINDOW).shape == (n, 2)
         for remove_flow in {False, name == "line"}:
             volume = tnt_volume(
                 t, x, y, [1, 0, 1, 0, 1][:n], **VOLUME, landmark=name, remove_flow=remove_flow
@@ -98,15 +99,18 @@ def windows(draw):
         dt, st.integers(0, sensor[0] - 1), st.integers(0, sensor[1] - 1), st.booleans()
     )
     events = draw(st.lists(event, min_size=draw(st.sampled_from([0, 1, 12])), max_size=12))
-    t, x, y, p = ([e[k] for e in events] for k in range(4))
-    return ([start_us + a for a in t], x, y, p), dict(
-        start_us=start_us, window_us=window_us, sensor=sensor, grid=grid
-    )
+    t = [start_us + since_us for since_us, _, _, _ in events]
+    x = [column for _, column, _, _ in events]
+    y = [row for _, _, row, _ in events]
+    p = [is_on for _, _, _, is_on in events]
+    where = dict(start_us=start_us, window_us=window_us, sensor=sensor, grid=grid)
+    return (t, x, y, p), where
 
 
 def line(x, f):
     """(intercept, slope) of the ridge line through these points, exactly."""
-    mean_x, mean_f = Fraction(sum(x), len(x)), sum(f) / len(f)
+    mean_x = Fraction(sum(x), len(x))
+    mean_f = sum(f) / len(f)
     c_xf = sum((a - mean_x) * (b - mean_f) for a, b in zip(x, f, strict=True))
     m = c_xf / (sum((b - mean_f) ** 2 for b in f) + 1)
     return mean_x - m * mean_f, m
@@ -117,7 +121,8 @@ def k(a):
 
 
 def volume_of(placed, bins, grid, polarity):
-    """placed: (b, v, u, is_on) of each kept event. Visits every cell for every event."""
+    """The volume of events that are `placed`, (b, v, u, is_on) each: visits every cell for every
+    event."""
     volume = torch.zeros(
         2 * bins if polarity == "split" else bins, grid[1], grid[0], dtype=torch.float64
     )
@@ -135,7 +140,8 @@ def test_landmarks(window, name):
     operations."""
     (t, x, y, _), where = window
     start, length, sensor, grid = where.values()
-    rows, flow = landmark(name, t, x, y, **where), fitted_flow(t, x, y, **where)
+    rows = landmark(name, t, x, y, **where)
+    flow = fitted_flow(t, x, y, **where)
     inside = [i for i in range(len(t)) if start <= t[i] <= start + length]
     for i, (axis, column) in product(inside, enumerate((x, y))):
         members = [j for j in inside if j <= i or name == "window"]
@@ -183,10 +189,8 @@ def test_volumes(window, kind, t_max, bins, polarity):
     if kind == "raw":
         got = event_volume(t, x, y, p, **options)
     else:
-        rows, flow = (
-            landmark(how["landmark"], t, x, y, **where).tolist(),
-            fitted_flow(t, x, y, **where).tolist(),
-        )
+        rows = landmark(how["landmark"], t, x, y, **where).tolist()
+        flow = fitted_flow(t, x, y, **where).tolist()
         u, v, kept = tnt_coordinates(t, x, y, **where, **how)
         got = tnt_volume(t, x, y, p, **options, **how)
     placed = []

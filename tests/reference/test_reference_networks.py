@@ -10,8 +10,10 @@ SETTINGS = dict(sensor=(12, 10), window_us=5_000, bins=5, t_max=2.0)
 def window(seed=0, n=200, start_us=1_000):
     g = torch.Generator().manual_seed(seed)
     t = torch.randint(start_us, start_us + 5_000, (n,), generator=g).sort().values
-    x, y = torch.randint(0, 12, (n,), generator=g), torch.randint(0, 10, (n,), generator=g)
-    return t, x, y, torch.randint(0, 2, (n,), generator=g), start_us
+    x = torch.randint(0, 12, (n,), generator=g)
+    y = torch.randint(0, 10, (n,), generator=g)
+    p = torch.randint(0, 2, (n,), generator=g)
+    return t, x, y, p, start_us
 
 
 @pytest.fixture(autouse=True)
@@ -35,9 +37,12 @@ def test_classifier_by_hand():
         network.fc2.weight[:] = 1
         network.fc2.bias[:] = 0.5
     volume = torch.zeros(2, 4, 8)
-    volume[0, 1, 2], volume[0, 3, 4:] = 16, 4  # left mean 1; right mean 4 * 4 / 16 = 1
-    # left 3 - 1, right 0 - 1; ReLU cuts the negative ones
-    volume[1, :, :4], volume[1, 0, 7] = 3, -16
+    # channel 0: left mean 1, right mean 4 * 4 / 16 = 1
+    volume[0, 1, 2] = 16
+    volume[0, 3, 4:] = 4
+    # channel 1: left 3 - 1, right 0 - 1; ReLU cuts the negative ones
+    volume[1, :, :4] = 3
+    volume[1, 0, 7] = -16
     assert network(volume).tolist() == [1 + 10 + 200 + 0.5]
 
 
@@ -72,11 +77,10 @@ def test_pipeline_is_volume_then_classifier(options):
     pipeline = Pipeline(classifier, **SETTINGS, grid=(9, 8), **options)
     *events, start_us = window()
     at = dict(start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(9, 8), bins=5)
-    volume = (
-        event_volume(*events, **at)
-        if "transform" in options
-        else tnt_volume(*events, **at, t_max=2.0, **options)
-    )
+    if "transform" in options:
+        volume = event_volume(*events, **at)
+    else:
+        volume = tnt_volume(*events, **at, t_max=2.0, **options)
     assert volume.abs().sum() > 10
     assert torch.equal(pipeline.volume(*window()), volume)
     torch.testing.assert_close(pipeline(*window()), classifier(volume))

@@ -100,7 +100,8 @@ def test_contrast_frames(rows):
 
 def test_cells_average_their_pixels():
     frames = np.empty((K, 2, 3))
-    t, one = np.array([0, 500, 999]), np.ones(3, np.uint8)
+    t = np.array([0, 500, 999])
+    one = np.ones(3, np.uint8)
     x, y = np.array([[0, 1, 5], [0, 1, 3]], np.uint16)
     contrast_frames(t, x, y, one, 1_000, 2.0, 1.0, 2, frames)
     assert frames[0].tolist() == [[0.5, 0, 0], [0, 0, 0]]
@@ -109,7 +110,7 @@ def test_cells_average_their_pixels():
 
 @pytest.mark.parametrize("cell", [1, 2, 5])
 def test_noise_is_white_after_whitening(cell):
-    """Of a cell's mean, which varies less than one pixel's."""
+    """The noise of a cell's mean, which varies less than one pixel's."""
     covariance = reference.noise_covariance(K).numpy() / cell**2
     white = moving_image.MovingImage((340, 260), 1_000, cell).whitening
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(K), atol=1e-12)
@@ -118,16 +119,13 @@ def test_noise_is_white_after_whitening(cell):
 def test_pictures_move_as_the_reference_moves_an_image():
     """Between the places of the fine image the light is interpolated: the finer, the nearer."""
     image = np.random.default_rng(1).normal(size=(5, 7))
-    moved = (
-        reference.motion_matrix(torch.tensor([[1.3, -0.6]], dtype=torch.float64), (5, 7)).numpy()
-        @ image.ravel()
-    )
+    path = torch.tensor([[1.3, -0.6]], dtype=torch.float64)
+    moved = reference.motion_matrix(path, (5, 7)).numpy() @ image.ravel()
     expected = image + moved.reshape(5, 7)
+    places = np.array([[[1, 0, -1.3], [0, 1, 0.6]]])
     frames = np.empty((1, 5, 7))
     errors = []
     for factor in (3, 30):
-        move_periodic(
-            frames, finer(image, factor), np.array([[[1, 0, -1.3], [0, 1, 0.6]]]), 0, 0.0, factor
-        )
+        move_periodic(frames, finer(image, factor), places, 0, 0.0, factor)
         errors.append(np.abs(frames[0] - expected).max())
     assert errors[0] < 0.25 and errors[1] < 0.003

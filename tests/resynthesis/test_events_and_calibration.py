@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
-from async_tnt.resynthesis import MotionPath, MovedImage, Reconstruction, SimulatedPixels, calibrate
-from async_tnt.resynthesis.calibration import describe
+from async_tnt.resynthesis.calibration import calibrate, describe
 from async_tnt.resynthesis.moving_image import N_FRAMES
+from async_tnt.resynthesis.paths import MotionPath
+from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction, SimulatedPixels
 from async_tnt.simulation.measured_pixels import MeasuredPixels, is_after_pulse, measure_pixels
 from async_tnt.simulation.random_motion import random_motion
 from async_tnt.simulation.simulator import PixelModel
@@ -17,9 +18,9 @@ SHARES = np.linspace(0, 1, 52)
 
 
 def windows_of(rng, pixels, n=24):
-    nets = rng.uniform(3, 9, n)[:, None] * np.stack(
-        [np.cos(a := rng.uniform(0, 6.3, n)), np.sin(a)], 1
-    )
+    length = rng.uniform(3, 9, n)
+    angle = rng.uniform(0, 6.3, n)
+    nets = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     return [recorded(blobs(rng), straight(net), rng, pixels=pixels) for net in nets]
 
 
@@ -31,9 +32,8 @@ def test_pixels_are_measured(ratio):
     measured = measure_pixels(windows_of(np.random.default_rng(0), pixels), SENSOR, WINDOW_US)
     assert measured.step_on / measured.step_off == pytest.approx(ratio, rel=0.2)
     assert measured.step_on * measured.step_off == pytest.approx(1)
-    assert measured.noise_hz == pytest.approx(
-        0.5, rel=0.3
-    ) and measured.noise_on_share == pytest.approx(0.8, abs=0.1)
+    assert measured.noise_hz == pytest.approx(0.5, rel=0.3)
+    assert measured.noise_on_share == pytest.approx(0.8, abs=0.1)
     assert 800 <= measured.refractory_us < 4_000
 
 
@@ -52,23 +52,21 @@ def test_after_pulses_by_hand():
 
 
 def test_simulated_pixels_are_like_the_measured_ones():
-    """Each number of theirs; thresholds and refractory time vary about them from window to
+    """Each number is; thresholds and refractory time vary about the measured ones from window to
     window."""
     measured = MeasuredPixels(
         1.25, 0.8, refractory_us=900.0, noise_hz=0.7, noise_on_share=0.3, after_share=0.2
     )
     rng = np.random.default_rng(0)
     drawn = [SimulatedPixels(measured, scale=0.3).draw(rng) for _ in range(500)]
-    assert {(one.noise_hz, one.noise_on_share, one.after_share) for one in drawn} == {
-        (0.7, 0.3, 0.2)
-    }
-    on, off, refractory_us = np.array(
-        [(one.threshold_on, one.threshold_off, one.refractory_us) for one in drawn]
-    ).T
+    same = {(one.noise_hz, one.noise_on_share, one.after_share) for one in drawn}
+    assert same == {(0.7, 0.3, 0.2)}
+    on = np.array([one.threshold_on for one in drawn])
+    off = np.array([one.threshold_off for one in drawn])
+    refractory_us = np.array([one.refractory_us for one in drawn])
     np.testing.assert_allclose(on / off, 1.25 / 0.8)
-    assert np.median(on) == pytest.approx(0.3 * 1.25, rel=0.03) and np.log(
-        on
-    ).std() == pytest.approx(0.1, rel=0.15)
+    assert np.median(on) == pytest.approx(0.3 * 1.25, rel=0.03)
+    assert np.log(on).std() == pytest.approx(0.1, rel=0.15)
     assert np.mean(refractory_us) == pytest.approx(900, rel=0.05)
     assert 540 <= refractory_us.min() < 600 and 1_200 < refractory_us.max() <= 1_260
 
@@ -77,9 +75,8 @@ def test_numbers_of_windows_by_hand():
     """Pixel (1, 1) at 0, 2 and 6 ms and pixel (5, 9) once; then pixel (1, 1) twice, 8 ms apart;
     then nothing."""
     first = [(0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0)]
-    windows = [
-        np.array(rows, EVENT_DTYPE) for rows in (first, [(0, 1, 1, 0), (8_000, 1, 1, 1)], [])
-    ]
+    second = [(0, 1, 1, 0), (8_000, 1, 1, 1)]
+    windows = [np.array(rows, EVENT_DTYPE) for rows in (first, second, [])]
     expected = {
         "events per window": 6 / 3,
         "active pixels": 100 * (2 + 1 + 0) / 3 / 100,
@@ -101,21 +98,27 @@ def calibrated():
 
 def test_the_recorded_motion_is_matched(calibrated):
     """Events within 2 %, active pixels within 15 %, intervals within 20 %."""
-    recorded_, again = (calibrated[2].match[name] for name in ("recorded", "resynthesized"))
-    for name, within in {
+    _, _, calibration = calibrated
+    bounds = {
         "events per window": 0.02,
         "active pixels": 0.15,
         "same-pixel interval, 5 %": 0.2,
         "same-pixel interval, median": 0.2,
-    }.items():
-        assert again[name] == pytest.approx(recorded_[name], rel=within), name
-    assert 3 < calibrated[2].length < 9
+    }
+    for name, within in bounds.items():
+        expected = calibration.match["recorded"][name]
+        assert calibration.match["resynthesized"][name] == pytest.approx(expected, rel=within), name
+    assert 3 < calibration.length < 9
 
 
 def test_nothing_that_moves_is_an_error():
     windows = [noise(np.random.default_rng(0), 500)] * 4
     with pytest.raises(ValueError, match="no motion was found in any of 4 windows"):
         calibrate(Reconstruction(SENSOR, WINDOW_US), windows, seed=0)
+
+
+def centroid(events):
+    return np.array([events["x"].mean(), events["y"].mean()])
 
 
 def test_other_motions_have_their_polarity(calibrated):
@@ -127,16 +130,12 @@ def test_other_motions_have_their_polarity(calibrated):
         if image is None:
             continue
         for seed in range(4):
-            events, motion = image.moved(
-                calibration.length, calibration.pixels, np.random.default_rng((i, seed))
-            )
-            assert (
-                (np.diff(events["t"]) >= 0).all()
-                and events["t"].min() >= 0
-                and events["t"].max() < WINDOW_US
-            )
-            on, off = (np.array([events[a][events["p"] == p].mean() for a in "xy"]) for p in (1, 0))
-            agree.append((off - on) @ motion[-1] > 0)
+            rng = np.random.default_rng((i, seed))
+            events, motion = image.moved(calibration.length, calibration.pixels, rng)
+            assert (np.diff(events["t"]) >= 0).all()
+            assert events["t"].min() >= 0 and events["t"].max() < WINDOW_US
+            between = centroid(events[events["p"] == 0]) - centroid(events[events["p"] == 1])
+            agree.append(between @ motion[-1] > 0)
     assert np.mean(agree) > 0.9
 
 
@@ -151,18 +150,15 @@ def test_each_polarity_comes_at_its_own_threshold(calibrated):
     ]
 
     def on_for_each_off(step_on):
-        pixels = SimulatedPixels(
-            MeasuredPixels(step_on=step_on, step_off=1 / step_on), calibration.pixels.scale
-        )
-        p = np.concatenate(
-            [image.as_recorded(pixels, np.random.default_rng(0))["p"] for image in images]
-        )
+        measured = MeasuredPixels(step_on=step_on, step_off=1 / step_on)
+        pixels = SimulatedPixels(measured, calibration.pixels.scale)
+        recordings = [image.as_recorded(pixels, np.random.default_rng(0)) for image in images]
+        p = np.concatenate(recordings)["p"]
         return p.sum() / (p == 0).sum()
 
     for step_on in (0.5, 2.0):
-        assert on_for_each_off(step_on) / on_for_each_off(1.0) == pytest.approx(
-            step_on**-2, rel=0.4
-        )
+        times_more = on_for_each_off(step_on) / on_for_each_off(1.0)
+        assert times_more == pytest.approx(step_on**-2, rel=0.4)
 
 
 def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
@@ -179,23 +175,21 @@ def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
 
 def test_random_motions_keep_to_their_ranges():
     rng = np.random.default_rng(0)
-    motions, turns = map(
-        np.array, zip(*(random_motion(6.0, SHARES, rng) for _ in range(2_000)), strict=True)
-    )
+    drawn = [random_motion(6.0, SHARES, rng) for _ in range(2_000)]
+    motions = np.array([motion for motion, _ in drawn])
+    turns = np.array([turn for _, turn in drawn])
     net = motions[:, -1] - motions[:, 0]
     lengths = np.hypot(*net.T)
     assert 6 - 1e-9 <= lengths.min() < 6.01 and 6.4 < lengths.max() <= 6 * np.hypot(1, 0.4)
     directions = np.histogram(np.arctan2(net[:, 1], net[:, 0]), 8, (-np.pi, np.pi))[0]
     assert directions.min() > 190 and directions.max() < 310
-    still = np.mean(np.hypot(*(motions[:, 3] - motions[:, 0]).T) < 1e-9)  # those that start later
-    assert 0.2 < still < 0.5
-    np.testing.assert_allclose(
-        [np.interp(0.5, SHARES, motion[:, 0]) for motion in motions], 0, atol=0.1
-    )
+    start_later = np.mean(np.hypot(*(motions[:, 3] - motions[:, 0]).T) < 1e-9)
+    assert 0.2 < start_later < 0.5
+    at_half_time = [np.interp(0.5, SHARES, motion[:, 0]) for motion in motions]
+    np.testing.assert_allclose(at_half_time, 0, atol=0.1)
     turned = np.abs(turns[:, -1] - turns[:, 0]).max(0)
-    assert (turned > 0.98 * np.array([np.radians(6), 0.06])).all() and (
-        turned <= [np.radians(6), 0.06]
-    ).all()
+    most = np.array([np.radians(6), 0.06])
+    assert (turned > 0.98 * most).all() and (turned <= most).all()
 
 
 @pytest.mark.parametrize("turn, growth", [(np.pi / 6, 0.0), (0.0, np.log(1.3)), (-0.4, -0.2)])
@@ -217,13 +211,13 @@ def test_an_image_turns_and_grows_about_its_centre(turn, growth):
 
 
 def test_noise_does_not_count_where_on_is_compared_with_off():
-    """A third more events, all ON, anywhere: without them the thresholds are as before, within 5
-    %."""
+    """A third more events, all ON, anywhere: the thresholds are as without them, within 5 %."""
     rng = np.random.default_rng(0)
     scenes = [
         recorded(blobs(rng, n=1), straight(net), rng, pixels=PixelModel(noise_hz=0.0))
         for net in [(6, 3)] * 24
     ]
     noisy = [together(scene, (*noise(rng, 80)[:3], np.ones(80, np.uint8))) for scene in scenes]
-    expected, measured = (measure_pixels(windows, SENSOR, WINDOW_US) for windows in (scenes, noisy))
+    expected = measure_pixels(scenes, SENSOR, WINDOW_US)
+    measured = measure_pixels(noisy, SENSOR, WINDOW_US)
     assert measured.step_on == pytest.approx(expected.step_on, rel=0.05)

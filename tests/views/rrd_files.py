@@ -16,8 +16,8 @@ chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no .rrd 
 class Rrd:
     """What was logged, in order of time.
 
-    name : of the recording, in the viewer's list.
-    views : of the layout: origin -> kind.
+    name : the recording's name in the viewer's list.
+    views : origin of a view in the layout -> its kind.
     rows : entity -> [(microseconds, {"Archetype:component": value})], static ones at None.
     """
 
@@ -49,9 +49,8 @@ class Rrd:
         for part in reader.stream(store=reader.blueprints()[0]):
             batch = part.to_record_batch()
             if "ViewBlueprint:space_origin" in batch.schema.names:
-                kinds, origins = (
-                    batch.column(f"ViewBlueprint:{n}") for n in ("class_identifier", "space_origin")
-                )
+                kinds = batch.column("ViewBlueprint:class_identifier")
+                origins = batch.column("ViewBlueprint:space_origin")
                 self.views[origins[-1].as_py()[0].lstrip("/")] = kinds[-1].as_py()[0]
         for rows in self.rows.values():
             rows.sort(key=lambda row: -1 if row[0] is None else row[0])
@@ -70,12 +69,10 @@ class Rrd:
     def images(self, entity: str, archetype: str = "Image") -> list[tuple[int, np.ndarray]]:
         """(microseconds, uint8 of shape (height, width) or (height, width, 3))."""
         found = []
+        buffers = self.series(entity, f"{archetype}:buffer")
         formats = self.series(entity, f"{archetype}:format")
-        for (t, (pixels,)), (_, (form,)) in zip(
-            self.series(entity, f"{archetype}:buffer"), formats, strict=True
-        ):
-            image = np.frombuffer(bytes(pixels), np.uint8).reshape(
-                form["height"], form["width"], -1
-            )
+        for (t, (pixels,)), (_, (form,)) in zip(buffers, formats, strict=True):
+            values = np.frombuffer(bytes(pixels), np.uint8)
+            image = values.reshape(form["height"], form["width"], -1)
             found.append((t, image if image.shape[2] > 1 else image[:, :, 0]))
         return found

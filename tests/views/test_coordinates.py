@@ -26,10 +26,9 @@ EVENTS = random_events(3 * BLOCK + 5, start_us=START_US)
 
 
 def window_of(events, config):
-    """Their window, from START_US on."""
-    return Subject(
-        "made", events, config, MODEL if config.needs_regressor else None, "made", START_US
-    ).window(1)
+    """The window of these events, from START_US on."""
+    model = MODEL if config.needs_regressor else None
+    return Subject("made", events, config, model, "made", START_US).window(1)
 
 
 def streamed(events, config):
@@ -57,7 +56,9 @@ def equal_reference(events, config):
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 def test_coordinates_equal_the_reference_and_drawn_volumes_the_stream(config):
-    before, window, volume = EVENTS.copy(), window_of(EVENTS, config), streamed(EVENTS, config)
+    before = EVENTS.copy()
+    window = window_of(EVENTS, config)
+    volume = streamed(EVENTS, config)
     found = equal_reference(EVENTS, config)
     assert 0 < found.kept.sum() == volume.counts.kept < found.kept.size
     raw, tnt = window.volumes()

@@ -39,9 +39,8 @@ def dots(axes):
     # in the order of the dots; the getter's is that of the last drawing
     colours = np.array(cloud._facecolors)
     assert {tuple(colour) for colour in colours} == {to_rgba(ON), to_rgba(OFF)}
-    return *(np.asarray(column, np.float64) for column in columns), (colours == to_rgba(ON)).all(
-        axis=1
-    )
+    is_on = (colours == to_rgba(ON)).all(axis=1)
+    return *[np.asarray(column, np.float64) for column in columns], is_on
 
 
 def pictures(axes):
@@ -57,7 +56,9 @@ def test_resynthesis_shows_counts_the_image_and_paths():
     """ON minus OFF of each pixel, the image as it is, and each path with its own direction."""
     one = events_of([0, 1, 2], [1, 1, 4], [2, 2, 0], [1, 1, 0])
     image = np.arange(15.0).reshape(3, 5)
-    right, down = (np.linspace(0, 2, 5)[:, None] * np.array(way) for way in ((1, 0), (0, 1)))
+    way = np.linspace(0, 2, 5)[:, None]
+    right = way * np.array((1, 0))
+    down = way * np.array((0, 1))
     window = figure_resynthesis.ResynthesizedWindow(
         "cup", one, image, one[:1], [right, down], [one[2:]]
     )
@@ -70,7 +71,8 @@ def test_resynthesis_shows_counts_the_image_and_paths():
     assert found[0][2, 1] == 2 and found[0][0, 4] == -1 and np.abs(found[0]).sum() == 3
     np.testing.assert_array_equal(found[1], image)
     assert found[2].sum() == 1 and found[3].sum() == -1 and len(axes) == 9
-    net = [np.subtract(*(each.lines[0].get_xydata()[k] for k in (-1, 0))) for each in axes[1:4]]
+    paths = [each.lines[0].get_xydata() for each in axes[1:4]]
+    net = [path[-1] - path[0] for path in paths]
     np.testing.assert_allclose(net, [(2, 0), (2, 0), (0, 2)])
 
 
@@ -80,8 +82,10 @@ def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
     figure = new_figure(4.9)
     figure_window.draw_both(figure, window, height=4.2)
     raw, tnt = figure.axes
-    events, (u, v, kept, _) = window.events, window.coordinates()
-    time_ms, on = (events["t"] - window.start_us) / 1e3, events["p"] == 1
+    events = window.events
+    u, v, kept, _ = window.coordinates()
+    time_ms = (events["t"] - window.start_us) / 1e3
+    on = events["p"] == 1
     assert_equal(dots(raw), (time_ms, events["x"], events["y"], on))
     assert_equal(dots(tnt), (time_ms[kept], u[kept], v[kept], on[kept]))
 
@@ -116,15 +120,11 @@ def test_probabilities_are_those_of_the_streams_decisions():
     for k in range(10):
         (line,) = [line for line in axes.lines if line.get_gid() == f"class {k}"]
         drawn = ~np.isnan(line.get_ydata())
-        assert_equal(
-            # a line ends with its window
-            (line.get_xdata()[drawn], line.get_ydata()[drawn], np.flatnonzero(~drawn)),
-            (
-                [(d.time_us - shown.first_us) / 1e3 for d in decisions],
-                [d.probabilities[k] for d in decisions],
-                np.add(ends, [1, 2]),
-            ),
-        )
+        times_ms = [(d.time_us - shown.first_us) / 1e3 for d in decisions]
+        np.testing.assert_allclose(line.get_xdata()[drawn], times_ms)
+        np.testing.assert_allclose(line.get_ydata()[drawn], [d.probabilities[k] for d in decisions])
+        # a line ends with its window
+        assert np.flatnonzero(~drawn).tolist() == [ends[0] + 1, ends[1] + 2]
 
 
 @pytest.mark.filterwarnings("error")

@@ -40,10 +40,8 @@ def test_a_page_as_png_and_svg(plot):
     code, printed, _ = plot()
     assert dict(matplotlib.rcParams) == settings
     assert (code, printed) == (0, f"3.png ({Path('3.png').stat().st_size / 1e3:.0f} kB)\n")
-    kept, again = (
-        in_squares(image.imread(IMAGES / "what_happens.png")),
-        in_squares(image.imread("3.png")),
-    )
+    kept = in_squares(image.imread(IMAGES / "what_happens.png"))
+    again = in_squares(image.imread("3.png"))
     assert kept.shape == again.shape
     assert np.abs(kept - again).max() < 0.2  # another landmark makes 0.35, another recording 0.6
     random_regressor_model().save("r.safetensors")
@@ -61,10 +59,8 @@ def test_a_page_as_png_and_svg(plot):
     assert plot()[0] == 0  # once more
     Path("3.png").write_bytes(b"a photograph")
     code, _, err = plot()
-    assert (code, Path("3.png").read_bytes()) == (
-        2,
-        b"a photograph",
-    ) and "3.png is of another program" in err
+    assert code == 2 and "3.png is of another program" in err
+    assert Path("3.png").read_bytes() == b"a photograph"
     assert plot("--out", "3.png")[0] == 0
 
 
@@ -84,7 +80,8 @@ def test_the_same_figure_gives_the_same_bytes(name, begin):
 
 def in_squares(pixels, side=20):
     """Mean colour of each square of a picture."""
-    height, width = (n // side for n in pixels.shape[:2])
+    height = pixels.shape[0] // side
+    width = pixels.shape[1] // side
     cut = pixels[: height * side, : width * side, :3]
     return cut.reshape(height, side, width, side, 3).mean(axis=(1, 3))
 
@@ -109,12 +106,8 @@ def test_options_reach_the_picture(plot):
 def test_a_models_flow_removal_goes_with_its_line(plot):
     random_model(TNTConfig(landmark="line", remove_flow=True, t_max=2.0)).save("m.safetensors")
     for landmark, words in (("line", "line, flow removed, t_max 2"), ("center", "center, t_max 2")):
-        assert (
-            plot(
-                5, "--model", "m.safetensors", "--volume", f"landmark={landmark}", "--out", "s.svg"
-            )[0]
-            == 0
-        )
+        volume = "--volume", f"landmark={landmark}"
+        assert plot(5, "--model", "m.safetensors", *volume, "--out", "s.svg")[0] == 0
         assert f"after TNT ({words})" in text_of("s.svg")
     code, _, err = plot(5, "--volume", "landmark=center,remove_flow=yes")
     assert (code, err.count("\n")) == (2, 1) and "remove_flow" in err
@@ -126,15 +119,12 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     np.savez("camera.npz", events=events, sensor=np.array([120, 80]))
     code, _, err = plot("camera.npz")
     assert code == 0
-    assert (
-        err
-        == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
-    )
+    expected = "no decisions, model digits is not for 120x80 pixels (--model)"
+    assert err == f"async-tnt: camera.npz: {expected}\n"
     np.save("camera.npy", events)
     code, _, err = plot("camera.npy")
-    assert (
-        code == 2 and "; the file states none, --sensor, the model or another recording does" in err
-    )
+    assert code == 2
+    assert "; the file states none, --sensor, the model or another recording does" in err
     assert plot("camera.npy", "--sensor", "120x80")[0] == 0
     code, _, err = plot("camera.npz", "--volume", "transform=none")
     assert code == 2 and "the volume without the transform is drawn anyway" in err

@@ -12,18 +12,20 @@ from async_tnt.views.rerun_view import next_moment
 
 
 def test_an_event_image_has_the_newest_polarity_of_each_pixel():
-    nothing, off, on = log.NOTHING, log.OFF, log.ON
+    nothing = log.NOTHING
     events = events_of([1, 2, 3, 4, 5], [0, 3, 3, 1, 1], [0, 1, 1, 0, 0], [1, 1, 0, 0, 1])
     assert log.event_image(events, (4, 2)).tolist() == [
-        [on, on, nothing, nothing],
-        [nothing] * 3 + [off],
+        [log.ON, log.ON, nothing, nothing],
+        [nothing, nothing, nothing, log.OFF],
     ]
     assert not log.event_image(events[:0], (4, 2)).any()
 
 
 def test_a_sheet_has_the_bins_row_by_row():
     volume = np.zeros((5, 2, 3), np.float32)
-    volume[0, 0, 0], volume[1, 1, 2], volume[4, 0, 1] = 4.0, -4.0, 1.0
+    volume[0, 0, 0] = 4.0
+    volume[1, 1, 2] = -4.0
+    volume[4, 0, 1] = 1.0
     sheet = bin_sheet(volume)
     assert sheet.shape == (2 * 3 - 1, 3 * 4 - 1, 3) and sheet.dtype == np.uint8
     assert tuple(sheet[0, 0]) == ON_COLOUR and tuple(sheet[1, 4 + 2]) == OFF_COLOUR
@@ -31,17 +33,16 @@ def test_a_sheet_has_the_bins_row_by_row():
     half = np.array(NOTHING_COLOUR) + 0.5 * (np.array(ON_COLOUR) - np.array(NOTHING_COLOUR))
     assert np.abs(sheet[3, 4 + 1] - half).max() <= 1
     assert tuple(sheet[1, 1]) == NOTHING_COLOUR
-    assert (
-        (sheet[2] == GAP_COLOUR).all()
-        and (sheet[:, 3] == GAP_COLOUR).all()
-        and (sheet[3:, 8:] == GAP_COLOUR).all()
-    )
+    for gap in (sheet[2], sheet[:, 3], sheet[3:, 8:]):
+        assert (gap == GAP_COLOUR).all()
     assert (bin_sheet(np.zeros((1, 4, 4), np.float32)) == NOTHING_COLOUR).all()
 
 
 def test_a_large_sheet_is_reduced_and_loses_no_single_cell():
     volume = np.zeros((1, 10, 11), np.float32)
-    volume[0, 9, 10], volume[0, 1, 1], volume[0, 0, 0] = 2.0, -2.0, 1.0
+    volume[0, 9, 10] = 2.0
+    volume[0, 1, 1] = -2.0
+    volume[0, 0, 0] = 1.0
     sheet = bin_sheet(volume, most_pixels=30)
     assert sheet.shape == (5, 6, 3)
     assert tuple(sheet[4, 5]) == ON_COLOUR and tuple(sheet[0, 0]) == OFF_COLOUR

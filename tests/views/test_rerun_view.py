@@ -69,10 +69,10 @@ def test_every_picture_shows_what_the_processor_has(tmp_path, landmark, events, 
     else:
         rrd, decisions = view_of(tmp_path, packets, model, picture_us=9_000, **settings)
     processor = Processor(model, **settings)
-    assert summary(decisions) == summary(
-        [d for p in packets for d in processor.push(p)] + processor.finish()
-    )
-    raws, tnts = rrd.images(log.RAW), rrd.images(log.TNT)
+    expected = [decision for packet in packets for decision in processor.push(packet)]
+    assert summary(decisions) == summary(expected + processor.finish())
+    raws = rrd.images(log.RAW)
+    tnts = rrd.images(log.TNT)
     landmarks = rrd.series(log.LANDMARK, "Points2D:positions")
     assert len(raws) > 18 and any(len(np.unique(sheet)) > 10 for _, sheet in tnts)
     for (t, raw), (t_tnt, tnt), (t_landmark, points) in zip(raws, tnts, landmarks, strict=True):
