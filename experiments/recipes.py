@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from async_tnt.base.progress import progress
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.data import TrainingData, dataset_data
 from async_tnt.training.fitting import fit
 from async_tnt.training.settings import default_config, settings_for
@@ -64,7 +64,7 @@ def read(
     return dataset_data(
         folder / part,
         config,
-        pixels=PixelSelection(sensor=sensor),
+        pixels=Pixels(sensor=sensor),
         validation=validation,
         fitted=("grid", "window_us", "bins"),
         progress=progress,

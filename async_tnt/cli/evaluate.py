@@ -19,7 +19,7 @@ from async_tnt.base.progress import progress
 from async_tnt.cli.evaluate_objects import evaluate_objects
 from async_tnt.cli.options import MODELS, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of
+from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
@@ -100,12 +100,11 @@ def main(args: argparse.Namespace) -> int:
     model = model_of(args.model)
     if model.places is not None:
         return evaluate_objects(args, model)
-    pixels = selector_of(selection_of(args), model)
+    pixels = pixels_of(args)
+    model_pixels_of(pixels, model)  # refuses pixels that do not fit the model
     found = labelled_recordings(args.dataset, model)
     fill_cache()
-    job = job_of(
-        args.model, model, pixels.selection, ReadOptions(columns=args.columns, topic=args.topic)
-    )
+    job = job_of(args.model, model, pixels, ReadOptions(columns=args.columns, topic=args.topic))
     tasks = [
         task_of(
             one.name_as(one.path.relative_to(args.dataset).as_posix()),
@@ -126,8 +125,8 @@ def main(args: argparse.Namespace) -> int:
             f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}"
         )
     report = report_of(model, good, skipped)
-    if pixels.selection.about:
-        report["pixels"] = pixels.selection.about
+    if pixels.about:
+        report["pixels"] = pixels.about
     say(*([json.dumps(report)] if args.json else lines_of(report)))
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)

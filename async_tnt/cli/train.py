@@ -16,7 +16,7 @@ from async_tnt.base.package import available_cores
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import command_words, model_of, of_windows, reading_of, volume_of
 from async_tnt.cli.output import note, say
-from async_tnt.cli.pixel_options import selection_of
+from async_tnt.cli.pixel_options import pixels_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
 from async_tnt.cli.train_options import DESCRIPTION, add_arguments
 from async_tnt.networks.models.model import Model
@@ -201,7 +201,7 @@ def _read(
     from async_tnt.training.settings import OF_PICTURES, default_config, settings_for, with_bins
     from async_tnt.training.simulated_pictures import find_pictures, measure_camera
 
-    pixels = selection_of(args)
+    pixels = pixels_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
             "--roi with --crop: the region is the model's sensor and must have sides of at least 2 "

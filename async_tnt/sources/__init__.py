@@ -40,14 +40,13 @@ if TYPE_CHECKING:
     from async_tnt.sources.opening import open_source
     from async_tnt.sources.pixels.pixel_filter import PixelCounts, PixelFilter
     from async_tnt.sources.pixels.pixel_masks import (
-        PackedMask,
         count_pixels,
         hot_pixels,
         learn_mask,
         load_mask,
         save_mask,
     )
-    from async_tnt.sources.pixels.pixel_selection import PixelSelection, PixelSelector
+    from async_tnt.sources.pixels.pixels import Pixels
     from async_tnt.sources.queues.background_reader import BackgroundReader
     from async_tnt.sources.queues.keep_up import KeepUp
     from async_tnt.sources.queues.queue import PacketQueue, QueueCounters
@@ -69,8 +68,8 @@ else:
             "queues.keep_up": "KeepUp",
             "opening": "open_source",
             "pixels.pixel_filter": "PixelCounts PixelFilter",
-            "pixels.pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
-            "pixels.pixel_selection": "PixelSelection PixelSelector",
+            "pixels.pixel_masks": "count_pixels hot_pixels learn_mask load_mask save_mask",
+            "pixels.pixels": "Pixels",
             "files.playback": "replay",
             "queues.queue": "PacketQueue QueueCounters",
             "live.udp": "NetworkCounts UdpSource open_udp",
@@ -80,7 +79,7 @@ else:
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock",
     "CorruptData", "DamagedRecording", "Decoder", "EventsOffSensor", "KeepUp", "NetworkCounts",
-    "PackedMask", "PacketQueue", "PixelCounts", "PixelFilter", "PixelSelection", "PixelSelector",
+    "PacketQueue", "PixelCounts", "PixelFilter", "Pixels",
     "QueueCounters", "ReadOptions", "Recording", "RecordingCounts", "Source", "Topic", "UdpSource",
     "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera",
     "open_recording", "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings",

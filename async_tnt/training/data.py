@@ -15,7 +15,7 @@ from async_tnt.base.progress import Bar
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.files.labelled_recordings import file_of
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.streaming.windows import N_JUDGED, TimeUnitCheck
 from async_tnt.training.dataset import Dataset, read_dataset
 from async_tnt.training.groups import (
@@ -66,7 +66,7 @@ def dataset_data(
     folder: Path,
     config: TNTConfig,
     *,
-    pixels: PixelSelection,
+    pixels: Pixels,
     reading: ReadOptions | None = None,
     sensor_source: str = "`sensor`",
     classes: tuple[str, ...] | None = None,
@@ -326,10 +326,10 @@ def _split(
     return learned, held_out, how, f"{len({together[r] for r in held_out})} of {len(set(together))}"
 
 
-def _masked(pixels: PixelSelection, dataset: Dataset) -> np.ndarray | None:
-    if pixels.mask is None:
+def _masked(pixels: Pixels, dataset: Dataset) -> np.ndarray | None:
+    mask = pixels.mask_of(dataset.camera)
+    if mask is None:
         return None
-    mask = pixels.mask.pixels(dataset.camera)
     if pixels.crop and pixels.roi is not None:
         x, y, width, height = pixels.roi
         mask = mask[y : y + height, x : x + width]

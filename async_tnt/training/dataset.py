@@ -16,8 +16,7 @@ from async_tnt.sources.files.labelled_recordings import LabelledRecording, find_
 from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import READERS, Recording, open_recording
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixels.pixel_filter import PixelFilter
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.recordings import Recordings, RecordingsWriter
 from async_tnt.volume.sensor import Sensor, format_size
 
@@ -60,7 +59,7 @@ def read_dataset(
     folder: str | os.PathLike[str],
     *,
     part: str = "Train",
-    pixels: PixelSelection | None = None,
+    pixels: Pixels | None = None,
     reading: ReadOptions | None = None,
     sensor_source: str = "`sensor`",
     classes: tuple[str, ...] | None = None,
@@ -102,7 +101,7 @@ def read_dataset(
         unknown one; a region or a mask that does not fit the sensor; a recording that is too long.
     OSError : no such folder.
     """
-    pixels = PixelSelection() if pixels is None else pixels
+    pixels = Pixels() if pixels is None else pixels
     reading = replace(reading or ReadOptions(), sensor=pixels.camera)
     found = find_recordings(folder, part)
     _check_classes(folder, found, classes, with_pictures)
@@ -192,7 +191,7 @@ class _Reader:
     def __init__(
         self,
         folder: str,
-        pixels: PixelSelection,
+        pixels: Pixels,
         reading: ReadOptions,
         camera: Sensor | None,
         source: str,
@@ -204,10 +203,7 @@ class _Reader:
         self._source = source
         self.known = known
         self.n_outside = self.n_masked = self.n_late = self.n_off_sensor = 0
-        self._filter: PixelFilter | None = None
-        if camera is not None and pixels.leaves_out:
-            mask = None if pixels.mask is None else pixels.mask.pixels(camera)
-            self._filter = PixelFilter(camera, pixels.roi, mask, crop=pixels.crop)
+        self._filter = None if camera is None else pixels.filter_of(camera)
 
     def read(self, file: LabelledRecording, label: int) -> np.ndarray:
         """The selected events, in order, with times from the first of them on.

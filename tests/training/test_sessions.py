@@ -12,7 +12,7 @@ from training.gestures import bar, write
 from async_tnt import TNTConfig
 from async_tnt.sources.files.labelled_recordings import find_recordings, recordings_under
 from async_tnt.sources.files.recording import READERS
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.data import dataset_data
 from async_tnt.training.simulated_pictures import find_pictures
 
@@ -54,7 +54,7 @@ def sessions(tmp_path):
 
 
 def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
-    data = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3)
+    data = dataset_data(sessions, TNTConfig(), pixels=Pixels(), validation=0.3)
     assert data.classes == ("flat", "upright") and data.record["classes"] == {
         "flat": 6,
         "upright": 3,
@@ -70,7 +70,7 @@ def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
     ]
     assert len(sides[1]) == 1 and not sides[0] & sides[1]
     by_user = dataset_data(
-        sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3, groups=r"user\d+"
+        sessions, TNTConfig(), pixels=Pixels(), validation=0.3, groups=r"user\d+"
     )
     assert len({recordings.names[r][:6] for r in by_user.validation.recording}) == 1
 
@@ -81,7 +81,7 @@ def test_what_is_learned_ends_before_what_is_held_out_in_time(tmp_path):
     write(tmp_path / "s.npz", events_of(t, t // 100 % 128, t // 777 % 128, [1] * len(t)))
     rows = [f"{'ab'[k % 2]},{45_000 * k},{45_000 * k + 500_000}\n" for k in range(30)]
     (tmp_path / "s_labels.csv").write_text(HEADER + "".join(rows))
-    data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=PixelSelection())
+    data = dataset_data(tmp_path, TNTConfig(window_us=100_000), pixels=Pixels())
     begin_us = np.array(
         [int(name[6:].partition(":")[0]) for name in data.training.recordings.names]
     )
@@ -131,7 +131,7 @@ def test_the_files_of_dvs128_gesture(tmp_path):
         "air_guitar": ["user02_lab.aedat[5150000:5230000]"],
         "hand_clapping": ["user02_lab.aedat[5000000:5080000]"],
     }
-    data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
+    data = dataset_data(tmp_path, TNTConfig(), pixels=Pixels(), validation=0, test=True)
     assert [name[:6] for name in data.training.recordings.names] == ["user01"] * 2
     assert [name[:6] for name in data.tests["test"][0].recordings.names] == ["user02"] * 2
     (tmp_path / "gesture_mapping.csv").write_text("action,label\nhand_clapping,2\nair_guitar,010\n")
@@ -186,7 +186,7 @@ def test_what_a_list_sets_aside_is_not_for_the_other_part(tmp_path, lists, train
         )
     if not lists or not train or not test:
         return
-    data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
+    data = dataset_data(tmp_path, TNTConfig(), pixels=Pixels(), validation=0, test=True)
     assert {name[0] for name in data.training.recordings.names} == set(train)
     assert {name[0] for name in data.tests["test"][0].recordings.names} == set(test)
 
@@ -260,7 +260,7 @@ def test_times_that_the_file_does_not_have_are_answered_with_those_it_has(sessio
     """As from a table in another unit, or from another origin."""
     table = sessions / "user02_led_labels.csv"
     table.write_text(HEADER + "upright,20,80\n")
-    data = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3)
+    data = dataset_data(sessions, TNTConfig(), pixels=Pixels(), validation=0.3)
     (reason,) = data.record["left_out"]
     first, last = 5_000_000, int(part("flat", 22, 2)["t"][-1])
     assert reason == f"user02_led.npz[20:80]: no events; the file has {first} to {last} us"

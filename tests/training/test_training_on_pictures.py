@@ -11,7 +11,7 @@ from damage import damaged_json
 from small_sets import write_pictures
 
 from async_tnt.simulation.picture_scene import SceneSettings
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training import settings, simulated_pictures
 from async_tnt.training.data import dataset_data
 from async_tnt.training.recordings import RecordingsWriter
@@ -34,7 +34,7 @@ def few(monkeypatch):
 
 
 def data_of(folder, **options):
-    pixels = PixelSelection(sensor=SENSOR)
+    pixels = Pixels(sensor=SENSOR)
     return dataset_data(
         folder, default_config(sensor=SENSOR), pixels=pixels, fitted={"grid"}, **options
     )

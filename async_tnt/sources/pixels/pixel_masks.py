@@ -150,7 +150,7 @@ class PackedMask:
         packed = zlib.compress(np.packbits(mask).tobytes())
         return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), packed, name)
 
-    def pixels(self, sensor: Sensor) -> np.ndarray:
+    def unpacked(self, sensor: Sensor) -> np.ndarray:
         """The mask itself: bool, shape (H, W); a ValueError if it is not of this `sensor` (width,
         height)."""
         width, height = self.size
