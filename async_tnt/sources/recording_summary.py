@@ -11,7 +11,7 @@ import numpy as np
 from async_tnt.kernels.sources.pixels import count_events
 from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixels.pixel_masks import MAX_PIXELS, hot_pixels, listed_pixels
+from async_tnt.sources.pixels.hot_pixels import MAX_PIXELS, hot_pixels, listed_pixels
 from async_tnt.volume.events import ANY_SENSOR
 from async_tnt.volume.sensor import Sensor
 
@@ -39,7 +39,7 @@ class RecordingSummary:
     events_a_second : in each of N_PARTS equal parts of the recording; empty without events.
     topics : `name`, `type`, `messages` and `is_read` of each topic of a ROS bag; empty for other
         files.
-    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixel_masks`; empty where the
+    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixels/hot_pixels.py`; empty where the
         sensor is not known.
     """
 

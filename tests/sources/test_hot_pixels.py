@@ -10,8 +10,9 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixels.hot_pixels import count_pixels, hot_pixels, learn_mask
 from async_tnt.sources.pixels.pixel_filter import PixelFilter
-from async_tnt.sources.pixels.pixel_masks import count_pixels, hot_pixels, learn_mask, load_mask
+from async_tnt.sources.pixels.pixel_masks import load_mask
 
 SENSOR = (34, 34)
 RECORDINGS = {digit: open_recording(sample_recordings()[digit]).read() for digit in (0, 1, 8)}

@@ -6,10 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from async_tnt.base.checks import ParameterError
 from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.pixels.pixel_filter import PixelFilter
 from async_tnt.sources.pixels.pixels import Pixels
-from async_tnt.volume.sensor import Sensor, check_sensor, format_size
+from async_tnt.sources.source_error import SourceError
+from async_tnt.volume.sensor import Sensor, format_size
 
 
 class ModelPixels:
@@ -41,15 +43,17 @@ class ModelPixels:
         self._filters: dict[Sensor, PixelFilter] = {}
         region = pixels.region
         if region is not None and region != model:
-            raise ValueError(
-                f"`crop`: the model is for {format_size(model)} pixels, got a region of "
-                f"{format_size(region)}; give `roi` X,Y,{model[0]},{model[1]}"
+            raise SourceError(
+                "",
+                f"{{crop}}: the model is for {format_size(model)} pixels, got a region of "
+                f"{format_size(region)}; give {{roi}} X,Y,{model[0]},{model[1]}",
             )
         camera = pixels.camera
         if not pixels.crop and camera is not None and camera != model:
-            raise ValueError(
+            raise SourceError(
+                "",
                 f"{pixels.origin} {format_size(camera)} pixels, but the model is for "
-                f"{format_size(model)}{self._advice(camera)}"
+                f"{format_size(model)}{self._advice(camera)}",
             )
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
@@ -86,23 +90,32 @@ class ModelPixels:
         """
         camera = self.expected or found
         if camera is None:
-            raise ValueError(
-                f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`"
+            rule = "does not say the camera's pixels, which {crop} needs: give {sensor}"
+            raise SourceError(str(name), rule)
+        if found is not None and tuple(found) != camera:
+            origin = self.pixels.origin if self.pixels.crop else "the model is for"
+            advice = "" if self.pixels.crop else self._advice(found)
+            raise SourceError(
+                str(name),
+                f"a sensor of {format_size(found)} pixels, but {origin} {format_size(camera)}"
+                f"{advice}",
             )
-        if self.pixels.crop:
-            check_sensor(name, found, camera, self.pixels.origin)
-        else:
-            check_sensor(name, found, camera, advice=self._advice(found))
 
         if camera not in self._filters:
-            try:
-                pixel_filter = self.pixels.filter_of(camera)
-            except ValueError as error:
-                raise ValueError(f"{name}: {error}" if name else str(error)) from None
+            pixel_filter = self._new_filter(str(name), camera)
             if pixel_filter is None:
                 return _unchanged
             self._filters[camera] = pixel_filter
         return self._filters[camera]
+
+    def _new_filter(self, name: str, camera: Sensor) -> PixelFilter | None:
+        """The filter for a camera; None if every event counts. Errors name the source."""
+        try:
+            return self.pixels.filter_of(camera)
+        except ParameterError as error:
+            raise SourceError(name, f"{{{error.name}}} {error.rule}, got {error.got}") from None
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}" if name else str(error)) from None
 
     def summary(self) -> str:
         """What was left out of all sources so far, for people; "" if nothing came, or if nothing
@@ -128,13 +141,13 @@ class ModelPixels:
         """What to do about a camera of another size than the model's."""
         size = camera or self._model
         if self._any_size:
-            return f"; give `sensor` {format_size(size)}"
+            return f"; give {{sensor}} {format_size(size)}"
         width, height = self._model
         if width > size[0] or height > size[1]:
             return "; train one for this camera (async-tnt train)"
         return (
             "; train one for this camera (async-tnt train), or cut out a part: "
-            f"`roi` X,Y,{width},{height} `crop`"
+            f"{{roi}} X,Y,{width},{height} {{crop}}"
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from async_tnt.sources.pixels.pixel_filter import PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixels.pixel_masks import PackedMask, load_mask
+from async_tnt.sources.source_error import SourceError
 from async_tnt.volume.sensor import Sensor, checked_sensor, format_size
 
 Region = tuple[int, int, int, int]
@@ -62,9 +63,10 @@ class Pixels:
         if sensor is not None:
             sensor = checked_sensor(sensor)
         if packed is not None and sensor is not None and sensor != packed.size:
-            raise ValueError(
-                f"{packed.name}: a mask of {format_size(packed.size)} pixels, but the camera's are "
-                f"given as {format_size(sensor)} (`sensor`)"
+            raise SourceError(
+                packed.name,
+                f"a mask of {format_size(packed.size)} pixels, but the camera's are given as "
+                f"{format_size(sensor)} ({{sensor}})",
             )
         object.__setattr__(self, "roi", roi)
         object.__setattr__(self, "crop", crop)
@@ -86,9 +88,9 @@ class Pixels:
 
     @property
     def origin(self) -> str:
-        """The beginning of a message that ends in the camera's size, such as "`sensor` says"."""
+        """Where `camera` is from: the words of a `SourceError` before the camera's size."""
         if self.mask is None or self.sensor is not None:
-            return "`sensor` says"
+            return "{sensor} says"
         return f"{self.mask.name} is a mask of"
 
     @property

@@ -6,7 +6,7 @@ import pytest
 from made import events_of, random_events
 from sources.files.written import FORMATS, SENSOR, made_events, written
 
-from async_tnt.sources.pixels.pixel_masks import hot_pixels
+from async_tnt.sources.pixels.hot_pixels import hot_pixels
 from async_tnt.sources.recording_summary import summarize
 
 
