@@ -16,29 +16,31 @@ from async_tnt.volume.sensor import Sensor
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:
-    """--roi, --crop, --mask and --sensor, for commands that load a model."""
+    """Add --roi, --crop, --mask and --sensor, for commands that load a model."""
     add_selection(parser)
     parser.add_argument(
         "--sensor",
         type=size_of,
         metavar="WxH",
-        help="the camera's pixels, if the recording does not state them. Without --crop, they are those of the model; "
-        "with it, a .bin has 34x34 by default",
+        help="the camera's pixels, if the recording does not state them. Without --crop, they are "
+        "those of the model; with it, a .bin has 34x34 by default",
     )
 
 
 def add_selection(parser: argparse._ActionsContainer) -> None:
-    """--roi, --crop and --mask."""
+    """Add --roi, --crop and --mask."""
     parser.add_argument(
         "--roi",
         type=_region,
         metavar="X,Y,W,H",
-        help="region of interest: leave out the events outside of W x H pixels, X,Y being the upper left one",
+        help="region of interest: leave out the events outside of W x H pixels, X,Y being the "
+        "upper left one",
     )
     parser.add_argument(
         "--crop",
         action="store_true",
-        help="with --roi: the region becomes the sensor, so that a large camera fits a model for W x H pixels",
+        help="with --roi: the region becomes the sensor, so that a large camera fits a model for "
+        "W x H pixels",
     )
     parser.add_argument(
         "--mask",
@@ -90,9 +92,9 @@ def sensor_to_read(pixels: Pixels, args: argparse.Namespace) -> Sensor | None:
 
 
 def _region(text: str) -> Region:
-    """`100,80,34,34` as (100, 80, 34, 34). An argparse type."""
+    """`100,80,34,34` as (100, 80, 34, 34): a type of argparse."""
     try:
-        left, top, width, height = (int(number) for number in text.split(","))
+        left, top, width, height = [int(number) for number in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(
             f"must be four whole numbers X,Y,WIDTH,HEIGHT, such as 100,80,34,34, got {text!r}"

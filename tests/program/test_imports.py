@@ -96,7 +96,8 @@ def test_type_checkers_see_the_same_names(package):
     imports = [n for n in nodes if isinstance(n, ast.ImportFrom)]
     own = {"lazy_names", "__version__"}
     seen = {alias.name: n.module for n in imports for alias in n.names if alias.name not in own}
-    (table,) = (ast.literal_eval(n) for n in nodes if isinstance(n, ast.Dict))
+    calls = [n for n in nodes if isinstance(n, ast.Call) and ast.unparse(n.func) == "lazy_names"]
+    table = ast.literal_eval(calls[0].args[1])
     lazy = {
         name: f"{package.__name__}.{module}"
         for module, names in table.items()

@@ -12,7 +12,8 @@ import pytest
 from made import random_events
 from waiting import in_both_ways, until
 
-from async_tnt.sources import BackgroundReader, PacketQueue, QueueCounters
+from async_tnt.sources import BackgroundReader, PacketQueue
+from async_tnt.sources.queues.queue import QueueCounters
 from async_tnt.volume.events import as_events
 
 EVENTS = random_events(10_000, seed=1)

@@ -12,7 +12,6 @@ import pytest
 from waiting import meanwhile, until
 
 from async_tnt.sources import (
-    DRIVERS,
     BackgroundReader,
     UdpSource,
     open_camera,
@@ -20,7 +19,7 @@ from async_tnt.sources import (
     open_source,
     sample_recordings,
 )
-from async_tnt.sources.live.camera_drivers import CameraCounts, FoundCamera
+from async_tnt.sources.live.camera_drivers import DRIVERS, CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
 # as neuromorphic-drivers has it

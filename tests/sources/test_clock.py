@@ -12,7 +12,8 @@ from made import events_of
 
 from async_tnt.kernels.sources.clock import AGREEING_PACKETS as N
 from async_tnt.kernels.sources.clock import BACK_US, LATEST_START_US, REORDERED_US
-from async_tnt.sources import Clock, Decoder, encode
+from async_tnt.sources import Clock, encode
+from async_tnt.sources.live.datagrams import Decoder
 
 JUMP_US = 10_000_000
 MINUTE_US = 60_000_000

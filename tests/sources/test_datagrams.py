@@ -6,7 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt.sources import EVENT_BYTES, Decoder, encode
+from async_tnt.sources import encode
+from async_tnt.sources.live.datagrams import EVENT_BYTES, Decoder
 from async_tnt.volume.events import EVENT_DTYPE, as_events
 
 FORMATS = tuple(EVENT_BYTES)

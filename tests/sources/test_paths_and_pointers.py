@@ -16,12 +16,12 @@ from async_tnt.sources import (
     load_mask,
     open_recording,
     open_source,
-    read_nmnist,
     replay,
     sample_recordings,
     save_mask,
 )
 from async_tnt.sources.files.labelled_recordings import find_recordings
+from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.recording_summary import summarize
 from async_tnt.training.dataset import read_dataset
 

@@ -9,8 +9,9 @@ import pytest
 from listening import send
 from made import events_of, random_events
 
-from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp
-from async_tnt.sources.live.udp import WARN_AFTER
+from async_tnt.sources import UdpSource, encode, open_udp
+from async_tnt.sources.live.datagrams import EVENT_BYTES, Decoder
+from async_tnt.sources.live.udp import WARN_AFTER, NetworkCounts
 
 EVENTS = random_events(2500, duration_us=50_000)
 SENSOR = (34, 20)

@@ -255,7 +255,10 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str
 
 
 def _is_comment(line: bytes) -> bool:
-    """Whether a line is a comment. Events follow without a mark, and their first byte may be a #."""
+    """Whether a line is a comment.
+
+    Events follow without a mark, and their first byte may be a #.
+    """
     return line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
 
 

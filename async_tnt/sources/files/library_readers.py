@@ -42,8 +42,8 @@ BLOCK_EVENTS = 1 << 16
 """Number of events that are read together."""
 
 CACHE_BYTES = 1 << 26
-"""Bytes of HDF5's cache for each data set: a chunk that does not fit is decompressed again for every
-block."""
+"""Bytes of HDF5's cache for each data set: a chunk that does not fit is decompressed again for
+every block."""
 
 COLUMNS = ("t", "x", "y", "p")
 """Names of the columns of a block, in their order."""

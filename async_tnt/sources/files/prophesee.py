@@ -88,7 +88,7 @@ DAT_PIXEL_EVENTS = (0x00, 0x0C)
 """Types of events in a DAT file that are of pixels."""
 
 DAT_FIELDS = {"2": ((0, 14), (14, 14), (28, 4)), "1": ((0, 9), (9, 8), (17, 1))}
-"""Version of DAT -> the first bit and the number of bits of x, y and p in an event's second word."""
+"""Version of DAT -> first bit and number of bits of x, of y and of p in an event's second word."""
 
 _SIDE = re.compile(r"\d{1,5}")
 

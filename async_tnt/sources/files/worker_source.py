@@ -28,8 +28,8 @@ from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, val
 from async_tnt.sources.source_error import SourceError
 
 SILENCE_S = 60.0
-"""Seconds to wait for an answer of the worker. A block takes milliseconds, but a disk may sleep, and
-a machine may be busy."""
+"""Seconds to wait for an answer of the worker. A block takes milliseconds, but a disk may sleep,
+and a machine may be busy."""
 
 AHEAD = 8
 """Number of calls that the worker has at once: blocks may be small."""
@@ -116,7 +116,7 @@ class WorkerSource(Source):
 
 
 _idle: dict[int, Worker] = {}
-"""Process id -> its worker without work, one at most: a forked process must not use its parent's."""
+"""Process id -> its worker without work. A forked process must not use that of its parent."""
 
 
 @contextmanager

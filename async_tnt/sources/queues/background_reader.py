@@ -1,4 +1,4 @@
-"""Read a source of packets in a background thread, so that it never waits for their consumer."""
+"""A queue that a background thread fills from a source of packets."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class BackgroundReader(PacketQueue):
 
     Parameters
     ----------
-    source : any iterable of packets, in any form that `async_tnt.volume.event_forms` lists: a camera, a
-        recording, a generator. Only the thread iterates it.
+    source : any iterable of packets, such as a camera, a recording or a generator. A packet has any
+        form that `async_tnt.volume.event_forms` lists. Only the thread iterates the source.
     latest : what happens when the queue is full. False: the source is not read until there is room,
         so that nothing is lost. True: the oldest packets are discarded and their events counted, so
         that the delay stays bounded however slow the consumer is.
@@ -84,7 +84,8 @@ class BackgroundReader(PacketQueue):
         timeout_s : how long to wait for the thread.
         """
         super().close()
-        on_close, self._on_close = self._on_close, None
+        on_close = self._on_close
+        self._on_close = None
         try:
             if on_close is not None:
                 on_close()
@@ -109,10 +110,10 @@ class BackgroundReader(PacketQueue):
         await self.aclose()
 
     def _read(self, source: Iterable[Any]) -> None:
-        """The thread's work."""
+        """Put the packets of the source into the queue: the thread's work."""
         try:
             packets = iter(source)
-            # before reading the source: it is never ahead by more than the queue holds
+            # room first, so that the source is never ahead by more than the queue holds
             while self.wait_for_room():
                 try:
                     packet = next(packets)
