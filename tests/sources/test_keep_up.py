@@ -23,7 +23,7 @@ class Clock:
         self.now_us = 1_000_000
         clock = SimpleNamespace(monotonic_ns=lambda: int(1000 * self.now_us))
         for module in ("queue", "keep_up"):
-            monkeypatch.setattr(f"async_tnt.sources.{module}.time", clock)
+            monkeypatch.setattr(f"async_tnt.sources.queues.{module}.time", clock)
 
 
 @pytest.fixture

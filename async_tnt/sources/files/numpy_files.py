@@ -36,7 +36,7 @@ from async_tnt.sources.files.source import (
     Source,
     valid_blocks,
 )
-from async_tnt.sources.source_error import SourceError
+from async_tnt.sources.files.source_error import SourceError
 from async_tnt.volume.event_forms import (
     NAMES,
     Four,

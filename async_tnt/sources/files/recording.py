@@ -34,9 +34,9 @@ from async_tnt.sources.files.source import (
     Source,
     gathered,
 )
+from async_tnt.sources.files.source_error import SourceError
 from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
-from async_tnt.sources.source_error import SourceError
 from async_tnt.volume.events import EVENT_DTYPE
 from async_tnt.volume.sensor import Sensor
 

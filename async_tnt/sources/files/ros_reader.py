@@ -47,7 +47,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from async_tnt.sources.source_error import SourceError
+from async_tnt.sources.files.source_error import SourceError
 
 EVENT_PACKET = "event_camera_msgs/msg/EventPacket"
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"

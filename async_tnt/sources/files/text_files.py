@@ -38,7 +38,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
-from async_tnt.sources.source_error import SourceError
+from async_tnt.sources.files.source_error import SourceError
 from async_tnt.volume.event_forms import NAMES, Four, likely_order, the_name
 from async_tnt.volume.sensor import Sensor
 

@@ -25,7 +25,7 @@ from async_tnt.base.checks import one_line
 from async_tnt.base.worker import Worker
 from async_tnt.sources.files import library_readers
 from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
-from async_tnt.sources.source_error import SourceError
+from async_tnt.sources.files.source_error import SourceError
 
 SILENCE_S = 60.0
 """Seconds to wait for an answer of the worker. A block takes milliseconds, but a disk may sleep,

@@ -8,9 +8,9 @@ from typing import Any
 
 from async_tnt.base.checks import ParameterError
 from async_tnt.sources.files.recording import Recording, open_recording
+from async_tnt.sources.files.source_error import SourceError
 from async_tnt.sources.pixels.pixel_filter import PixelFilter
 from async_tnt.sources.pixels.pixels import Pixels
-from async_tnt.sources.source_error import SourceError
 from async_tnt.volume.sensor import Sensor, format_size
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.sources.files.source_error import SourceError
 from async_tnt.sources.pixels.pixel_filter import PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixels.pixel_masks import PackedMask, load_mask
-from async_tnt.sources.source_error import SourceError
 from async_tnt.volume.sensor import Sensor, checked_sensor, format_size
 
 Region = tuple[int, int, int, int]

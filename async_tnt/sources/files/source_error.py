@@ -24,8 +24,8 @@ class SourceError(ParameterValueError):
     >>> error = SourceError("a.npy", "its pixels are not known: give {sensor}")
     >>> print(error)
     a.npy: its pixels are not known: give `sensor`
-    >>> error.text({"sensor": "--sensor"})
-    'a.npy: its pixels are not known: give --sensor'
+    >>> error.text({"sensor": "SENSOR"})
+    'a.npy: its pixels are not known: give SENSOR'
     """
 
     def text(self, written: Mapping[str, str] | None = None) -> str:
