@@ -116,14 +116,13 @@ def with_hot_pixels(path, *pixels):
 
 
 def test_it_finds_what_was_planted(tmp_path, program):
-    path, out = (
-        with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200)),
-        tmp_path / "mask.npy",
-    )
+    path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200))
+    out = tmp_path / "mask.npy"
     events = open_recording(path).read()
     at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
     code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", out)
-    line = f"2 hot pixels of 34x34 made {sum(at) / len(events):.2%} of {len(events)} events; wrote {out}"
+    share = f"{sum(at) / len(events):.2%}"
+    line = f"2 hot pixels of 34x34 made {share} of {len(events)} events; wrote {out}"
     assert code == 0 and printed.splitlines()[-1] == line
     assert {(x, y) for y, x in np.argwhere(load_mask(out, (34, 34))).tolist()} == {(30, 2), (3, 31)}
     assert len(PixelFilter((34, 34), mask=out)(events)) == len(events) - sum(at)
@@ -156,16 +155,18 @@ def test_a_mask_never_replaces_a_recording_by_whichever_path(tmp_path, program, 
     (tmp_path / "below").mkdir()
     for other in ("a.npy", "below/../a.npy", "link.npy", "second_name.npy"):
         code, _, err = program("mask", path, "--sensor", "34x34", "--out", other)
-        assert (code, err.count("\n")) == (
-            2,
-            1,
-        ) and f"--out is one of the recordings, {other}" in err
+        assert code == 2
+        assert err.count("\n") == 1
+        assert f"--out is one of the recordings, {other}" in err
         assert path.read_bytes() == before
 
 
 def test_where_nothing_stands_out_the_mask_masks_nothing(tmp_path, program):
     out = tmp_path / "mask.npy"
-    printed = f"no hot pixels: none of 34x34 stands out in {len(EVENTS)} events; wrote {out}, which masks nothing\n"
+    printed = (
+        f"no hot pixels: none of 34x34 stands out in {len(EVENTS)} events; wrote {out}, which "
+        "masks nothing\n"
+    )
     assert program("mask", SAMPLE, "--out", out) == (0, printed, "")
     assert not np.load(out).any()
 

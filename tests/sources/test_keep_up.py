@@ -58,13 +58,14 @@ def packet(k, n=50):
 
 
 def consumed(reader, processor, clock, n_packets, decision_us, event_us=0.01):
-    """Stream packets that come every millisecond; decisions and events cost time. Returns the
-    delays."""
-    delays, start_us, k = [], clock.now_us, 0
+    """The delays of packets that come every millisecond, where decisions and events cost time."""
+    delays = []
+    start_us = clock.now_us
+    k = 0
     while k < n_packets or reader.backlog:
         while k < n_packets and start_us + k * PACKET_US <= clock.now_us:
-            arrives_us, now_us = start_us + k * PACKET_US, clock.now_us
-            clock.now_us = arrives_us
+            now_us = clock.now_us
+            clock.now_us = start_us + k * PACKET_US
             reader.put(packet(k))
             clock.now_us = now_us
             k += 1

@@ -29,7 +29,10 @@ POINTER = (
     b"version https://git-lfs.github.com/spec/v1\n"
     b"oid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32b1258daaa5e2ca24d17e2393\nsize 12345\n"
 )
-NAMED = r"a{}: .*only a Git LFS pointer to the file, not the file itself; fetch it with `git lfs pull` in its repository"
+NAMED = (
+    r"a{}: .*only a Git LFS pointer to the file, not the file itself; fetch it with "
+    r"`git lfs pull` in its repository"
+)
 MASK = np.zeros((34, 34), bool)
 CONFIG = TNTConfig()
 

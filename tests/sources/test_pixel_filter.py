@@ -23,7 +23,8 @@ SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
 def twin(events, sensor, roi, mask, crop):
     """The definition, in NumPy: kept events, and how many were masked and outside."""
     left, top, width, height = roi or (0, 0, *sensor)
-    x, y = events["x"].astype(int), events["y"].astype(int)
+    x = events["x"].astype(int)
+    y = events["y"].astype(int)
     inside = (x >= left) & (x < left + width) & (y >= top) & (y < top + height)
     masked = inside & (mask[y, x] if mask is not None else False)
     kept = events[inside & ~masked].copy()
@@ -35,10 +36,13 @@ def twin(events, sensor, roi, mask, crop):
 
 @st.composite
 def filters(draw):
-    width, height = sensor = draw(st.sampled_from(SENSORS))
+    """Sensor, region, mask and crop of a filter."""
+    sensor = draw(st.sampled_from(SENSORS))
+    width, height = sensor
     roi = None
     if draw(st.booleans()):
-        left, top = draw(st.integers(0, width - 1)), draw(st.integers(0, height - 1))
+        left = draw(st.integers(0, width - 1))
+        top = draw(st.integers(0, height - 1))
         roi = (left, top, draw(st.integers(1, width - left)), draw(st.integers(1, height - top)))
     mask = None
     if draw(st.booleans()):
@@ -79,7 +83,8 @@ def test_filter_equals_numpy(data, settings):
         ),
         (
             {"roi": (-1, 0, 3, 2)},
-            r"`roi` .* must lie on the sensor of 30x20 .*, x and y at least 0, .* got \(-1, 0, 3, 2\)",
+            r"`roi` .* must lie on the sensor of 30x20 .*, x and y at least 0, .* "
+            r"got \(-1, 0, 3, 2\)",
         ),
         ({"roi": (5, 5, 0, 1)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 0, 1\)"),
         ({"roi": (5, 5, 1, 0)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 1, 0\)"),
@@ -103,7 +108,7 @@ def test_wrong_arguments(settings, message):
         PixelFilter(**({"sensor": (30, 20)} | settings))
 
 
-# -- which pixels, as a value --------------------------------------------------------------------------
+# -- which pixels, as a value ----------------------------------------------------------------------
 
 
 def test_pixels_go_to_another_process_with_their_mask(tmp_path):

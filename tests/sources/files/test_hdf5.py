@@ -107,7 +107,8 @@ def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(
     ],
 )
 def test_values_in_another_file_are_refused(tmp_path, name, how):
-    path, n = tmp_path / "a.h5", len(EVENTS)
+    path = tmp_path / "a.h5"
+    n = len(EVENTS)
     for each in (path, tmp_path / "other.h5"):
         dsec(each, EVENTS)
     with h5py.File(path, "r+") as file:
