@@ -9,8 +9,8 @@ BackgroundReader    reads a source in a background thread; `PacketQueue` is the 
                     drivers with callbacks
 KeepUp              the same with bounded delay: decides less often, then skips, when events outrun
                     decisions
-PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in
-                    recordings
+PixelFilter         keeps the events of a region, without masked pixels; `Pixels` is the same as a
+                    value without a sensor; `learn_mask` finds hot pixels in recordings
 """
 
 TYPE_CHECKING = False

@@ -119,9 +119,8 @@ def test_closing_at_any_moment_accounts_for_every_event():
         counters = reader.counters
         assert counters.received == source.n_events == handed_out + counters.skipped
         assert counters.handed_out == handed_out and counters.backlog == 0
-        assert next(reader, None) is None and repr(reader).startswith(
-            "BackgroundReader(closed, 0 events "
-        )
+        assert next(reader, None) is None
+        assert repr(reader).startswith("BackgroundReader(closed, 0 events ")
 
 
 @in_both_ways
@@ -224,10 +223,8 @@ def test_after_the_end_nothing_comes_in():
         ValueError, match=r"^a packet after the end: this queue's end\(\) was called; make a new"
     ):
         queue.put(EQUAL[1])
-    assert (
-        repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)"
-        and len(next(queue)) == 250
-    )
+    assert repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)"
+    assert len(next(queue)) == 250
     with pytest.raises(OSError, match="first"):
         next(queue)
     assert list(queue) == [] and queue.counters.received == 250

@@ -108,7 +108,8 @@ def test_any_source_by_name():
     """A URL, a path, an array; and cameras below."""
     assert list(DRIVERS) == ["neuromorphic-drivers", "dv-processing"]
     with open_source("udp://127.0.0.1:0?format=spif", (34, 20)) as source:
-        assert isinstance(source, UdpSource) and (source.format, source.sensor) == (
+        assert isinstance(source, UdpSource)
+        assert (source.format, source.sensor) == (
             "spif",
             (34, 20),
         )
@@ -331,10 +332,8 @@ def test_decisions_until_the_cable_is_pulled(flags, lost, plug_in, program):
     code, out, err = program("run", "camera:evk4:00050423", "--json", *flags)
     assert code == 2 and labels(out) == ["3", "3", "3"]
     assert f"{len(packets):,} packets, {n_events:,} events" in err and lost in err
-    assert (
-        f"the camera is gone after {n_events:,} events (Usb(NoDevice)); check its cable"
-        in err.splitlines()[-1]
-    )
+    last = err.splitlines()[-1]
+    assert f"the camera is gone after {n_events:,} events (Usb(NoDevice)); check its cable" in last
     assert "Traceback" not in err and device.n_closed == 1
 
 

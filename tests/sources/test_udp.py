@@ -107,11 +107,8 @@ def test_the_summary_is_one_line_of_what_was_counted():
         )
         assert source.receive(60)["t"].tolist() == [5, 9, 8]
         counts = source.counts
-    assert (
-        source.counts
-        == counts
-        == NetworkCounts(1, 65, 3, malformed=2, late=1, jumped=1, off_sensor=1)
-    )
+    assert counts == NetworkCounts(1, 65, 3, malformed=2, late=1, jumped=1, off_sensor=1)
+    assert source.counts == counts
     assert source.summary() == (
         "1 datagrams, 3 events (2 malformed, 1 of them time jumps, 1 of them off the sensor, 1 out "
         "of order)"

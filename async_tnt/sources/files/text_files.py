@@ -77,9 +77,16 @@ MAX_WHOLE = 1 << 53
 """Every whole number below this one is exact in float64."""
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+"""A decimal number."""
+
 _WORD = re.compile("true|false", re.IGNORECASE)
+"""A polarity that is written as a word."""
+
 _GEOMETRY = re.compile(r"%\s*geometry\s*:\s*(.*)", re.IGNORECASE)
+"""The comment in which Metavision's CSV states the sensor."""
+
 _NO_EVENT = re.compile(rb"^[ \t\r]*(?:[#%].*)?$", re.MULTILINE)
+"""A line without an event: a comment, or an empty one."""
 
 
 @dataclass
@@ -279,15 +286,15 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
             sensor = _checked_sides(path, columns, text)
             if len(rows) == 1 and path.stat().st_size == end:
                 raise ValueError(
-                    f"{path}: the file ends in its first line, {text!r}: no events, and perhaps no "
-                    "sensor"
+                    f"{path}: the file ends in its first line, {text!r}: no events, and perhaps "
+                    "no sensor"
                 )
             start = end  # a line end, which the first row may begin with
             rows = rows[1:]
         elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
             raise ValueError(
-                f"{path}: expected {expected}, or first `width height`, got {text[:80]!r} at line "
-                f"{line}"
+                f"{path}: expected {expected}, or first `width height`, got {text[:80]!r} "
+                f"at line {line}"
             )
         _refuse_whole_times(path, rows, order.index("t"))
     return TextSource(path, start, line, tuple(order), None, 1e6, expected, sensor)

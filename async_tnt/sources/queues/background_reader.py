@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Self
 
+from async_tnt.base.checks import ParameterTypeError
 from async_tnt.sources.queues.queue import PacketQueue
 
 
@@ -55,14 +56,14 @@ class BackgroundReader(PacketQueue):
         on_close: Callable[[], Any] | None = None,
     ) -> None:
         if isinstance(source, (str, Path)):
-            raise TypeError(
-                f"`source` must yield events, got the path {source}; open_recording(path) reads a "
-                "file"
-            )
+            rule = f"must yield events, got the path {source}; open_recording(path) reads a file"
+            raise ParameterTypeError("source", rule)
         if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
             if hasattr(source, "__aiter__"):
-                raise TypeError("`source` is asynchronous already: pass it to `astream` directly")
-            raise TypeError(f"`source` must be an iterable of packets, got {type(source).__name__}")
+                rule = "is asynchronous already: pass it to `astream` directly"
+                raise ParameterTypeError("source", rule)
+            rule = "must be an iterable of packets"
+            raise ParameterTypeError("source", rule, type(source).__name__)
         super().__init__(
             max_packets=max_packets, latest=latest, max_delay_us=max_delay_us, copy=copy
         )

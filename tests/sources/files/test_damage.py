@@ -57,9 +57,8 @@ def read(path, **how):
             return None, caught
     off_sensor = [warning for warning in caught if warning.category is EventsOffSensor]
     caught = [warning for warning in caught if warning.category is not EventsOffSensor]
-    assert len(caught) <= 1 and all(
-        issubclass(warning.category, DamagedRecording) for warning in caught
-    )
+    assert len(caught) <= 1
+    assert all(issubclass(warning.category, DamagedRecording) for warning in caught)
     assert len(off_sensor) == (recording.counts.off_sensor > 0)
     got = np.concatenate([made_events(0), *packets])
     np.testing.assert_array_equal(got, again)

@@ -336,9 +336,8 @@ def payloads_of(path):
 def test_real_bags_have_the_events_that_their_authors_count(bags, name, n_off, n_on, sensor):
     recording = open_recording(bags / name, strict=True)
     polarity = recording.read()["p"]
-    assert recording.sensor == sensor and [topic.name for topic in recording.source.topics] == [
-        "/event_camera/events"
-    ]
+    assert recording.sensor == sensor
+    assert [topic.name for topic in recording.source.topics] == ["/event_camera/events"]
     assert ((polarity == 0).sum(), (polarity == 1).sum()) == (n_off, n_on)
 
 
