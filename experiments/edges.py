@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.base.progress import progress
-from async_tnt.sources import read_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.digit_data.mnist import load_mnist
 from experiments.motions.scene import render
 from experiments.motions.trajectories import nmnist_saccades

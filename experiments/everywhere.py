@@ -33,7 +33,8 @@ import numpy as np
 
 from async_tnt import Model, Processor, load_model
 from async_tnt.base.progress import progress
-from async_tnt.sources import open_recording, read_nmnist
+from async_tnt.sources import open_recording
+from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import structured
 from experiments.pictures.symbols import write_mnist
 from experiments.scripts.options import (

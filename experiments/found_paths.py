@@ -24,7 +24,7 @@ from async_tnt.resynthesis.moving_image import cell_for
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.reconstruction import SPAN, Reconstruction
 from async_tnt.simulation.measured_pixels import Columns, MeasuredPixels, measure_pixels, part_of
-from async_tnt.sources import read_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.digit_data.recordings import SACCADE_US
 from experiments.objects import hands
 from experiments.scripts.options import add_count, add_folder, exit_with, run_script, script_parser

@@ -33,7 +33,7 @@ import numpy as np
 from async_tnt import load_model
 from async_tnt.base.package import available_cores
 from async_tnt.base.progress import progress
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.data import dataset_data
 from async_tnt.training.fitting import fit
 from async_tnt.training.held_out import Split
@@ -104,7 +104,7 @@ def train_following(
     data = dataset_data(
         pictures,
         volume,
-        pixels=PixelSelection(sensor=SENSORS[name]),
+        pixels=Pixels(sensor=SENSORS[name]),
         split=Split(seed=seed),
         scenes={"follow": True},
         work=Work(run_folder, available_cores(), progress),

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from async_tnt.base.progress import progress
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.data import dataset_data
 from async_tnt.training.fitting import fit
 from async_tnt.training.held_out import Split
@@ -69,7 +69,7 @@ def read(
     return dataset_data(
         folder / part,
         VolumeChoice(config, fitted=("grid", "window_us", "bins")),
-        pixels=PixelSelection(sensor=sensor),
+        pixels=Pixels(sensor=sensor),
         split=Split(validation),
         work=Work(progress=progress),
     )

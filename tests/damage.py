@@ -1,5 +1,7 @@
-"""Valid files, damaged in hundreds of ways: bytes that changed, are missing or too many; JSON
-values of other types."""
+"""Valid files, damaged in hundreds of ways.
+
+Bytes change, are lost or inserted; values of JSON become values of other types.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ VALUES = (
     {},
     {"": None},
 )
-"""One or more of every type of JSON."""
+"""Values of every type of JSON."""
+
 RAW = {
     "whole number of 5,000 digits": "9" * 5_000,
     "nested too deep": "[" * 100_000,
@@ -41,11 +44,11 @@ RAW = {
     "half a pair": '"\\ud800"',
     "cut": "",
 }
-"""What `json.dumps` does not write."""
+"""What it is -> text that `json.dumps` does not write."""
 
 
 def damaged_bytes(content: bytes, n: int, seed: int) -> Iterator[bytes]:
-    """A file's content, damaged in n random ways."""
+    """A file's content n times, each time damaged in a random way."""
     rng = np.random.default_rng(seed)
     for _ in range(n):
         at, end = sorted(rng.integers(0, len(content) + 1, 2).tolist())
@@ -66,7 +69,7 @@ def damaged_bytes(content: bytes, n: int, seed: int) -> Iterator[bytes]:
 
 
 def damaged_json(value: Any, n: int, seed: int) -> Iterator[str]:
-    """A value as JSON, n times with one of its parts replaced, removed, or doubled."""
+    """A value as JSON n times, each time with one part replaced, removed or doubled."""
     rng = np.random.default_rng(seed)
     paths = list(_paths(value))
     for _ in range(n):
@@ -94,19 +97,19 @@ def damaged_json(value: Any, n: int, seed: int) -> Iterator[str]:
 
 
 def _paths(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """The way to the value itself, and to everything in it."""
+    """The way to the value itself, and to everything in it: the keys, one after the other."""
     yield path
-    for key, inner in (
-        value.items()
-        if isinstance(value, dict)
-        else enumerate(value)
-        if isinstance(value, list)
-        else ()
-    ):
+    items: list[tuple[Any, Any]] = []
+    if isinstance(value, dict):
+        items = list(value.items())
+    elif isinstance(value, list):
+        items = list(enumerate(value))
+    for key, inner in items:
         yield from _paths(inner, (*path, key))
 
 
 def _replaced(value: Any, path: tuple[Any, ...], new: Any) -> Any:
+    """The value, in which the part at the end of a path has become `new`."""
     if not path:
         return new
     inside = value

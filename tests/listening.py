@@ -1,4 +1,4 @@
-"""Ports for the tests: a free one, and waiting for a listener."""
+"""Ports for the tests: a free one, and one with a listener."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ def free_port(kind=socket.SOCK_DGRAM) -> int:
 
 
 def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
-    """Wait until a process listens for datagrams there; it receives an empty one.
+    """Wait until a process listens for datagrams at a port; it receives an empty one.
 
-    Trying to bind the port would show it, too, but might take the port from the process that is
-    about to.
+    Binding the port would show a listener, too, but might take the port away from it.
     """
     deadline = time.monotonic() + patience_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -43,8 +42,10 @@ def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
 
 @contextlib.contextmanager
 def sent(events: np.ndarray) -> Iterator[int]:
-    """A port to which the events are sent once somebody listens; all of them before the block
-    ends."""
+    """A port to which the events are sent once somebody listens.
+
+    The block does not end before all of them have been sent.
+    """
     port = free_port()
     sender = threading.Thread(target=send_in_parts, args=(port, events), daemon=True)
     sender.start()
@@ -53,7 +54,7 @@ def sent(events: np.ndarray) -> Iterator[int]:
 
 
 def send_in_parts(port: int, events: np.ndarray, n_parts: int = 40, pause_s: float = 0.002) -> None:
-    """Send once there is a listener: what is sent before is lost."""
+    """Send events once there is a listener: what is sent before is lost."""
     wait_for_listener(port)
     for part in np.array_split(events, n_parts):
         send(port, part)
@@ -63,11 +64,10 @@ def send_in_parts(port: int, events: np.ndarray, n_parts: int = 40, pause_s: flo
 def send(
     port: int, events: np.ndarray, format: str = "t64_x16_y16_on8", datagram_events: int = 100
 ) -> int:
-    """Send events, in as many datagrams as they need; returns how many."""
+    """Send events in as many datagrams as they need, and return the number of datagrams."""
     firsts = range(0, len(events), datagram_events)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for first in firsts:
-            sender.sendto(
-                encode(events[first : first + datagram_events], format), ("127.0.0.1", port)
-            )
+            data = encode(events[first : first + datagram_events], format)
+            sender.sendto(data, ("127.0.0.1", port))
     return len(firsts)

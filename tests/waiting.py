@@ -1,5 +1,5 @@
-"""Wait for a sign from another thread, task or process, for as long as a busy machine may take;
-read in both ways."""
+"""Waiting for another thread, task or process, for as long as a busy machine may take; and reading
+a source in both ways, in a loop and in a task."""
 
 import asyncio
 import threading
@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 PATIENCE_S = 600
+"""Seconds after which nothing more is expected to happen."""
 
 
 def until(condition):
@@ -21,7 +22,7 @@ def until(condition):
 
 @contextmanager
 def meanwhile(function, *args):
-    """Run a function in a thread during the block, which ends when the thread has."""
+    """Run a function in a thread during the block. The block waits at its end for the thread."""
     thread = threading.Thread(target=function, args=args, daemon=True)
     thread.start()
     yield thread
@@ -30,11 +31,14 @@ def meanwhile(function, *args):
 
 
 def in_a_loop(source):
+    """All packets of a source, read by `for`."""
     with source:
         return list(source)
 
 
 def in_a_task(source):
+    """All packets of a source, read by `async for`."""
+
     async def run():
         async with source:
             return [packet async for packet in source]

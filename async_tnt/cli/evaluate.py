@@ -19,7 +19,7 @@ from async_tnt.base.progress import progress
 from async_tnt.cli.evaluate_objects import evaluate_objects
 from async_tnt.cli.options import MODELS, add_reading, model_of, positive_int
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of
+from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of
 from async_tnt.evaluation.early import early_report
 from async_tnt.evaluation.job import Job, Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
@@ -120,11 +120,11 @@ def main(args: argparse.Namespace) -> int:
     if model.places is not None:
         return evaluate_objects(args, model)
 
-    pixels = selector_of(selection_of(args), model)
+    pixels = model_pixels_of(pixels_of(args), model)
     found = labelled_recordings(args.dataset, model)
     fill_cache()
     reading = ReadOptions(columns=args.columns, topic=args.topic)
-    job = job_of(args.model, model, pixels.selection, reading)
+    job = job_of(args.model, model, pixels.pixels, reading)
     tasks = _tasks_of(found, args.dataset, job)
     check = functools.partial(check_record, classes=model.classes, config=model.config)
     records = _stream(args, tasks, run, check)
@@ -136,8 +136,8 @@ def main(args: argparse.Namespace) -> int:
             f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}"
         )
     report = report_of(model, good, skipped)
-    if pixels.selection.about:
-        report["pixels"] = pixels.selection.about
+    if pixels.pixels.about:
+        report["pixels"] = pixels.pixels.about
     if args.json:
         say(json.dumps(report))
     else:

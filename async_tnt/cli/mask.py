@@ -15,7 +15,8 @@ from async_tnt.base.progress import progress
 from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
 from async_tnt.cli.output import say
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixels.pixel_masks import count_pixels, hot_pixels, listed_pixels, save_mask
+from async_tnt.sources.pixels.hot_pixels import count_pixels, hot_pixels, listed_pixels
+from async_tnt.sources.pixels.pixel_masks import save_mask
 from async_tnt.volume.sensor import check_sensor, format_size
 
 DESCRIPTION = """\

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
 from async_tnt.sources.opening import open_source
-from async_tnt.sources.pixels.pixel_selection import PixelSelector
+from async_tnt.sources.pixels.model_pixels import ModelPixels
 
 if TYPE_CHECKING:
     from async_tnt.sources.queues.keep_up import KeepUp
@@ -37,7 +37,7 @@ def check_keep_up(args: argparse.Namespace) -> None:
         )
 
 
-def find_sources(paths: Sequence[Path | str], pixels: PixelSelector) -> None:
+def find_sources(paths: Sequence[Path | str], pixels: ModelPixels) -> None:
     """Return as soon as one of these sources can be opened; all are closed again.
 
     Raises
@@ -64,7 +64,7 @@ def find_sources(paths: Sequence[Path | str], pixels: PixelSelector) -> None:
 
 def follow(
     name: str,
-    pixels: PixelSelector,
+    pixels: ModelPixels,
     processor: Processor,
     keep_up_ms: int | None,
     take: Callable[[Iterable[Any], KeepUp | None], object],

@@ -23,10 +23,10 @@ from async_tnt.cli.options import (
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
 from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
-from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
+from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of, sensor_to_read
 from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.sources.files.recording import Recording
-from async_tnt.sources.pixels.pixel_selection import PixelSelector
+from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.streaming.compile_ahead import fill_cache
 from async_tnt.streaming.decision import Decision, class_of_recording
 from async_tnt.streaming.processor import Processor
@@ -80,9 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     check_keep_up(args)
     check_reading(args)
-    selection = selection_of(args)
+    selection = pixels_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
-    pixels = selector_of(selection, engine.model)
+    pixels = model_pixels_of(selection, engine.model)
     fill_cache(model=engine.model, first=lambda: find_sources(paths_of(args), pixels))
     settings = {
         "start_us": args.start_us,
@@ -134,7 +134,7 @@ def print_decisions(
     packets: Iterable[np.ndarray],
     processor: Processor,
     engine: Engine,
-    pixels: PixelSelector,
+    pixels: ModelPixels,
     line: Line,
     *,
     summary: bool,
@@ -186,7 +186,7 @@ def timed_decisions(
 
 
 def run_source(
-    name: str, processor: Processor, pixels: PixelSelector, line: Line, keep_up_ms: int | None
+    name: str, processor: Processor, pixels: ModelPixels, line: Line, keep_up_ms: int | None
 ) -> bool:
     """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether
     Ctrl-C ended it.

@@ -16,14 +16,14 @@ from async_tnt.base.package import available_cores
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import command_words, reading_of, volume_of
 from async_tnt.cli.output import note
-from async_tnt.cli.pixel_options import selection_of
+from async_tnt.cli.pixel_options import pixels_of
 from async_tnt.cli.train_figures import draw_motions, draw_pictures
 from async_tnt.cli.train_options import DESCRIPTION, REMOVED, add_arguments
 from async_tnt.cli.train_summary import print_summary
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.files.labelled_recordings import has_test
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.volume.sensor import format_size
 
 if TYPE_CHECKING:
@@ -228,9 +228,9 @@ def _read(args: argparse.Namespace, run_folder: Path) -> tuple[TrainingData, Tra
     return data, plan.settings_for(data)
 
 
-def _pixels(args: argparse.Namespace) -> PixelSelection:
+def _pixels(args: argparse.Namespace) -> Pixels:
     """The pixels that are learned from."""
-    pixels = selection_of(args)
+    pixels = pixels_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
             "--roi with --crop: the region is the model's sensor and must have sides of at least 2 "

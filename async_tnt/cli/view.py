@@ -24,7 +24,7 @@ from async_tnt.cli.options import (
 )
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
-from async_tnt.cli.pixel_options import add_pixels, selection_of, selector_of, sensor_to_read
+from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of, sensor_to_read
 from async_tnt.networks.engines import choose_engine
 from async_tnt.sources.files.playback import replay
 from async_tnt.sources.files.recording import Recording
@@ -103,9 +103,9 @@ def main(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
 
-    selection = selection_of(args)
+    selection = pixels_of(args)
     engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
-    pixels = selector_of(selection, engine.model)
+    pixels = model_pixels_of(selection, engine.model)
     opened = None if live else pixels.open(path, **reading_of(args))
     speed = args.speed
     if speed is None:

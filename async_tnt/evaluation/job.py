@@ -17,7 +17,7 @@ from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.models.model import Model
 from async_tnt.networks.models.model_file import checksum
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Job:
     model: str
     model_sha256: str = ""
     version: str = __version__
-    pixels: PixelSelection = field(default_factory=PixelSelection)
+    pixels: Pixels = field(default_factory=Pixels)
     reading: ReadOptions = field(default_factory=ReadOptions)
 
     @property
@@ -78,7 +78,7 @@ class Task:
 
 
 def job_of(
-    name_or_path: str, model: Model, pixels: PixelSelection, reading: ReadOptions | None = None
+    name_or_path: str, model: Model, pixels: Pixels, reading: ReadOptions | None = None
 ) -> Job:
     """The job of a model that `load_model` has loaded under this name."""
     is_bundled = name_or_path in bundled_models()

@@ -15,7 +15,7 @@ from async_tnt.evaluation.early import LEVELS, early_fields, every_us, moments
 from async_tnt.evaluation.job import Job, Task, sha256_of
 from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.networks.loading import load_model
-from async_tnt.sources.pixels.pixel_selection import PixelSelector
+from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.streaming.decision import Decision
 from async_tnt.streaming.processor import Processor
 from async_tnt.volume.config import TNTConfig
@@ -194,7 +194,7 @@ _kept = threading.local()
 a worker of a cluster may have several threads."""
 
 
-def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
+def processor_of(job: Job) -> tuple[Processor, ModelPixels]:
     """The Processor of a job, reset, and its selector of pixels.
 
     A thread uses the same ones for all recordings of a job. The processor decides as often as
@@ -205,7 +205,7 @@ def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
     ValueError : the model or this package are not those that the job was made for, or its pixels do
         not fit the model.
     """
-    kept: tuple[Job, Processor, PixelSelector] | None = getattr(_kept, "of_job", None)
+    kept: tuple[Job, Processor, ModelPixels] | None = getattr(_kept, "of_job", None)
     if kept is None or kept[0] != job:
         kept = (job, *_made_for(job))
         _kept.of_job = kept
@@ -214,7 +214,7 @@ def processor_of(job: Job) -> tuple[Processor, PixelSelector]:
     return processor, pixels
 
 
-def _made_for(job: Job) -> tuple[Processor, PixelSelector]:
+def _made_for(job: Job) -> tuple[Processor, ModelPixels]:
     """A new Processor and a new selector, see `processor_of`."""
     if job.version != __version__:
         raise ValueError(
@@ -228,11 +228,11 @@ def _made_for(job: Job) -> tuple[Processor, PixelSelector]:
             "worker reads another file"
         )
     processor = Processor(model, every_us=every_us(model.config))
-    return processor, PixelSelector(job.pixels, model.config.sensor)
+    return processor, ModelPixels(job.pixels, model.config.sensor)
 
 
 def _decisions(
-    packets: Iterable[Any], processor: Processor, pixels: PixelSelector
+    packets: Iterable[Any], processor: Processor, pixels: ModelPixels
 ) -> Iterator[Decision]:
     """All decisions of one recording's packets, as they are made.
 

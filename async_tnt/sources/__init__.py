@@ -9,13 +9,12 @@ BackgroundReader    reads a source in a background thread; `PacketQueue` is the 
                     drivers with callbacks
 KeepUp              the same with bounded delay: decides less often, then skips, when events outrun
                     decisions
-PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in
-                    recordings
+PixelFilter         keeps the events of a region, without masked pixels; `Pixels` is the same as a
+                    value without a sensor; `learn_mask` finds hot pixels in recordings
 """
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from async_tnt.sources.files.nmnist import read_nmnist
     from async_tnt.sources.files.off_sensor import EventsOffSensor
     from async_tnt.sources.files.playback import replay
     from async_tnt.sources.files.recording import (
@@ -32,57 +31,92 @@ if TYPE_CHECKING:
         Source,
         Topic,
     )
-    from async_tnt.sources.live.camera_drivers import DRIVERS, CameraCounts
     from async_tnt.sources.live.cameras import Camera, open_camera
     from async_tnt.sources.live.clock import Clock
-    from async_tnt.sources.live.datagrams import EVENT_BYTES, Decoder, encode
-    from async_tnt.sources.live.udp import NetworkCounts, UdpSource, open_udp
+    from async_tnt.sources.live.datagrams import encode
+    from async_tnt.sources.live.udp import UdpSource, open_udp
     from async_tnt.sources.opening import open_source
-    from async_tnt.sources.pixels.pixel_filter import PixelCounts, PixelFilter
-    from async_tnt.sources.pixels.pixel_masks import (
-        PackedMask,
-        count_pixels,
-        hot_pixels,
-        learn_mask,
-        load_mask,
-        save_mask,
-    )
-    from async_tnt.sources.pixels.pixel_selection import PixelSelection, PixelSelector
+    from async_tnt.sources.pixels.hot_pixels import learn_mask
+    from async_tnt.sources.pixels.pixel_filter import PixelFilter
+    from async_tnt.sources.pixels.pixel_masks import load_mask, save_mask
+    from async_tnt.sources.pixels.pixels import Pixels
     from async_tnt.sources.queues.background_reader import BackgroundReader
     from async_tnt.sources.queues.keep_up import KeepUp
-    from async_tnt.sources.queues.queue import PacketQueue, QueueCounters
+    from async_tnt.sources.queues.queue import PacketQueue
 else:
     from async_tnt.base.package import lazy_names
 
-    __getattr__, __dir__ = lazy_names(
+    _public_name, __dir__ = lazy_names(
         globals(),
         {
-            "queues.background_reader": "BackgroundReader",
-            "live.camera_drivers": "DRIVERS CameraCounts",
-            "live.cameras": "Camera open_camera",
-            "live.clock": "Clock",
-            "live.datagrams": "EVENT_BYTES Decoder encode",
-            "files.nmnist": "read_nmnist",
             "files.off_sensor": "EventsOffSensor",
+            "files.playback": "replay",
             "files.recording": "READERS Recording RecordingCounts open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording ReadOptions Source Topic",
-            "queues.keep_up": "KeepUp",
+            "live.cameras": "Camera open_camera",
+            "live.clock": "Clock",
+            "live.datagrams": "encode",
+            "live.udp": "UdpSource open_udp",
             "opening": "open_source",
-            "pixels.pixel_filter": "PixelCounts PixelFilter",
-            "pixels.pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
-            "pixels.pixel_selection": "PixelSelection PixelSelector",
-            "files.playback": "replay",
-            "queues.queue": "PacketQueue QueueCounters",
-            "live.udp": "NetworkCounts UdpSource open_udp",
+            "pixels.hot_pixels": "learn_mask",
+            "pixels.pixel_filter": "PixelFilter",
+            "pixels.pixel_masks": "load_mask save_mask",
+            "pixels.pixels": "Pixels",
+            "queues.background_reader": "BackgroundReader",
+            "queues.keep_up": "KeepUp",
+            "queues.queue": "PacketQueue",
         },
     )
 
+    def __getattr__(name):
+        if name in _REMOVED:
+            raise AttributeError(f"async_tnt.sources has no {name!r} any more: {_REMOVED[name]}")
+        return _public_name(name)
+
+
+# Public names of version 0.2, with what to write instead in 0.3. Version 0.4 will not know them.
+_REMOVED = {
+    "PackedMask": "give the mask, or the name of its file, to `Pixels(mask=...)`",
+    "PixelSelection": "it is `Pixels`, with the same parameters",
+    "PixelSelector": "`Pixels.filter_of(camera)` gives the filter of a camera",
+    "PixelCounts": "it is in `async_tnt.sources.pixels.pixel_filter`",
+    "count_pixels": "it is in `async_tnt.sources.pixels.hot_pixels`; `learn_mask` is public",
+    "hot_pixels": "it is in `async_tnt.sources.pixels.hot_pixels`; `learn_mask` is public",
+    "QueueCounters": "it is in `async_tnt.sources.queues.queue`",
+    "CameraCounts": "it is in `async_tnt.sources.live.camera_drivers`",
+    "DRIVERS": "it is in `async_tnt.sources.live.camera_drivers`",
+    "NetworkCounts": "it is in `async_tnt.sources.live.udp`",
+    "Decoder": "it is in `async_tnt.sources.live.datagrams`; `open_udp` decodes",
+    "EVENT_BYTES": "it is in `async_tnt.sources.live.datagrams`",
+    "read_nmnist": "`open_recording(path).read()`, or `async_tnt.sources.files.nmnist`",
+}
+
 __all__ = [
-    "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock",
-    "CorruptData", "DamagedRecording", "Decoder", "EventsOffSensor", "KeepUp", "NetworkCounts",
-    "PackedMask", "PacketQueue", "PixelCounts", "PixelFilter", "PixelSelection", "PixelSelector",
-    "QueueCounters", "ReadOptions", "Recording", "RecordingCounts", "Source", "Topic", "UdpSource",
-    "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera",
-    "open_recording", "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings",
+    "READERS",
+    "BackgroundReader",
+    "Camera",
+    "Clock",
+    "CorruptData",
+    "DamagedRecording",
+    "EventsOffSensor",
+    "KeepUp",
+    "PacketQueue",
+    "PixelFilter",
+    "Pixels",
+    "ReadOptions",
+    "Recording",
+    "RecordingCounts",
+    "Source",
+    "Topic",
+    "UdpSource",
+    "encode",
+    "learn_mask",
+    "load_mask",
+    "open_camera",
+    "open_recording",
+    "open_source",
+    "open_udp",
+    "replay",
+    "sample_recordings",
     "save_mask",
-]  # fmt: skip
+]

@@ -1,5 +1,4 @@
-"""Open any source by name: a recording, a camera, a stream from the network, or events in
-memory."""
+"""Open any source: a recording, a camera or a stream from the network by its name, or an array."""
 
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ def is_live(name: str) -> bool:
 
     Examples
     --------
-    >>> is_live("udp://127.0.0.1:3333"), is_live("camera"), is_live("camera:davis346"), is_live("a.bin")
-    (True, True, True, False)
+    >>> [is_live(name) for name in ("udp://127.0.0.1:3333", "camera:davis346", "a.bin")]
+    [True, True, False]
     """
     return "://" in name or name == "camera" or name.startswith("camera:")
 
@@ -23,8 +22,8 @@ def is_live(name: str) -> bool:
 def open_source(
     source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, int] | None = None
 ) -> Any:
-    """Packets of events from a file, a camera, the network or memory: what `stream` and
-    `Processor.push` read.
+    """Packets of events from a file, a camera, the network or memory, for `stream` and
+    `Processor.push`.
 
     Parameters
     ----------
@@ -35,8 +34,8 @@ def open_source(
 
     Returns
     -------
-    Iterable of packets: a `Recording`, a `Camera` or `UdpSource`, which must be closed, or a list
-    of the one array.
+    Iterable of packets: a `Recording`; a `Camera` or a `UdpSource`, which must be closed; or a list
+    with the array.
 
     Raises
     ------

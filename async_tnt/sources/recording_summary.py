@@ -1,4 +1,4 @@
-"""What a recording holds: one pass over its file finds its times, another all else."""
+"""What a recording holds. One pass over its file finds its times, another one all else."""
 
 from __future__ import annotations
 
@@ -11,36 +11,39 @@ import numpy as np
 from async_tnt.kernels.sources.pixels import count_events
 from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.pixels.pixel_masks import MAX_PIXELS, hot_pixels, listed_pixels
+from async_tnt.sources.pixels.hot_pixels import MAX_PIXELS, hot_pixels, listed_pixels
 from async_tnt.volume.events import ANY_SENSOR
 from async_tnt.volume.sensor import Sensor
 
 PACKET_EVENTS = 1 << 16
+"""Number of events that are counted together."""
+
 N_PARTS = 60
-"""Of a recording, whose events are counted apart."""
+"""Number of equal parts of a recording, in time, whose events are counted apart."""
 
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """Made by `summarize`: its fields are those that `async-tnt info` writes as JSON.
+    """What `summarize` has found. `async-tnt info` writes these fields as JSON.
 
     Attributes
     ----------
     recording, format, bytes : the file, the name of its format, and its size.
     sensor : (width, height) as the file states it or the caller does; None: neither does.
     sensor_stated : whether the file, or its format, states it.
-    extent : the smallest (width, height) that holds all events but strays, see `likely_side`; (0,
-        0) without events.
+    extent : the smallest (width, height) that holds all events except strays, see `likely_side`;
+        (0, 0) without events.
     reach : the smallest (width, height) that holds all events; (0, 0) without events.
-    off_sensor : how many events lie off the sensor; these are left out of all other numbers.
-    events, on, unsorted : how many there are, are ON, and are earlier than the one before them in
-        the file.
+    off_sensor : number of events off the sensor; these are left out of all other numbers.
+    events : number of events.
+    on : number of these that are ON.
+    unsorted : number of these that are earlier than the event before them in the file.
     first_us, last_us : the earliest and the latest time, in microseconds; 0 without events.
-    events_a_second : in each of N_PARTS equal parts of the recording; empty without events.
+    events_a_second : rate in each of `N_PARTS` equal parts of the recording; empty without events.
+    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixels/hot_pixels.py`; empty
+        where the sensor is not known.
     topics : `name`, `type`, `messages` and `is_read` of each topic of a ROS bag; empty for other
         files.
-    hot_pixels : `x`, `y` and `events` of each, busiest first, see `pixel_masks`; empty where the
-        sensor is not known.
     """
 
     recording: str
@@ -80,14 +83,19 @@ def summarize(
     known = recording.sensor
     counted = known is not None and known[0] * known[1] <= MAX_PIXELS
     pixels = np.zeros(known[::-1] if known and counted else (0, 0), np.int64)
-    first_us, duration_us = recording.earliest_us, recording.duration_us
+    first_us = recording.earliest_us
+    duration_us = recording.duration_us
     edges = np.linspace(0, duration_us + 1, N_PARTS + 1)
     counts = np.zeros(N_PARTS, np.int64)
     columns = np.zeros(ANY_SENSOR[0], np.int64)
     rows = np.zeros(ANY_SENSOR[1], np.int64)
-    n_on, n_unsorted, newest_us = 0, 0, -1
+    n_on = 0
+    n_unsorted = 0
+    newest_us = -1
     for packet in recording:
-        t, x, y = (np.ascontiguousarray(packet[name]) for name in "txy")
+        t = np.ascontiguousarray(packet["t"])
+        x = np.ascontiguousarray(packet["x"])
+        y = np.ascontiguousarray(packet["y"])
         columns += np.bincount(x, minlength=len(columns))
         rows += np.bincount(y, minlength=len(rows))
         if counted:
@@ -96,6 +104,7 @@ def summarize(
         n_unsorted += int((np.diff(t, prepend=newest_us) < 0).sum())
         newest_us = int(t[-1])
         counts += np.histogram(t - first_us, edges)[0]
+
     return RecordingSummary(
         recording=str(path),
         format=recording.format,
@@ -117,5 +126,6 @@ def summarize(
 
 
 def _reach(counts: np.ndarray) -> int:
-    """The side that holds all events, from the number of events at each column (or row)."""
+    """The shortest side, in pixels, that holds all events, from the number of events at each column
+    (or row)."""
     return int(np.flatnonzero(counts).max(initial=-1)) + 1

@@ -12,7 +12,7 @@ import numpy as np
 
 from async_tnt.simulation.picture_scene import SceneSettings
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.streaming.windows import N_JUDGED, TimeUnitCheck
 from async_tnt.training.dataset import Dataset, Reading, read_part
 from async_tnt.training.held_out import BY_NUMBER, Division, Split, divide, hold_out_ends
@@ -35,7 +35,7 @@ def dataset_data(
     folder: Path,
     volume: TNTConfig | VolumeChoice,
     *,
-    pixels: PixelSelection | None = None,
+    pixels: Pixels | None = None,
     reading: ReadOptions | None = None,
     split: Split = Split(),  # noqa: B008  (frozen)
     scenes: Mapping[str, Any] | None = None,
@@ -63,7 +63,7 @@ def dataset_data(
         `groups` that are not found in a recording's name.
     """
     choice = VolumeChoice(volume) if isinstance(volume, TNTConfig) else volume
-    how = Reading(pixels or PixelSelection(), reading or ReadOptions(), work)
+    how = Reading(pixels or Pixels(), reading or ReadOptions(), work)
     found = find_pictures(folder)
     dataset = read_part(folder, how, with_pictures=found)
     config = choice.for_recordings(dataset.sensor, _longest_us(dataset.recordings))
@@ -252,11 +252,11 @@ def _read_test(folder: Path, how: Reading, dataset: Dataset) -> Dataset:
     return read_part(test if test.is_dir() else folder, how, part="Test", first=dataset)
 
 
-def _masked(pixels: PixelSelection, dataset: Dataset) -> np.ndarray | None:
+def _masked(pixels: Pixels, dataset: Dataset) -> np.ndarray | None:
     """bool, (H, W): pixels of the sensor whose events were left out; None: no pixel."""
-    if pixels.mask is None:
+    mask = pixels.mask_of(dataset.camera)
+    if mask is None:
         return None
-    mask = pixels.mask.pixels(dataset.camera)
     if pixels.crop and pixels.roi is not None:
         x, y, width, height = pixels.roi
         mask = mask[y : y + height, x : x + width]
@@ -271,7 +271,7 @@ def _about(
     division: Division,
     recorded: _Recorded,
     bad_pictures: list[str],
-    pixels: PixelSelection,
+    pixels: Pixels,
 ) -> dict[str, Any]:
     """What the recordings are, for the model's record."""
     dataset = shown.dataset

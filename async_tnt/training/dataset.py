@@ -15,8 +15,7 @@ from async_tnt.sources.files.labelled_recordings import LabelledRecording, find_
 from async_tnt.sources.files.off_sensor import likely_side
 from async_tnt.sources.files.recording import READERS, Recording, open_recording
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixels.pixel_filter import PixelFilter
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.recordings import Recordings, RecordingsWriter
 from async_tnt.training.work import Work
 from async_tnt.volume.sensor import Sensor, format_size
@@ -69,7 +68,7 @@ class Reading:
     work : where the events are kept, and who is told.
     """
 
-    pixels: PixelSelection
+    pixels: Pixels
     options: ReadOptions
     work: Work
 
@@ -78,7 +77,7 @@ def read_dataset(
     folder: str | os.PathLike[str],
     *,
     part: str = "Train",
-    pixels: PixelSelection | None = None,
+    pixels: Pixels | None = None,
     reading: ReadOptions | None = None,
     classes: tuple[str, ...] | None = None,
     work: Work = Work(),  # noqa: B008  (frozen)
@@ -98,7 +97,7 @@ def read_dataset(
     ------
     ValueError, OSError : as `read_part`.
     """
-    how = Reading(pixels or PixelSelection(), reading or ReadOptions(), work)
+    how = Reading(pixels or Pixels(), reading or ReadOptions(), work)
     return read_part(folder, how, part=part, classes=classes)
 
 
@@ -196,7 +195,7 @@ class _Camera:
     is_parameter: bool = False
 
 
-def _camera_of(pixels: PixelSelection, first: Dataset | None) -> _Camera | None:
+def _camera_of(pixels: Pixels, first: Dataset | None) -> _Camera | None:
     """The camera that is known before a recording is read; None: the recordings must state it."""
     if first is not None:
         return _Camera(first.camera, "the recordings to train on")
@@ -284,7 +283,7 @@ class _Reader:
     def __init__(
         self,
         folder: str,
-        pixels: PixelSelection,
+        pixels: Pixels,
         options: ReadOptions,
         camera: _Camera | None,
         known: Known,
@@ -297,10 +296,7 @@ class _Reader:
         self.n_masked = 0
         self.n_late = 0
         self.n_off_sensor = 0
-        self._filter: PixelFilter | None = None
-        if camera is not None and pixels.leaves_out:
-            mask = None if pixels.mask is None else pixels.mask.pixels(camera.size)
-            self._filter = PixelFilter(camera.size, pixels.roi, mask, crop=pixels.crop)
+        self._filter = None if camera is None else pixels.filter_of(camera.size)
 
     def read(self, file: LabelledRecording, label: int) -> np.ndarray:
         """The selected events, in order, with times from the first of them on.

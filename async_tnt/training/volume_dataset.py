@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 
 from async_tnt.base.files import user_path
 from async_tnt.sources.files.labelled_recordings import has_test
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.windows import make_windows
@@ -70,7 +70,7 @@ class VolumeDataset(Dataset[tuple[torch.Tensor, int]]):
                 f"{folder} has neither a folder Test nor lists of what belongs to it"
             )
         self._volumes = BatchVolumes(config)
-        pixels = PixelSelection(sensor=config.sensor)
+        pixels = Pixels(sensor=config.sensor)
         data = read_dataset(folder, part=part, pixels=pixels, classes=classes)
         self.classes = data.classes
         self.left_out = data.left_out

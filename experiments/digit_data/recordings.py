@@ -13,8 +13,8 @@ import numpy as np
 
 from async_tnt import TNTConfig
 from async_tnt.base.progress import Bar
-from async_tnt.sources import read_nmnist
 from async_tnt.sources.files.labelled_recordings import find_recordings
+from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.training_data import TrainingData
 from async_tnt.training.windows import Windows, make_windows

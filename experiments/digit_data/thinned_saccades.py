@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.sources import read_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.digit_data.recordings import CLASSES, SACCADE_US
 
 SENSOR = (34, 34)

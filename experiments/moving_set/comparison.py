@@ -20,7 +20,7 @@ import numpy as np
 
 from async_tnt.base.progress import progress
 from async_tnt.resynthesis.calibration import describe
-from async_tnt.sources import read_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.digit_data.mnist import load_mnist
 from experiments.motions.kinds import NMNIST_SENSOR
 from experiments.motions.simulated_digits import simulate_digit

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from async_tnt.base.progress import Bar
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.results import ResultFile, collect
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]
@@ -151,7 +151,7 @@ def test_a_recording_of_another_size_time_or_class_is_done_again_and_no_other(
 
 @pytest.mark.parametrize(
     "changes",
-    [{"version": "0.1"}, {"model_sha256": "b" * 64}, {"pixels": PixelSelection(roi=(0, 0, 9, 9))}],
+    [{"version": "0.1"}, {"model_sha256": "b" * 64}, {"pixels": Pixels(roi=(0, 0, 9, 9))}],
     ids=["version", "model", "pixels"],
 )
 def test_results_of_another_version_model_or_selection_of_pixels_are_refused(

@@ -26,7 +26,7 @@ from async_tnt.networks.onnx.metadata import seal
 from async_tnt.sources.files.labelled_recordings import find_recordings
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixels.pixel_masks import load_mask, save_mask
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 
 WORDS_OF_PYTHON = (
     "sys.set_int_max_str_digits",
@@ -101,7 +101,7 @@ def evaluation(tmp_path_factory):
     not be read."""
     folder = tmp_path_factory.mktemp("results")
     model = load_model("digits")
-    job = job_of("digits", model, PixelSelection())
+    job = job_of("digits", model, Pixels())
     (folder / "empty.bin").write_bytes(b"12")
     tasks = [
         task_of(f"{digit}.bin", path, job, str(digit))

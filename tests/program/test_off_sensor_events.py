@@ -80,11 +80,11 @@ def test_evaluate_and_its_records_count_it(program, stray, tmp_path):
 
 
 def test_training_data_leave_it_out_and_count_it(stray):
-    from async_tnt.sources.pixels.pixel_selection import PixelSelection
+    from async_tnt.sources.pixels.pixels import Pixels
     from async_tnt.training.dataset import read_dataset
 
     np.save(stray.parents[1] / "4" / "other.npy", events_of([5, 6], [1, 2], [1, 2], [1, 1]))
-    dataset = read_dataset(stray.parents[1], pixels=PixelSelection(sensor=(34, 34)))
+    dataset = read_dataset(stray.parents[1], pixels=Pixels(sensor=(34, 34)))
     assert (len(dataset.recordings), dataset.left_out, dataset.n_off_sensor) == (2, (), 1)
     assert dataset.recordings.y.max() < 34
     with pytest.raises(

@@ -19,7 +19,7 @@ from async_tnt.evaluation.results import collect as collect_results
 from async_tnt.networks.loading import load_model
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixels.pixel_masks import save_mask
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="FIFOs, devices and links of POSIX")
 
@@ -39,7 +39,7 @@ def view(path):
 
 def collect(path):
     sample = sample_recordings()[1]
-    task = task_of("1.bin", sample, job_of("digits", load_model("digits"), PixelSelection()))
+    task = task_of("1.bin", sample, job_of("digits", load_model("digits"), Pixels()))
     collect_results(evaluate_recording, [task], partial(run_all, workers=1), path)
 
 

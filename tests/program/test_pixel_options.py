@@ -9,7 +9,8 @@ from training.gestures import write
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixels.pixel_filter import PixelFilter
-from async_tnt.sources.pixels.pixel_masks import PackedMask, save_mask
+from async_tnt.sources.pixels.pixel_masks import save_mask
+from async_tnt.sources.pixels.pixels import Pixels
 
 HOT = [(3, 4), (30, 29), (4, 30)]
 SIZE, CAMERA, CORNER = (34, 34), (100, 80), (40, 20)
@@ -97,7 +98,8 @@ def test_counts_and_report_say_what_was_left_out(sets, program):
     n = 9000 + hot_mask(SIZE)[EVENTS["y"], EVENTS["x"]].sum()
     assert message == f"async-tnt: left out: 0 outside of the region, {n:,} of masked pixels\n"
     words = "evaluate", "digits", sets / "large", "--json", *REGION, "--mask", sets / "large.npy"
-    mask = f"100x80 {PackedMask.of(hot_mask(CAMERA, CORNER)).sha256[:16]}"
+    mask = Pixels(mask=hot_mask(CAMERA, CORNER)).about["mask"]
+    assert mask.startswith("100x80 ")
     assert json.loads(program(*words)[1])["pixels"] == {
         "roi": "40,20,34,34",
         "crop": True,

@@ -12,13 +12,13 @@ from sources.files.written import metavision_csv
 from async_tnt.evaluation.job import Job
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.files.source import ReadOptions
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.simulated_pictures import measure_camera
 
 EVENTS = open_recording(sample_recordings()[3]).read()
 SENSOR = (34, 34)
-PIXELS = PixelSelection(sensor=SENSOR)
+PIXELS = Pixels(sensor=SENSOR)
 START, END = 50_000, 200_000
 PART = EVENTS[(EVENTS["t"] >= START) & (EVENTS["t"] < END)]
 SINGLE = ("run", "info", "plot", "view", "check", "mask")

@@ -12,7 +12,8 @@ import pytest
 from made import random_events
 from waiting import in_both_ways, until
 
-from async_tnt.sources import BackgroundReader, PacketQueue, QueueCounters
+from async_tnt.sources import BackgroundReader, PacketQueue
+from async_tnt.sources.queues.queue import QueueCounters
 from async_tnt.volume.events import as_events
 
 EVENTS = random_events(10_000, seed=1)
@@ -24,11 +25,12 @@ EQUAL = [EVENTS[k : k + 250] for k in range(0, 10_000, 250)]
 @pytest.fixture(autouse=True)
 def no_thread_is_left():
     yield
-    until(
-        lambda: (
-            not any(thread.name == "async_tnt.BackgroundReader" for thread in threading.enumerate())
-        )
-    )
+
+    def is_gone():
+        names = [thread.name for thread in threading.enumerate()]
+        return "async_tnt.BackgroundReader" not in names
+
+    until(is_gone)
 
 
 class Source:
@@ -36,9 +38,13 @@ class Source:
     `gate_at` on."""
 
     def __init__(self, packets=PACKETS, gate_at=None, error=None):
-        self.packets, self.error = packets, error
-        self.gate, self.gate_at = threading.Event(), gate_at
-        self.n_asked = self.n_yielded = self.n_events = 0
+        self.packets = packets
+        self.error = error
+        self.gate = threading.Event()
+        self.gate_at = gate_at
+        self.n_asked = 0
+        self.n_yielded = 0
+        self.n_events = 0
 
     def __iter__(self):
         return self
@@ -77,15 +83,14 @@ def test_without_latest_the_source_is_held_back():
 @pytest.mark.parametrize("max_packets", [1, 7])
 def test_received_is_handed_out_and_skipped_and_waiting_at_any_moment(max_packets):
     """And the newest packet always arrives."""
-    source, handed_out = Source(PACKETS * 20), 0
+    source = Source(PACKETS * 20)
+    handed_out = 0
     with BackgroundReader(source, latest=True, max_packets=max_packets) as reader:
         for packet in reader:
             handed_out += len(packet)
             now = reader.counters
-            assert (
-                now.received == now.handed_out + now.skipped + now.backlog
-                and now.handed_out == handed_out
-            )
+            assert now.received == now.handed_out + now.skipped + now.backlog
+            assert now.handed_out == handed_out
     now = reader.counters
     assert now.received == source.n_events == handed_out + now.skipped and now.backlog == 0
     assert packet.tobytes() == PACKETS[-1].tobytes()
@@ -114,9 +119,8 @@ def test_closing_at_any_moment_accounts_for_every_event():
         counters = reader.counters
         assert counters.received == source.n_events == handed_out + counters.skipped
         assert counters.handed_out == handed_out and counters.backlog == 0
-        assert next(reader, None) is None and repr(reader).startswith(
-            "BackgroundReader(closed, 0 events "
-        )
+        assert next(reader, None) is None
+        assert repr(reader).startswith("BackgroundReader(closed, 0 events ")
 
 
 @in_both_ways
@@ -219,10 +223,8 @@ def test_after_the_end_nothing_comes_in():
         ValueError, match=r"^a packet after the end: this queue's end\(\) was called; make a new"
     ):
         queue.put(EQUAL[1])
-    assert (
-        repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)"
-        and len(next(queue)) == 250
-    )
+    assert repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)"
+    assert len(next(queue)) == 250
     with pytest.raises(OSError, match="first"):
         next(queue)
     assert list(queue) == [] and queue.counters.received == 250
@@ -234,11 +236,13 @@ def test_closed_by_a_signal_between_the_look_for_a_packet_and_its_removal():
 
     class Interrupted(collections.deque):
         def __bool__(self):
-            waits, queue._waiting = len(self) > 0, collections.deque(self)
+            waits = len(self) > 0
+            queue._waiting = collections.deque(self)
             queue.close()
             return waits
 
-    queue._waiting, queue._is_ready = Interrupted(queue._waiting), lambda: True
+    queue._waiting = Interrupted(queue._waiting)
+    queue._is_ready = lambda: True
     assert next(queue) is None and list(queue) == [] and queue.counters.skipped == 250
 
 

@@ -43,14 +43,13 @@ class Neuromorphic:
             "neuromorphic_drivers", reason="the extra `cameras` is not installed"
         )
         self.models = {name.value: name for name in self._module.Name}
-        self._model, self._packets, self._n_dropped = self.models[model], list(packets), 0
+        self._model = self.models[model]
+        self._packets = list(packets)
+        self._n_dropped = 0
 
     def list_devices(self):
-        return [
-            self._module.ListedDevice(
-                self._model, self._module.Connection.USB_SUPER, "1:2", SERIAL, None
-            )
-        ]
+        usb = self._module.Connection.USB_SUPER
+        return [self._module.ListedDevice(self._model, usb, "1:2", SERIAL, None)]
 
     def open(self, **settings):
         return self
@@ -101,7 +100,8 @@ class Dv:
             "dv_processing", reason="the extra `cameras` is not installed"
         )
         self.models = self._module.io.camera.CameraModel.__members__
-        self._model, self._packets = self.models[model], list(packets)
+        self._model = self.models[model]
+        self._packets = list(packets)
 
     def discover(self):
         # its own class has no constructor
@@ -159,10 +159,8 @@ def test_every_event_on_the_sensor_comes_through_once_and_in_order(library):
     events = random_events(60, sensor=(width, height), start_us=EPOCH_US)
     mixed = np.zeros(7, [("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1")])
     mixed["t"] = events["t"][-1] + np.arange(7)
-    mixed["x"], mixed["y"] = (
-        [0, width, width - 1, -1, 3, 3, 3],
-        [0, 0, height - 1, 3, height, height - 1, -1],
-    )
+    mixed["x"] = [0, width, width - 1, -1, 3, 3, 3]
+    mixed["y"] = [0, 0, height - 1, 3, height, height - 1, -1]
     camera = opened(library([None, events[:30], events[:0], None, events[30:], mixed, mixed[1:2]]))
     assert camera.summary().startswith("0 packets, 0 events (")
     came = read_until_unplugged(camera)
@@ -197,7 +195,8 @@ def test_settings_are_what_the_library_tells_when_the_camera_is_opened(library):
 def test_a_file_of_dv_processing_read_as_a_camera(tmp_path):
     """Nothing is played: the library writes events, reads them and ends."""
     dv = pytest.importorskip("dv_processing", reason="the extra `cameras` is not installed")
-    events, path = open_recording(sample_recordings()[3]).read(), str(tmp_path / "a.aedat4")
+    events = open_recording(sample_recordings()[3]).read()
+    path = str(tmp_path / "a.aedat4")
     writer = dv.io.MonoCameraWriter(
         path, dv.io.MonoCameraWriter.EventOnlyConfig("DAVIS346_00000042", (34, 34))
     )
@@ -207,6 +206,5 @@ def test_a_file_of_dv_processing_read_as_a_camera(tmp_path):
     camera = Camera(DvDevice(dv.io.MonoCameraRecording, path), "a file by dv")
     assert camera.sensor == (34, 34)
     came = read_until_unplugged(camera)
-    assert (
-        np.concatenate(came).tolist() == events.tolist() and camera.counts.packets == len(came) > 1
-    )
+    assert np.concatenate(came).tolist() == events.tolist()
+    assert camera.counts.packets == len(came) > 1

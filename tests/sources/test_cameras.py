@@ -12,7 +12,6 @@ import pytest
 from waiting import meanwhile, until
 
 from async_tnt.sources import (
-    DRIVERS,
     BackgroundReader,
     UdpSource,
     open_camera,
@@ -20,7 +19,7 @@ from async_tnt.sources import (
     open_source,
     sample_recordings,
 )
-from async_tnt.sources.live.camera_drivers import CameraCounts, FoundCamera
+from async_tnt.sources.live.camera_drivers import DRIVERS, CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
 # as neuromorphic-drivers has it
@@ -33,7 +32,8 @@ class PanicException(BaseException):
 
 def made_events(*times):
     events = np.zeros(len(times), RECORD)
-    events["t"], events["x"] = times, range(len(times))
+    events["t"] = times
+    events["x"] = range(len(times))
     return events
 
 
@@ -47,10 +47,13 @@ class PlayedDevice:
 
     def __init__(self, *packets, sensor=(3400, 34), read_s=0.0):
         self.packets = list(packets)
-        self.sensor, self.read_s = sensor, read_s
+        self.sensor = sensor
+        self.read_s = read_s
         self.counts = CameraCounts()
-        self.handle, self.settings = object(), {"biases": {"diff_on": 3}}
-        self.n_reads = self.n_closed = 0
+        self.handle = object()
+        self.settings = {"biases": {"diff_on": 3}}
+        self.n_reads = 0
+        self.n_closed = 0
         self._lock = threading.Lock()
 
     @contextmanager
@@ -65,9 +68,10 @@ class PlayedDevice:
         with self._borrowed():
             assert not self.n_closed, "read after close"
             self.n_reads += 1
-            packet = (
-                self.packets.pop(0) if self.packets else threading.Event().wait(self.read_s) or None
-            )
+            if not self.packets:
+                threading.Event().wait(self.read_s)
+                return None
+            packet = self.packets.pop(0)
             if isinstance(packet, BaseException):
                 raise packet
             return packet
@@ -104,7 +108,8 @@ def test_any_source_by_name():
     """A URL, a path, an array; and cameras below."""
     assert list(DRIVERS) == ["neuromorphic-drivers", "dv-processing"]
     with open_source("udp://127.0.0.1:0?format=spif", (34, 20)) as source:
-        assert isinstance(source, UdpSource) and (source.format, source.sensor) == (
+        assert isinstance(source, UdpSource)
+        assert (source.format, source.sensor) == (
             "spif",
             (34, 20),
         )
@@ -182,13 +187,15 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             "camera:evk4:1",
             drivers(evk4()),
             OSError,
-            r"^camera:evk4:1: no camera found; .* found Prophesee EVK4 00050423, which is another camera\. ",
+            r"^camera:evk4:1: no camera found; .* found Prophesee EVK4 00050423, which is another "
+            r"camera\. ",
         ),
         (
             "camera:evk4:00050423",
             drivers(SHY),
             OSError,
-            r"^camera:evk4:00050423: cannot be opened; .* Prophesee EVK4 but cannot open it: Access denied \(insuf",
+            r"^camera:evk4:00050423: cannot be opened; .* Prophesee EVK4 but cannot open it: "
+            r"Access denied \(insuf",
         ),
         ("camera", drivers(evk4(KeyboardInterrupt())), KeyboardInterrupt, "^$"),
         (
@@ -253,8 +260,8 @@ def test_unplugged_after_the_packets_before(background, error):
     device, camera = opened(made_events(1, 2), None, made_events(3), error)
     came = []
     line = (
-        r"^Prophesee EVK4 00050423 by played: the camera is gone after 3 events \(Usb\(NoDevice\)\); "
-        r"check its cable and power, and open it again$"
+        r"^Prophesee EVK4 00050423 by played: the camera is gone after 3 events "
+        r"\(Usb\(NoDevice\)\); check its cable and power, and open it again$"
     )
     with pytest.raises(OSError, match=line) as caught:
         # what came before the error stays
@@ -325,10 +332,8 @@ def test_decisions_until_the_cable_is_pulled(flags, lost, plug_in, program):
     code, out, err = program("run", "camera:evk4:00050423", "--json", *flags)
     assert code == 2 and labels(out) == ["3", "3", "3"]
     assert f"{len(packets):,} packets, {n_events:,} events" in err and lost in err
-    assert (
-        f"the camera is gone after {n_events:,} events (Usb(NoDevice)); check its cable"
-        in err.splitlines()[-1]
-    )
+    last = err.splitlines()[-1]
+    assert f"the camera is gone after {n_events:,} events (Usb(NoDevice)); check its cable" in last
     assert "Traceback" not in err and device.n_closed == 1
 
 

@@ -12,7 +12,8 @@ from made import events_of
 
 from async_tnt.kernels.sources.clock import AGREEING_PACKETS as N
 from async_tnt.kernels.sources.clock import BACK_US, LATEST_START_US, REORDERED_US
-from async_tnt.sources import Clock, Decoder, encode
+from async_tnt.sources import Clock, encode
+from async_tnt.sources.live.datagrams import Decoder
 
 JUMP_US = 10_000_000
 MINUTE_US = 60_000_000
@@ -24,11 +25,13 @@ SIGNED = np.dtype(
 
 
 def by_clock(packets, arrivals=None, *, max_jump_s=10.0, dtype=UNSIGNED):
-    """(the times that are kept of each packet, (jumped, late, restarts))."""
-    clock, kept = Clock(max_jump_s), []
+    """The times that are kept of each packet, and (jumped, late, restarts)."""
+    clock = Clock(max_jump_s)
+    kept = []
     for k, times in enumerate(packets):
         events = np.zeros(len(times), dtype)
-        events["t"], events["x"] = times, range(len(times))
+        events["t"] = times
+        events["x"] = range(len(times))
         events = clock(events, "t", 0 if arrivals is None else arrivals[k])
         assert np.all(np.diff(events["x"]) > 0)  # whole records are moved, in their order
         kept.append(events["t"].tolist())
@@ -163,7 +166,8 @@ def test_times_that_no_clock_shows_are_dropped_and_vote_for_nothing():
 )
 def test_times_never_fall_far_and_every_event_is_counted(packets, passed):
     kept, (jumped, late, _) = by_clock(packets, np.cumsum(passed).tolist())
-    newest = n_late = 0
+    newest = 0
+    n_late = 0
     for times in kept:
         assert min(times, default=newest) >= newest - BACK_US
         for t in times:
@@ -182,9 +186,8 @@ def test_after_anything_one_stream_is_followed_again(starts, first):
     kept, _ = by_clock(
         [[first]] + [[start + k * 100_000] for start in starts for k in range(length)]
     )
-    assert np.diff(flat(kept[-N:])).tolist() == [100_000] * (N - 1) and flat(kept)[-1] == max(
-        flat(kept)
-    )
+    assert np.diff(flat(kept[-N:])).tolist() == [100_000] * (N - 1)
+    assert flat(kept)[-1] == max(flat(kept))
 
 
 @pytest.mark.parametrize(("apart", "agree"), [(JUMP_US, True), (JUMP_US + 1, False)])

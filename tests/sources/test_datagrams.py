@@ -6,7 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt.sources import EVENT_BYTES, Decoder, encode
+from async_tnt.sources import encode
+from async_tnt.sources.live.datagrams import EVENT_BYTES, Decoder
 from async_tnt.volume.events import EVENT_DTYPE, as_events
 
 FORMATS = tuple(EVENT_BYTES)
@@ -28,17 +29,16 @@ def test_one_event_by_hand(format):
     decoder = Decoder(format)
     events = decoder.decode(bytearray(data), arrival_us=77)
     t = {"t64_x16_y16_on8": 0x1_0000_0203, "spif": 77}.get(format, 0x203)
-    assert (
-        events.tolist() == [(t, 0x0405, 0x0607, 1)]
-        and decoder.malformed == 0
-        and events.flags.writeable
-    )
+    assert events.tolist() == [(t, 0x0405, 0x0607, 1)]
+    assert decoder.malformed == 0
+    assert events.flags.writeable
 
 
 @of_all_formats
 def test_the_sensors_borders_by_hand(format):
     events = events_of(range(6), [33, 34, 0, 33, 1280, 0], [19, 0, 20, 0, 720, 0], [1] * 6)
-    decoder, of_any_sensor = Decoder(format, (34, 20)), Decoder(format)
+    decoder = Decoder(format, (34, 20))
+    of_any_sensor = Decoder(format)
     decoded = decoder.decode(encode(events, format))
     assert decoded["x"].tolist() == [33, 33, 0] and decoder.malformed == decoder.off_sensor == 3
     assert len(of_any_sensor.decode(encode(events, format))) == 6 and of_any_sensor.off_sensor == 0
@@ -145,7 +145,8 @@ def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(
     datagrams, format, bound, sensor, cut
 ):
     size = EVENT_BYTES[format]
-    one_by_one, in_two = Decoder(format, sensor, bound), Decoder(format, sensor, bound)
+    one_by_one = Decoder(format, sensor, bound)
+    in_two = Decoder(format, sensor, bound)
     parts = [one_by_one.decode(datagram) for datagram in datagrams]
     whole = [datagram[: len(datagram) // size * size] for datagram in datagrams]
     n_whole = sum(map(len, whole)) // size

@@ -10,8 +10,9 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixels.hot_pixels import count_pixels, hot_pixels, learn_mask
 from async_tnt.sources.pixels.pixel_filter import PixelFilter
-from async_tnt.sources.pixels.pixel_masks import count_pixels, hot_pixels, learn_mask, load_mask
+from async_tnt.sources.pixels.pixel_masks import load_mask
 
 SENSOR = (34, 34)
 RECORDINGS = {digit: open_recording(sample_recordings()[digit]).read() for digit in (0, 1, 8)}
@@ -115,14 +116,13 @@ def with_hot_pixels(path, *pixels):
 
 
 def test_it_finds_what_was_planted(tmp_path, program):
-    path, out = (
-        with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200)),
-        tmp_path / "mask.npy",
-    )
+    path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200))
+    out = tmp_path / "mask.npy"
     events = open_recording(path).read()
     at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
     code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", out)
-    line = f"2 hot pixels of 34x34 made {sum(at) / len(events):.2%} of {len(events)} events; wrote {out}"
+    share = f"{sum(at) / len(events):.2%}"
+    line = f"2 hot pixels of 34x34 made {share} of {len(events)} events; wrote {out}"
     assert code == 0 and printed.splitlines()[-1] == line
     assert {(x, y) for y, x in np.argwhere(load_mask(out, (34, 34))).tolist()} == {(30, 2), (3, 31)}
     assert len(PixelFilter((34, 34), mask=out)(events)) == len(events) - sum(at)
@@ -155,16 +155,18 @@ def test_a_mask_never_replaces_a_recording_by_whichever_path(tmp_path, program, 
     (tmp_path / "below").mkdir()
     for other in ("a.npy", "below/../a.npy", "link.npy", "second_name.npy"):
         code, _, err = program("mask", path, "--sensor", "34x34", "--out", other)
-        assert (code, err.count("\n")) == (
-            2,
-            1,
-        ) and f"--out is one of the recordings, {other}" in err
+        assert code == 2
+        assert err.count("\n") == 1
+        assert f"--out is one of the recordings, {other}" in err
         assert path.read_bytes() == before
 
 
 def test_where_nothing_stands_out_the_mask_masks_nothing(tmp_path, program):
     out = tmp_path / "mask.npy"
-    printed = f"no hot pixels: none of 34x34 stands out in {len(EVENTS)} events; wrote {out}, which masks nothing\n"
+    printed = (
+        f"no hot pixels: none of 34x34 stands out in {len(EVENTS)} events; wrote {out}, which "
+        "masks nothing\n"
+    )
     assert program("mask", SAMPLE, "--out", out) == (0, printed, "")
     assert not np.load(out).any()
 
@@ -191,11 +193,9 @@ def test_an_error_is_one_line(words, message, tmp_path, program, monkeypatch):
     for name, n, side in (("34", 9, 34), ("50", 9, 50), ("e", 0, 34)):
         np.savez(f"{name}.npz", events=random_events(n), sensor=np.array([side, side]))
     code, printed, error = program("mask", *words.split())
-    assert (
-        (code, printed) == (2, "")
-        and error.startswith("async-tnt: ")
-        and len(error.splitlines()) == 1
-    )
+    assert (code, printed) == (2, "")
+    assert error.startswith("async-tnt: ")
+    assert len(error.splitlines()) == 1
     assert message in error
     assert not (tmp_path / "mask.npy").exists()
 
@@ -212,10 +212,8 @@ def test_a_sensor_may_have_so_many_pixels(tmp_path, program):
     np.savez(tmp_path / "a.npz", **columns, sensor=[32768, 32768])
     code, _, err = program("mask", tmp_path / "a.npz", "--out", tmp_path / "m.npy")
     assert code == 2 and err.count("\n") == 1
-    assert (
-        f"{tmp_path / 'a.npz'}: a sensor must have at most 16,777,216 pixels" in err
-        and "32768x32768" in err
-    )
+    assert f"{tmp_path / 'a.npz'}: a sensor must have at most 16,777,216 pixels" in err
+    assert "32768x32768" in err
     np.savez(tmp_path / "b.npz", **columns)
     code, _, err = program(
         "mask", tmp_path / "b.npz", "--sensor", "32768x32768", "--out", tmp_path / "m.npy"

@@ -23,7 +23,7 @@ class Clock:
         self.now_us = 1_000_000
         clock = SimpleNamespace(monotonic_ns=lambda: int(1000 * self.now_us))
         for module in ("queue", "keep_up"):
-            monkeypatch.setattr(f"async_tnt.sources.{module}.time", clock)
+            monkeypatch.setattr(f"async_tnt.sources.queues.{module}.time", clock)
 
 
 @pytest.fixture
@@ -58,13 +58,14 @@ def packet(k, n=50):
 
 
 def consumed(reader, processor, clock, n_packets, decision_us, event_us=0.01):
-    """Stream packets that come every millisecond; decisions and events cost time. Returns the
-    delays."""
-    delays, start_us, k = [], clock.now_us, 0
+    """The delays of packets that come every millisecond, where decisions and events cost time."""
+    delays = []
+    start_us = clock.now_us
+    k = 0
     while k < n_packets or reader.backlog:
         while k < n_packets and start_us + k * PACKET_US <= clock.now_us:
-            arrives_us, now_us = start_us + k * PACKET_US, clock.now_us
-            clock.now_us = arrives_us
+            now_us = clock.now_us
+            clock.now_us = start_us + k * PACKET_US
             reader.put(packet(k))
             clock.now_us = now_us
             k += 1
@@ -139,9 +140,8 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     delays = consumed(reader, processor, clock, 5_000, decision_us=10, event_us=2 * PACKET_US / 50)
     counters = reader.counters
     assert counters.received == counters.handed_out + counters.skipped == 250_000
-    assert (
-        counters.handed_out == processor.counts.received and 0.4 < counters.skipped / 250_000 < 0.6
-    )
+    assert counters.handed_out == processor.counts.received
+    assert 0.4 < counters.skipped / 250_000 < 0.6
     assert delays.max() <= 20_000 and processor.every_us == CONFIG.window_us
     assert reader.slowest == 128  # 100 are a window
     with reader:

@@ -16,12 +16,12 @@ from async_tnt.sources import (
     load_mask,
     open_recording,
     open_source,
-    read_nmnist,
     replay,
     sample_recordings,
     save_mask,
 )
 from async_tnt.sources.files.labelled_recordings import find_recordings
+from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.recording_summary import summarize
 from async_tnt.training.dataset import read_dataset
 
@@ -29,7 +29,10 @@ POINTER = (
     b"version https://git-lfs.github.com/spec/v1\n"
     b"oid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32b1258daaa5e2ca24d17e2393\nsize 12345\n"
 )
-NAMED = r"a{}: .*only a Git LFS pointer to the file, not the file itself; fetch it with `git lfs pull` in its repository"
+NAMED = (
+    r"a{}: .*only a Git LFS pointer to the file, not the file itself; fetch it with "
+    r"`git lfs pull` in its repository"
+)
 MASK = np.zeros((34, 34), bool)
 CONFIG = TNTConfig()
 
@@ -108,10 +111,8 @@ def test_a_tilde_is_the_home_folder_wherever_a_path_is_taken(home):
     assert summarize("~/3.bin").events == len(events)
     model = load_model("~/model.safetensors")
     assert model.classes == load_model("digits").classes
-    assert (
-        model.save("~/saved.safetensors") == home / "saved.safetensors"
-        and (home / "saved.safetensors").is_file()
-    )
+    assert model.save("~/saved.safetensors") == home / "saved.safetensors"
+    assert (home / "saved.safetensors").is_file()
     np.testing.assert_array_equal(load_mask("~/mask.npy"), MASK)
     assert PixelFilter((34, 34), mask="~/mask.npy")(events).tolist() == events.tolist()
     save_mask("~/other.npy", MASK)

@@ -1,18 +1,21 @@
 """The filter equals its NumPy twin and counts what it drops; which pixels a model sees, as values
 that can be sent."""
 
+import hashlib
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import nasty_streams
+from made import nasty_streams, random_events
 
 import async_tnt
+from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.sources.pixels.pixel_filter import PixelCounts, PixelFilter
-from async_tnt.sources.pixels.pixel_masks import PackedMask
-from async_tnt.sources.pixels.pixel_selection import PixelSelection, PixelSelector
+from async_tnt.sources.pixels.pixel_masks import save_mask
+from async_tnt.sources.pixels.pixels import Pixels
 
 SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
 
@@ -20,7 +23,8 @@ SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
 def twin(events, sensor, roi, mask, crop):
     """The definition, in NumPy: kept events, and how many were masked and outside."""
     left, top, width, height = roi or (0, 0, *sensor)
-    x, y = events["x"].astype(int), events["y"].astype(int)
+    x = events["x"].astype(int)
+    y = events["y"].astype(int)
     inside = (x >= left) & (x < left + width) & (y >= top) & (y < top + height)
     masked = inside & (mask[y, x] if mask is not None else False)
     kept = events[inside & ~masked].copy()
@@ -32,10 +36,13 @@ def twin(events, sensor, roi, mask, crop):
 
 @st.composite
 def filters(draw):
-    width, height = sensor = draw(st.sampled_from(SENSORS))
+    """Sensor, region, mask and crop of a filter."""
+    sensor = draw(st.sampled_from(SENSORS))
+    width, height = sensor
     roi = None
     if draw(st.booleans()):
-        left, top = draw(st.integers(0, width - 1)), draw(st.integers(0, height - 1))
+        left = draw(st.integers(0, width - 1))
+        top = draw(st.integers(0, height - 1))
         roi = (left, top, draw(st.integers(1, width - left)), draw(st.integers(1, height - top)))
     mask = None
     if draw(st.booleans()):
@@ -76,7 +83,8 @@ def test_filter_equals_numpy(data, settings):
         ),
         (
             {"roi": (-1, 0, 3, 2)},
-            r"`roi` .* must lie on the sensor of 30x20 .*, x and y at least 0, .* got \(-1, 0, 3, 2\)",
+            r"`roi` .* must lie on the sensor of 30x20 .*, x and y at least 0, .* "
+            r"got \(-1, 0, 3, 2\)",
         ),
         ({"roi": (5, 5, 0, 1)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 0, 1\)"),
         ({"roi": (5, 5, 1, 0)}, r"`roi` .* must lie on the sensor of 30x20 .*, got \(5, 5, 1, 0\)"),
@@ -100,54 +108,86 @@ def test_wrong_arguments(settings, message):
         PixelFilter(**({"sensor": (30, 20)} | settings))
 
 
-# -- selections of pixels --------------------------------------------------------------------------
+# -- which pixels, as a value ----------------------------------------------------------------------
 
 
-def test_a_selection_goes_to_another_process_with_its_mask():
+def test_pixels_go_to_another_process_with_their_mask(tmp_path):
     mask = np.random.default_rng(0).random((720, 1280)) < 1e-4
-    selection = PixelSelection((10, 20, 34, 34), True, PackedMask.of(mask, "hot.npy"))
-    assert selection == PixelSelection(
-        (10, 20, 34, 34), True, PackedMask.of(np.asfortranarray(mask))
-    )
-    sent = pickle.dumps(selection)
+    save_mask(tmp_path / "hot.npy", mask)
+    pixels = Pixels((10, 20, 34, 34), True, tmp_path / "hot.npy")
+    sent = pickle.dumps(pixels)
     assert len(sent) < 3000
     received = pickle.loads(sent)
-    assert (
-        received == selection
-        and hash(received) == hash(selection)
-        and received.about == selection.about
+    assert received == pixels
+    assert hash(received) == hash(pixels)
+    assert received.about == pixels.about
+    np.testing.assert_array_equal(received.mask_of((1280, 720)), mask)
+    assert received.mask.name == str(tmp_path / "hot.npy")
+
+
+def test_pixels_of_equal_masks_are_equal_wherever_the_masks_are_from(tmp_path):
+    mask = np.random.default_rng(0).random((20, 30)) < 0.1
+    save_mask(tmp_path / "hot.npy", mask)
+    pixels = Pixels(mask=mask)
+    assert pixels == Pixels(mask=np.asfortranarray(mask))
+    assert pixels == Pixels(mask=str(tmp_path / "hot.npy"))
+    assert pixels == replace(pixels, roi=None)
+    assert pixels != Pixels(mask=~mask)
+    assert pixels != Pixels()
+
+
+def test_pixels_give_the_filter_of_a_camera():
+    mask = np.random.default_rng(0).random((20, 30)) < 0.5
+    events = random_events(200, sensor=(30, 20))
+    kept = Pixels((3, 4, 10, 9), True, mask).filter_of((30, 20))(events)
+    assert 0 < len(kept) < len(events)
+    np.testing.assert_array_equal(
+        kept, PixelFilter((30, 20), (3, 4, 10, 9), mask, crop=True)(events)
     )
-    np.testing.assert_array_equal(received.mask.pixels((1280, 720)), mask)
-    assert received.mask.name == "hot.npy"
+    assert Pixels(sensor=(30, 20)).filter_of((30, 20)) is None
+
+
+def test_about_names_all_that_decides_which_events_count():
+    """Results of evaluations contain it: those of earlier versions are continued only if it is the
+    same."""
+    mask = np.zeros((2, 3), bool)
+    zeros = "b0f66adc83641586"  # sha256 of six zero bytes
+    assert hashlib.sha256(bytes(6)).hexdigest().startswith(zeros)
+    assert Pixels((0, 0, 2, 2), True, mask, (3, 2)).about == {
+        "roi": "0,0,2,2",
+        "crop": True,
+        "mask": f"3x2 {zeros}",
+    }
+    assert Pixels(sensor=(3, 2)).about == {"sensor": "3x2"}
+    assert Pixels().about == {}
 
 
 ROI = (10, 4, 40, 40)
-MASK = PackedMask.of(np.zeros((48, 60), bool), "hot.npy")
 
 
 @pytest.mark.parametrize(
-    ("selection", "model", "found", "message"),
+    ("pixels", "model", "found", "message"),
     [
         (
-            PixelSelection(),
+            Pixels(),
             (40, 40),
             (60, 48),
             "the model is for 40x40; train .*, or cut out a part: `roi` X,Y,40,40",
         ),
         (
-            PixelSelection(),
+            Pixels(),
             (40, 40),
             (40, 39),
             r"a: a .* 40x39 .*, but the model is for 40x40; train one .* train\)$",
         ),
         (
-            PixelSelection((3, 4, 34, 34), True, MASK),
+            Pixels((3, 4, 34, 34), True, np.zeros((48, 60), bool)),
             (34, 34),
             (50, 50),
-            "but hot.npy is a mask of 60x48$",
+            "but mask is a mask of 60x48$",
         ),
         (
-            PixelSelection(ROI, True),
+            Pixels(ROI, True),
             (40, 40),
             None,
             "the camera's pixels, which `crop` needs: give `sensor`$",
@@ -155,7 +195,7 @@ MASK = PackedMask.of(np.zeros((48, 60), bool), "hot.npy")
     ],
 )
 def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(
-    selection, model, found, message
+    pixels, model, found, message
 ):
     with pytest.raises(ValueError, match=message):
-        PixelSelector(selection, model).filter_of("a", found)
+        ModelPixels(pixels, model).filter_of("a", found)

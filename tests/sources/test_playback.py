@@ -39,7 +39,8 @@ def at(*times):
 @pytest.mark.parametrize(("speed", "size"), [(0.5, 60), (1.0, 1), (7.0, 2500)])
 def test_packets_come_when_they_are_due_without_drift(clock, speed, size):
     packets = [EVENTS[first : first + size] for first in range(0, len(EVENTS), size)]
-    started_ns, parts = clock.now_ns, []
+    started_ns = clock.now_ns
+    parts = []
     for packet in replay(packets, speed):
         due_ns = (int(packet["t"][-1]) - int(EVENTS["t"][0])) * 1000 / speed
         # late by one sleep, not by all of them
@@ -65,15 +66,21 @@ def test_an_event_out_of_order_is_due_with_the_newest_before(clock, packets, pla
 def test_no_pause_is_too_long_for_the_system(clock):
     """It refuses to sleep for three centuries; a speed may make more of any pause, even infinitely
     much."""
-    clock.sleep = lambda seconds, sleep=clock.sleep: (
-        sleep(seconds) if seconds <= 9e9 else pytest.fail("too long")
-    )
-    assert [len(packet) for packet in replay([([0, 10**15], [1, 1], [1, 1], [1, 1])], 0.1)] == [
-        1,
-        1,
-    ]
-    next(packets := replay([at(0, 1000)], 1e-320))
-    clock.sleep = lambda seconds: (_ for _ in ()).throw(TimeoutError)
+    sleep = clock.sleep
+
+    def sleep_if_possible(seconds):
+        assert seconds <= 9e9, "too long"
+        sleep(seconds)
+
+    def stop(seconds):
+        raise TimeoutError
+
+    clock.sleep = sleep_if_possible
+    two = [([0, 10**15], [1, 1], [1, 1], [1, 1])]
+    assert [len(packet) for packet in replay(two, 0.1)] == [1, 1]
+    packets = replay([at(0, 1000)], 1e-320)
+    next(packets)
+    clock.sleep = stop
     with pytest.raises(TimeoutError):
         next(packets)
 

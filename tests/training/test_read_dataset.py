@@ -9,7 +9,7 @@ import pytest
 from made import events_of
 from training.gestures import bar, write, write_set
 
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.held_out import Split
@@ -18,7 +18,7 @@ from async_tnt.training.work import Work
 from async_tnt.volume.config import TNTConfig
 
 SIZE = (64, 64)
-EVERYTHING = PixelSelection()
+EVERYTHING = Pixels()
 
 
 def write_64(folder, counts, **settings):
@@ -29,7 +29,7 @@ def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path)
     """Also those that were read before the first one that states it."""
     write_64(tmp_path, {"upright": 3, "flat": 3}, suffixes=(".npy", ".csv", ".npz"))
     write(tmp_path / "flat" / "large.csv", events_of([5, 9, 9], [3, 64, 65], [1, 2, 2], [1, 1, 1]))
-    for pixels in (EVERYTHING, PixelSelection(sensor=SIZE)):
+    for pixels in (EVERYTHING, Pixels(sensor=SIZE)):
         dataset = read_dataset(tmp_path, pixels=pixels)
         (line,) = dataset.left_out
         assert line.startswith(
@@ -37,7 +37,7 @@ def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path)
         )
         assert dataset.camera == dataset.sensor == SIZE
         assert len(dataset.recordings) == 6
-    cropped = read_dataset(tmp_path, pixels=PixelSelection((0, 0, 60, 64), True))
+    cropped = read_dataset(tmp_path, pixels=Pixels((0, 0, 60, 64), True))
     assert (cropped.camera, cropped.sensor) == (SIZE, (60, 64)) and cropped.recordings.x.max() < 60
 
 
@@ -161,7 +161,7 @@ def test_what_differs_only_outside_of_the_region_or_is_late_is_left_out_by_event
     for k, name in enumerate("ab"):
         write(folder / name / "1.npz", recording([500, 520 + k, 510, 499]), sensor=SIZE)
         write(folder / name / "2.npz", recording([0, 10, 20 + k], [2, 5, 40 + k]), sensor=SIZE)
-    pixels = PixelSelection(roi=(0, 0, 10, 10))
+    pixels = Pixels(roi=(0, 0, 10, 10))
     held = read_dataset(folder, pixels=pixels)
     mapped = read_dataset(folder, pixels=pixels, work=Work(store))
     np.testing.assert_array_equal(held.recordings.t, [0, 10, 20, 0, 10, 0, 10, 21, 0, 10])
@@ -227,7 +227,7 @@ def test_a_folder_without_a_dataset_of_one_sensor_is_refused(files, message, set
                 path, bar("flat", 0 if same else k, side=60, start_us=5_000_000 * k), sensor=sensor
             )
     with pytest.raises(ValueError, match=re.escape(message)):
-        read_dataset(tmp_path / "set", pixels=PixelSelection(**settings))
+        read_dataset(tmp_path / "set", pixels=Pixels(**settings))
 
 
 def test_a_recording_longer_than_35_minutes_is_refused(tmp_path):

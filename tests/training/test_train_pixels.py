@@ -5,8 +5,7 @@ import pytest
 from made import events_of
 from training.gestures import bar, write
 
-from async_tnt.sources.pixels.pixel_masks import PackedMask
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training.data import dataset_data
 from async_tnt.training.held_out import Split
 from async_tnt.volume.config import TNTConfig
@@ -63,7 +62,7 @@ def write_sets(folder):
 def test_the_network_sees_recordings_without_these_events(name, region, mask, tmp_path):
     """Event by event, to train on, to validate on and to test on."""
     write_sets(tmp_path)
-    pixels = PixelSelection(region, region is not None, PackedMask.of(mask))
+    pixels = Pixels(region, region is not None, mask)
     split = Split(test=True)
     got = dataset_data(tmp_path / name, TNTConfig(), pixels=pixels, split=split)
     clean = dataset_data(tmp_path / "clean", TNTConfig(), split=split)

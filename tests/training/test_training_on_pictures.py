@@ -11,7 +11,7 @@ from damage import damaged_json
 from small_sets import write_pictures
 
 from async_tnt.simulation.picture_scene import SceneSettings
-from async_tnt.sources.pixels.pixel_selection import PixelSelection
+from async_tnt.sources.pixels.pixels import Pixels
 from async_tnt.training import plan, settings, simulated_pictures
 from async_tnt.training.data import dataset_data
 from async_tnt.training.recordings import RecordingsWriter
@@ -36,7 +36,7 @@ def few(monkeypatch):
 
 
 def data_of(folder, store=None):
-    pixels = PixelSelection(sensor=SENSOR)
+    pixels = Pixels(sensor=SENSOR)
     volume = VolumeChoice(default_config(), fitted={"grid"})
     return dataset_data(folder, volume, pixels=pixels, work=Work(store))
 

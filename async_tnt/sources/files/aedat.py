@@ -3,24 +3,29 @@
 All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that begin with `#`, each
 ended by \\r\\n.
 
-2.0   events, big-endian: an address and a time, in microseconds, of 32 bits each. What an address
-      means depends on the camera, which `# AEChip:` names; a file that names none is of a DVS128,
-      or of some part of one.
+2.0   After the header: events, big-endian, an address and a time in microseconds of 32 bits each.
+      What an address means depends on the camera, which `# AEChip:` names. A file that names no
+      camera is of a DVS128, or of some part of one.
 
           DVS128   bit 0: 0 is ON; 1-7: x; 8-14: y; 15: not a pixel
           DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
 
       Addresses count x from the right and y from the bottom (jAER, DavisBaseCamera and DVS128):
-      both are turned round. Of a file that names no camera they are x and y; if the caller states
-      the size of a DAVIS, it is of one, such as v2e writes. The clock wraps after 71.6 minutes;
-      times are unwrapped.
-3.1   up to `#!END-HEADER`, with a line `#Source 1: DVS128`; then packets, little-endian, of 28
-      bytes of header (16 bits each: type, source; 32 bits each: size of an event, place of the time
-      in it, overflows of the clock, capacity, events, valid events) and their events. Those of type
-      1 are of pixels:
+      both are turned round. If a file names no camera, its addresses are taken as they are; but if
+      the caller states the size of a DAVIS, they are those of that DAVIS, such as v2e writes. The
+      clock wraps after 71.6 minutes; times are unwrapped.
 
-          bit 0: valid; 1: polarity; 2-16: y; 17-31: x; then the time, 31 bits, to which each
-          overflow adds 2**31 us
+3.1   The header ends with `#!END-HEADER` and has a line such as `#Source 1: DVS128`. After it:
+      packets, little-endian, a header of 28 bytes and then events. The header has
+
+          16 bits each   type, source
+          32 bits each   size of an event, place of the time in it, overflows of the clock,
+                         capacity, events, valid events
+
+      and type 1 has pixels' events:
+
+          32 bits        0: valid; 1: polarity; 2-16: y; 17-31: x
+          31 bits        time, to which each overflow adds 2**31 us
 
 References
 ----------
@@ -64,9 +69,24 @@ DAVIS_SIZES = {
     if name.startswith("DAVIS") and size != SENSORS["DVS128"]
 }
 """(width, height) -> the DAVIS that has as many pixels; 128x128 are a DVS128's."""
+
 EVENT_BYTES = 8
-MAX_LINE, MAX_LINES = 1 << 16, 4096
+"""Bytes of a pixel's event, in both versions."""
+
+PACKET_HEADER_BYTES = 28
+"""Bytes of the header of a packet, in version 3.1."""
+
+POLARITY_PACKET = 1
+"""Type of the packets that hold pixels' events, in version 3.1."""
+
+MAX_LINE_BYTES = 1 << 16
+"""Bytes of the longest line of a header."""
+
+MAX_LINES = 4096
+"""Lines of the longest header."""
+
 PERIOD_US = 1 << 32
+"""Microseconds after which the clock of version 2.0 wraps."""
 
 
 class Aedat2Source(Source):
@@ -82,9 +102,8 @@ class Aedat2Source(Source):
             camera = DAVIS_SIZES.get(options.sensor, "") if options.sensor else ""
             self.sensor_hint = (
                 f"addresses are read as those of a {camera or 'DVS128'}, as the header names no "
-                "other camera; if it is "
-                "of a DAVIS, a header line such as `# AEChip: DAVIS346` or its size as `sensor` "
-                "says so"
+                "other camera; if it is of a DAVIS, a header line such as `# AEChip: DAVIS346` or "
+                "its size as {sensor} says so"
             )
         self._davis: Sensor | None = SENSORS[camera] if camera.startswith("DAVIS") else None
 
@@ -93,25 +112,23 @@ class Aedat2Source(Source):
         with self.path.open("rb") as file:
             file.seek(self._start)
             while data := file.read(BLOCK_EVENTS * EVENT_BYTES):
-                words = (
-                    np.frombuffer(data, ">u4", len(data) // EVENT_BYTES * 2)
-                    .astype(np.int64)
-                    .reshape(-1, 2)
-                )
-                address, t = words[:, 0], np.ascontiguousarray(words[:, 1])
+                address, t = _pairs(data, ">u4")
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(PERIOD_US)))
                 x, y, p, is_pixel = self._pixels(address)
-                # valid but for pixels
+                # times and polarities of these are always valid
                 events, _ = valid_events(t[is_pixel], x[is_pixel], y[is_pixel], p[is_pixel])
                 yield events
-                if n_left := len(data) % EVENT_BYTES:
+                n_left = len(data) % EVENT_BYTES
+                if n_left:
                     raise CorruptData(
                         f"the file ends {n_left} bytes into an event, which has {EVENT_BYTES}"
                     )
 
     def _pixels(self, address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """x, y, p, and whether the event is a pixel's; x or y is below 0 in an address of another
-        camera."""
+        """The columns x, y and p of these addresses, and whether each is a pixel's.
+
+        In an address of another camera, x or y is below 0.
+        """
         if self._davis is not None:
             width, height = self._davis
             x = width - 1 - (address >> 12 & 0x3FF)
@@ -137,42 +154,64 @@ class Aedat3Source(Source):
             file.seek(self._start)
             while True:
                 place = file.tell()
-                if not (head := file.read(28)):
+                head = file.read(PACKET_HEADER_BYTES)
+                if not head:
                     return
-                if len(head) < 28:
+                if len(head) < PACKET_HEADER_BYTES:
                     raise CorruptData(
-                        f"the file ends {len(head)} bytes into the header of a packet, which has 28"
+                        f"the file ends {len(head)} bytes into the header of a packet, which has "
+                        f"{PACKET_HEADER_BYTES}"
                     )
                 kind, _, size, time_at, n_overflows, _, n_events, _ = struct.unpack("<2h6i", head)
-                is_pixels = kind == 1
-                if min(kind, size, n_overflows, n_events) < 0 or (
-                    is_pixels and (size, time_at) != (EVENT_BYTES, 4)
-                ):
+                has_pixels = kind == POLARITY_PACKET
+                is_damaged = min(kind, size, n_overflows, n_events) < 0
+                if is_damaged or (has_pixels and (size, time_at) != (EVENT_BYTES, 4)):
                     raise CorruptData(
                         f"the packet at byte {place} has no valid header: type {kind}, {n_events} "
-                        f"events of {size} "
-                        f"bytes, time at byte {time_at}, {n_overflows} overflows"
+                        f"events of {size} bytes, time at byte {time_at}, {n_overflows} overflows"
                     )
-                if is_pixels:
+                if has_pixels:
                     yield from _polarity_events(file, n_events, n_overflows)
                 else:
-                    start, n_bytes, end = file.tell(), n_events * size, file.seek(0, 2)
-                    if start + n_bytes > end:
-                        raise CorruptData(
-                            f"the file ends {end - start} bytes into a packet, which has {n_bytes}"
-                        )
-                    file.seek(start + n_bytes)
+                    _skip(file, n_events * size)
+
+
+def _pairs(data: bytes, word: str) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the second word of each event, int64; bytes after the last event are ignored.
+
+    Parameters
+    ----------
+    word : type of a word, of 32 bits.
+    """
+    n_events = len(data) // EVENT_BYTES
+    words = np.frombuffer(data, word, 2 * n_events).astype(np.int64).reshape(-1, 2)
+    return words[:, 0], np.ascontiguousarray(words[:, 1])
+
+
+def _skip(file: BinaryIO, n_bytes: int) -> None:
+    """Go beyond the events of a packet.
+
+    Raises
+    ------
+    CorruptData : the file ends before they do.
+    """
+    start = file.tell()
+    end = file.seek(0, 2)
+    if start + n_bytes > end:
+        raise CorruptData(f"the file ends {end - start} bytes into a packet, which has {n_bytes}")
+    file.seek(start + n_bytes)
 
 
 def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterator[np.ndarray]:
+    """The valid events of one packet, block by block."""
     while n_events:
-        place, n = file.tell(), min(n_events, BLOCK_EVENTS)
+        place = file.tell()
+        n = min(n_events, BLOCK_EVENTS)
         data = file.read(n * EVENT_BYTES)
-        words = (
-            np.frombuffer(data, "<u4", len(data) // EVENT_BYTES * 2).astype(np.int64).reshape(-1, 2)
-        )
-        words = words[words[:, 0] & 1 == 1]
-        what, t = words.T
+        what, t = _pairs(data, "<u4")
+        is_valid = what & 1 == 1
+        what = what[is_valid]
+        t = t[is_valid]
         t = np.where(t >> 31 == 0, t + (n_overflows << 31), -1)  # a negative time is not valid
         events, problem = valid_events(t, what >> 17, what >> 2 & 0x7FFF, what >> 1 & 1)
         yield events
@@ -185,37 +224,57 @@ def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterato
 
 
 def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str, int]:
-    """The camera that the header names ("": none) and its length: up to the line `end`, or while
-    lines begin with #."""
+    """The camera that the header names, and the bytes of the header.
+
+    Parameters
+    ----------
+    camera_line : regular expression of the lines that name a camera.
+    end : beginning of the header's last line; None: the header ends where lines no longer begin
+        with #.
+
+    Returns
+    -------
+    A name in `SENSORS`, or "" if none is named; and the number of bytes.
+    """
     names: list[str] = []
     with path.open("rb") as file:
         for _ in range(MAX_LINES):
             place = file.tell()
-            line = file.readline(MAX_LINE)
-            # events follow without a mark, and their first byte may be a #
-            is_comment = (
-                line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
-            )
-            if end is None and not is_comment:
+            line = file.readline(MAX_LINE_BYTES)
+            if end is None and not _is_comment(line):
                 return _camera(path, names), place
-            if found := re.match(camera_line, line):
+            found = re.match(camera_line, line)
+            if found is not None:
                 names.append(found[1].decode("ascii", "replace"))
             if end is not None and line.startswith(end):
                 return _camera(path, names), file.tell()
             if end is not None and not line.endswith(b"\n"):
                 break
-    raise ValueError(
-        f"{path}: the header must end within {MAX_LINES} "
-        f"lines{f' by {end.decode()}' if end else ''}"
-    )
+    how = f" by {end.decode()}" if end else ""
+    raise ValueError(f"{path}: the header must end within {MAX_LINES} lines{how}")
+
+
+def _is_comment(line: bytes) -> bool:
+    """Whether a line is a comment.
+
+    Events follow without a mark, and their first byte may be a #.
+    """
+    return line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
 
 
 def _camera(path: Path, names: list[str]) -> str:
-    """The first of the named cameras that is known; such a name is
-    `eu.seebetter.ini.chips.davis.DAVIS240C`, too."""
-    known = [
-        camera for name in names for camera in SENSORS if camera in name.rpartition(".")[2].upper()
-    ]
+    """The first of the named cameras that is known, "" if there are no names.
+
+    A name may be as long as `eu.seebetter.ini.chips.davis.DAVIS240C`.
+
+    Raises
+    ------
+    ValueError : none of the names is known.
+    """
+    known = []
+    for name in names:
+        last_part = name.rpartition(".")[2].upper()
+        known += [camera for camera in SENSORS if camera in last_part]
     if names and not known:
         raise ValueError(
             f"{path}: the camera must be one of {', '.join(SENSORS)}, got {', '.join(names)[:80]!r}"

@@ -22,8 +22,8 @@ from async_tnt.sources.files.prophesee import (
 from async_tnt.volume.sensor import Sensor
 
 LONGEST_STEP_US = DAT_PERIOD_US // 2 - 1
-"""Microseconds from an event to the next, forward or back: readers take more for a wrap of the
-clock."""
+"""The most microseconds from an event to the next, forward or back: readers take a longer step for
+a wrap of the clock."""
 
 
 @dataclass
@@ -34,16 +34,17 @@ class DatFile:
     first_us: int
     """The time of the stream at which the file's times begin."""
     events: int = 0
+    """Number of events in the file."""
     on: int = 0
-    """How many of the events are of polarity 1."""
+    """Number of these that have polarity 1."""
 
 
 class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
-    """Writes packets to DAT files, one after the other. At the end of a `with` block it completes
-    the last one.
+    """A stream that is written to DAT files, one after the other. The end of a `with` block
+    completes the last one.
 
-    DAT's times have 32 bits. An event begins a new file where its time could not be read back:
-    before the first time of the file, 71.6 minutes after it, or 35.8 minutes before or after the
+    DAT's times have 32 bits. An event begins a new file where its time could not be read back: a
+    time before the first of the file, or 71.6 minutes after it, or 35.8 minutes before or after the
     previous event.
 
     When `write` returns, the events are in the file, whatever ends the process. No file that holds
@@ -93,7 +94,8 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         """Complete the file in progress; the next event begins another. May be called again."""
         if self._file is None:
             return
-        file, self._file = self._file, None
+        file = self._file
+        self._file = None
         n_torn = (os.fstat(file.fileno()).st_size - len(self._header)) % DAT_EVENT_BYTES
         with contextlib.suppress(OSError), file:
             file.truncate(os.fstat(file.fileno()).st_size - n_torn)
@@ -109,7 +111,7 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         self.close()
 
     def _n_fitting(self, t_us: np.ndarray) -> int:
-        """How many of these times, from the first on, can stand in the file in progress."""
+        """The number of these times, from the first on, that the file in progress can hold."""
         if self._file is None:
             return 0
         since_first = t_us - self._about.first_us
@@ -120,7 +122,7 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         return int(is_odd.argmax()) if is_odd.any() else len(t_us)
 
     def _begin(self, t_us: np.ndarray) -> None:
-        """Begin a new file, in which the first of these times can stand."""
+        """Begin a new file, which can hold the first of these times."""
         self.close()
         self._file = self._create()
         # a packet may be out of order: the file's times begin with the earliest of those that
@@ -131,7 +133,7 @@ class DatWriter(contextlib.AbstractContextManager["DatWriter"]):
         self._write(self._header)
 
     def _append(self, events: np.ndarray) -> None:
-        """Write events that fit; count those that are whole in the file, also after an error."""
+        """Write events that fit. Counts those that are whole in the file, also after an error."""
         about = self._about
         try:
             self._write(dat_records(events, about.first_us))

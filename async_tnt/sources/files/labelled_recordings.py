@@ -1,10 +1,10 @@
-"""Which recordings a folder holds; with labels: in class folders, or sessions with tables of what
-they show.
+"""The recordings in a folder, and the labels of a data set.
 
-A session is a recording with a table beside it, `NAME_labels.csv`: a row for each part that shows
-one class, with the columns `class`, `start` and `end`, in microseconds, as DVS128 Gesture has them.
-Its file `gesture_mapping.csv` gives class numbers their names, `trials_to_train.txt` and
-`trials_to_test.txt` say which sessions are for what.
+A data set has its recordings in class folders, or it has sessions. A session is a recording with a
+table beside it, `NAME_labels.csv`: a row for each part that shows one class, with the columns
+`class`, `start` and `end`, in microseconds, as DVS128 Gesture has them. Beside the sessions,
+`gesture_mapping.csv` may give class numbers their names, and `trials_to_train.txt` and
+`trials_to_test.txt` may list the sessions to train on and to test on.
 """
 
 from __future__ import annotations
@@ -21,14 +21,26 @@ from async_tnt.base.files import open_regular, read_regular, refuse_git_lfs, use
 from async_tnt.sources.files.recording import READERS
 
 TABLE = "_labels.csv"
+"""End of the name of a session's table."""
+
 COLUMNS = {
     "class": ("class", "label"),
     "start": ("start", "start_us", "startTime_usec"),
     "end": ("end", "end_us", "endTime_usec"),
 }
+"""Column of a session's table -> the names that it may have."""
+
 NAMES_FILE = "gesture_mapping.csv"
+"""Name of the file that gives class numbers their names."""
+
+NAMES_COLUMNS = {"label": ("label", "class"), "name": ("action", "gesture", "name")}
+"""Column of that file -> the names that it may have."""
+
 LISTS = {"Train": "trials_to_train.txt", "Test": "trials_to_test.txt"}
-TEXTS = ".csv", ".txt"  # may be notes
+"""Part of a data set -> name of the file that lists its sessions."""
+
+TEXTS = (".csv", ".txt")
+"""Suffixes of recordings that may be notes as well."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +49,8 @@ class LabelledRecording:
 
     Parameters
     ----------
-    path : of its file.
-    between_us : the events with start <= t < end; None: all.
+    path : path of its file.
+    between_us : (start, end): the events with start <= t < end; None: all.
     """
 
     path: Path
@@ -46,25 +58,22 @@ class LabelledRecording:
 
     @property
     def name(self) -> str:
-        """For messages and reports: class folder and file, or the session's file and the part's
-        times."""
-        return (
-            f"{self.path.parent.name}/{self.path.name}"
-            if self.between_us is None
-            else self.name_as(self.path.name)
-        )
+        """The name for messages and reports: class folder and file, or the session's file and the
+        part's times."""
+        if self.between_us is None:
+            return f"{self.path.parent.name}/{self.path.name}"
+        return self.name_as(self.path.name)
 
     def name_as(self, file: str) -> str:
-        """The same under another name of its file, such as one relative to some folder."""
-        return (
-            file
-            if self.between_us is None
-            else f"{file}[{self.between_us[0]}:{self.between_us[1]}]"
-        )
+        """The name with another name of its file, such as a path relative to some folder."""
+        if self.between_us is None:
+            return file
+        start_us, end_us = self.between_us
+        return f"{file}[{start_us}:{end_us}]"
 
 
 def file_of(name: str) -> str:
-    """The file that a name belongs to: that of a session for each of its parts.
+    """The file that a name belongs to. The parts of a session belong to the session's file.
 
     Examples
     --------
@@ -82,11 +91,11 @@ def find_recordings(
     Parameters
     ----------
     folder : holds a folder for each class, with the name of the class, or sessions; `~` is the home
-        folder. Hidden files and folders (".cache"), files that are not recordings, and deeper ones
-        are ignored.
-    part : such as "Train": they are in `folder/part` if that exists and has any; of sessions, those
-        that the list for this part names or, without one, those that the other part's list does not
-        name.
+        folder. Hidden files and folders (".cache"), files that are not recordings, and deeper
+        folders are ignored.
+    part : such as "Train". The recordings are in `folder/part` if that exists and has any. Of
+        sessions, only those that the list for this part names are found; without this list, those
+        that the other part's list does not name.
 
     Returns
     -------
@@ -97,7 +106,7 @@ def find_recordings(
     ------
     FileNotFoundError, NotADirectoryError : no such folder.
     ValueError : neither class folders nor sessions in it, or both; a session without a table; a
-        table in a class folder, or one that cannot be read.
+        table in a class folder, or a table that cannot be read.
 
     Examples
     --------
@@ -107,8 +116,10 @@ def find_recordings(
     ...         Path(folder, name).parent.mkdir(exist_ok=True)
     ...         Path(folder, name).touch()
     ...     found = find_recordings(folder)
-    >>> {name: [recording.path.name for recording in recordings] for name, recordings in found.items()}
-    {'left': ['a.npy', 'b.npz'], 'right': ['a.npy']}
+    >>> list(found)
+    ['left', 'right']
+    >>> [recording.name for recording in found["left"]]
+    ['left/a.npy', 'left/b.npz']
     """
     folder = user_path(folder)
     if not folder.exists():
@@ -119,51 +130,61 @@ def find_recordings(
         raise NotADirectoryError(
             f"{folder} is a file; expected a folder with a folder of recordings for each class"
         )
-    if (
-        part is not None
-        and (folder / part).is_dir()
-        and (_folders(folder / part) or _sessions(folder / part))
-    ):
-        folder = folder / part
+    if part is not None:
+        folder = _inner(folder, part)
     classes = _folders(folder)
     not_parts = [path for path in classes if path.name not in LISTS]
-    for c in not_parts:
-        if c.name.encode(errors="replace").decode() != c.name:
-            raise ValueError(
-                f"{folder}: the name of a class folder must be in UTF-8, got {c.name!a}; rename it"
-            )
-        if misplaced := list(_sessions(c)):
-            raise ValueError(
-                f"{c}: {misplaced[0].name} has a table of labels, but lies in a class folder; put "
-                f"both into {folder}"
-            )
-    if sessions := _sessions(folder):
+    for path in not_parts:
+        _check_class_folder(path)
+    sessions = _sessions(folder)
+    if sessions:
         _check_all_labelled(folder, sessions, not_parts)
         return _parts(folder, sessions, part)
     if not classes:
         raise ValueError(
             f"{folder}: no class folders; expected {folder.name}/<class name>/<recording>, or "
-            "sessions "
-            f"{folder.name}/NAME.* with tables NAME{TABLE}; recordings in "
+            f"sessions {folder.name}/NAME.* with tables NAME{TABLE}; recordings in "
             f"{', '.join(sorted(READERS))}"
         )
-    return {
-        c.name: [
-            LabelledRecording(p) for p in sorted(c.iterdir()) if is_recording(p) and not p.is_dir()
-        ]
-        for c in classes
-    }
+    return {path.name: _recordings_in(path) for path in classes}
+
+
+def _inner(folder: Path, part: str) -> Path:
+    """The folder of a part of a data set: `folder/part` if it holds any data, else `folder`."""
+    inner = folder / part
+    if inner.is_dir() and (_folders(inner) or _sessions(inner)):
+        return inner
+    return folder
+
+
+def _check_class_folder(folder: Path) -> None:
+    """Refuse a class folder with a name that is not in UTF-8, or with a session in it."""
+    name = folder.name
+    if name.encode(errors="replace").decode() != name:
+        raise ValueError(
+            f"{folder.parent}: the name of a class folder must be in UTF-8, got {name!a}; rename it"
+        )
+    misplaced = list(_sessions(folder))
+    if misplaced:
+        raise ValueError(
+            f"{folder}: {misplaced[0].name} has a table of labels, but lies in a class folder; put "
+            f"both into {folder.parent}"
+        )
+
+
+def _recordings_in(folder: Path) -> list[LabelledRecording]:
+    """The recordings in a class folder, sorted by name."""
+    paths = [path for path in sorted(folder.iterdir()) if is_recording(path)]
+    return [LabelledRecording(path) for path in paths if not path.is_dir()]
 
 
 def class_folders(folder: Path) -> list[Path]:
     """The class folders in `Train` or, without it, in the data set itself."""
-    inner = folder / "Train"
-    of = inner if inner.is_dir() and (_folders(inner) or _sessions(inner)) else folder
-    return _folders(of)
+    return _folders(_inner(folder, "Train"))
 
 
 def has_test(folder: Path) -> bool:
-    """Whether some of a data set's recordings are set aside for "Test", as a folder or by lists."""
+    """Whether a data set sets some recordings aside for "Test", in a folder or by lists."""
     return (folder / "Test").is_dir() or any((folder / file).is_file() for file in LISTS.values())
 
 
@@ -184,7 +205,8 @@ def recordings_under(folder: Path) -> list[Path]:
 
     Raises
     ------
-    ValueError : there are none. OSError : a folder cannot be read.
+    ValueError : there are none.
+    OSError : a folder cannot be read.
     """
     found = []
     for inside, names, files in os.walk(folder, onerror=_raise):
@@ -199,17 +221,18 @@ def recordings_under(folder: Path) -> list[Path]:
 
 
 def _raise(error: OSError) -> None:
-    raise error  # os.walk alone would silently skip what it may not read
+    """Raise an error that os.walk alone would silently skip."""
+    raise error
 
 
 def _folders(folder: Path) -> list[Path]:
-    return sorted(
-        path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")
-    )
+    """The folders in a folder that are not hidden, sorted by name."""
+    visible = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    return sorted(path for path in visible if path.is_dir())
 
 
 def _sessions(folder: Path) -> dict[Path, Path]:
-    """Recording -> its table."""
+    """Recording -> its table, for each session in a folder."""
     tables = {
         path.name.removesuffix(TABLE): path for path in folder.glob(f"*{TABLE}") if path.is_file()
     }
@@ -230,8 +253,10 @@ def _sessions(folder: Path) -> dict[Path, Path]:
 
 
 def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: list[Path]) -> None:
-    """There are no recordings or tables beside the sessions. Those that no list names may be there,
-    and texts of any kind."""
+    """Refuse recordings or tables beside the sessions, and recordings in class folders.
+
+    Texts of any kind may be there. With a list of sessions, so may recordings without a table.
+    """
     if not any((folder / file).is_file() for file in LISTS.values()):
         for path in _unlabelled(folder):
             if path not in sessions:
@@ -244,21 +269,19 @@ def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: li
                 f"{table} has no recording {table.name.removesuffix(TABLE)}.*, as others have; "
                 "remove it"
             )
-    if of_classes := [path for c in classes for path in _unlabelled(c)]:
+    in_classes = [path for folder_of_class in classes for path in _unlabelled(folder_of_class)]
+    if in_classes:
+        session = next(iter(sessions))
         raise ValueError(
             f"{folder}: expected class folders, or sessions with tables, got both: "
-            f"{of_classes[0].relative_to(folder)} "
-            f"and {next(iter(sessions)).name}"
+            f"{in_classes[0].relative_to(folder)} and {session.name}"
         )
 
 
 def _unlabelled(folder: Path) -> list[Path]:
-    """Files that can only be recordings."""
-    return sorted(
-        p
-        for p in folder.iterdir()
-        if is_recording(p) and p.is_file() and p.suffix.lower() not in TEXTS
-    )
+    """The files in a folder that can only be recordings, sorted by name."""
+    recordings = [path for path in folder.iterdir() if is_recording(path) and path.is_file()]
+    return sorted(path for path in recordings if path.suffix.lower() not in TEXTS)
 
 
 def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
@@ -266,63 +289,81 @@ def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
     if not file.is_file():
         return None
     try:
-        wanted = {
-            name
-            for line in read_regular(file).decode("utf-8-sig").splitlines()
-            if (name := line.strip())
-        }
+        lines = read_regular(file).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: not a text in UTF-8: {error}") from None
-    if missing := sorted(wanted - {path.name for path in sessions}):
+    wanted = {line.strip() for line in lines} - {""}
+    missing = sorted(wanted - {path.name for path in sessions})
+    if missing:
         raise ValueError(f"{file} names {missing[0]}, which is not there, or has no table")
     return {path for path in sessions if path.name in wanted}
+
+
+def _sessions_for(
+    folder: Path, sessions: Mapping[Path, Path], part: str | None
+) -> Mapping[Path, Path]:
+    """The sessions that belong to a part of the data set."""
+    if part not in LISTS:
+        return sessions
+    listed = {name: _listed(folder / file, sessions) for name, file in LISTS.items()}
+    wanted = listed.pop(part)
+    if wanted is None:
+        wanted = set(sessions)
+        for others in listed.values():
+            wanted -= others or set()
+    return {path: table for path, table in sessions.items() if path in wanted}
 
 
 def _parts(
     folder: Path, sessions: Mapping[Path, Path], part: str | None
 ) -> dict[str, list[LabelledRecording]]:
-    """The parts of the sessions, by class."""
-    if part in LISTS:
-        listed = {name: _listed(folder / file, sessions) for name, file in LISTS.items()}
-        wanted = listed.pop(part)
-        if wanted is None:
-            wanted = set(sessions).difference(
-                *(others for others in listed.values() if others is not None)
-            )
-        sessions = {path: table for path, table in sessions.items() if path in wanted}
+    """Class name -> the parts of sessions that show the class."""
+    sessions = _sessions_for(folder, sessions, part)
     names = {}
     if (folder / NAMES_FILE).is_file():
-        columns = {"label": ("label", "class"), "name": ("action", "gesture", "name")}
-        names = {row["label"]: row["name"] for _, row in _rows(folder / NAMES_FILE, columns)}
+        rows = _rows(folder / NAMES_FILE, NAMES_COLUMNS)
+        names = {row["label"]: row["name"] for _, row in rows}
+
     found: dict[str, list[LabelledRecording]] = {}
     seen = set()
     for path, table in sessions.items():
         for number, row in _rows(table, COLUMNS):
-            try:
-                between = int(row["start"]), int(row["end"])
-            except ValueError:
-                between = 0, 0
-            if not 0 <= between[0] < between[1] or not row["class"]:
-                got = one_line(", ".join(row.values()))
-                raise ValueError(
-                    f"{table}: line {number}: expected a class, and whole start < end in us, got "
-                    f"{got}"
-                )
-            if names and row["class"] not in names:
-                raise ValueError(
-                    f"{table}: line {number}: {NAMES_FILE} does not name class {row['class']}"
-                )
-            if (path, between) in seen:
-                raise ValueError(
-                    f"{table}: line {number}: {between[0]} to {between[1]} us is there twice"
-                )
-            seen.add((path, between))
-            found.setdefault(names.get(row["class"], row["class"]), []).append(
-                LabelledRecording(path, between)
-            )
-    return dict(
-        sorted(found.items(), key=lambda item: item[0].zfill(9) if item[0].isdigit() else item[0])
-    )
+            where = f"{table}: line {number}"
+            label = row["class"]
+            between_us = _times_in(where, row)
+            if names and label not in names:
+                raise ValueError(f"{where}: {NAMES_FILE} does not name class {label}")
+            recording = LabelledRecording(path, between_us)
+            if recording in seen:
+                start_us, end_us = between_us
+                raise ValueError(f"{where}: {start_us} to {end_us} us is there twice")
+            seen.add(recording)
+            found.setdefault(names.get(label, label), []).append(recording)
+    return dict(sorted(found.items(), key=lambda item: _in_order(item[0])))
+
+
+def _times_in(where: str, row: Mapping[str, str]) -> tuple[int, int]:
+    """(start, end), in microseconds, in a row of a session's table.
+
+    Raises
+    ------
+    ValueError : these are no times, or the row has no class.
+    """
+    try:
+        start_us = int(row["start"])
+        end_us = int(row["end"])
+    except ValueError:
+        start_us = 0
+        end_us = 0
+    if not 0 <= start_us < end_us or not row["class"]:
+        got = one_line(", ".join(row.values()))
+        raise ValueError(f"{where}: expected a class, and whole start < end in us, got {got}")
+    return start_us, end_us
+
+
+def _in_order(label: str) -> str:
+    """The text by which classes are sorted: numbers by their value."""
+    return label.zfill(9) if label.isdigit() else label
 
 
 def check_once(path: Path, wanted: Iterable[str | None], names: Sequence[str]) -> None:
@@ -339,28 +380,37 @@ def check_once(path: Path, wanted: Iterable[str | None], names: Sequence[str]) -
 
 
 def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int, dict[str, str]]]:
-    """The rows of a CSV file, with their lines and these columns, each of which may have one of
-    several names."""
+    """The rows of a CSV file: the line number of each, and its words by column.
+
+    Parameters
+    ----------
+    columns : wanted column -> the names that it may have in the file.
+
+    Raises
+    ------
+    ValueError : not a CSV file, or a column is missing or there twice.
+    """
     refuse_git_lfs(path)
     try:
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file, skipinitialspace=True)
-            names_there = [name.strip() for name in rows.fieldnames or () if name]
-            given = {name.strip(): name for name in rows.fieldnames or () if name}
-            found = {
-                column: next((n for n in names if n in given), None)
-                for column, names in columns.items()
-            }
-            lacking = [
-                " or ".join(columns[column]) for column, name in found.items() if name is None
-            ]
-            if lacking:
-                raise ValueError(
-                    f"{path}: expected a column {lacking[0]}, got {', '.join(given) or 'none'}"
-                )
-            check_once(path, found.values(), names_there)
+            fields = [name for name in rows.fieldnames or () if name]
+            given = {name.strip(): name for name in fields}
+            found = {}
+            for column, names in columns.items():
+                there = [name for name in names if name in given]
+                if not there:
+                    raise ValueError(
+                        f"{path}: expected a column {' or '.join(names)}, got "
+                        f"{', '.join(given) or 'none'}"
+                    )
+                found[column] = there[0]
+            check_once(path, found.values(), [name.strip() for name in fields])
             return [
-                (rows.line_num, {c: (row[given[n or ""]] or "").strip() for c, n in found.items()})
+                (
+                    rows.line_num,
+                    {column: (row[given[name]] or "").strip() for column, name in found.items()},
+                )
                 for row in rows
             ]
     except (csv.Error, UnicodeDecodeError) as error:

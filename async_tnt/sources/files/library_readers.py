@@ -1,10 +1,9 @@
-"""AEDAT4 and ES files, read by faery, and HDF5 files, read by h5py, all in a worker process
-(`worker_source.py`).
+"""Readers of AEDAT4 and ES files, by faery, and of HDF5 files, by h5py.
 
-This module is what the worker imports: nothing that takes time. (`ros_reader.py` is another.) A
-reader is a function of a path. It yields the sensor, (width, height) or None, then blocks of
-events, each as a list of four columns of integers: t, x, y, p. It raises an exception where the
-file cannot be read on.
+They run in a worker process (`worker_source.py`). The worker imports this module, which must import
+nothing that takes time. (`ros_reader.py` is another such module.) A reader is a function of a path.
+It yields the sensor, (width, height) or None, then blocks of events, each as a list of four columns
+of integers: t, x, y, p. It raises an exception where the file cannot be read on.
 
 HDF5 files of three layouts are read:
 
@@ -13,9 +12,9 @@ DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add t
 RVT, eTraM   the same without t_offset; events/width, height: the sensor.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
 
-HDF5 does not include the filters that compress two of these: DSEC's by Blosc (`pip install
-hdf5plugin`), Metavision's by ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to
-name).
+HDF5 does not include the filters that compress two of these. DSEC's files are compressed by Blosc
+(`pip install hdf5plugin`), Metavision's by ECF (the plugin of Prophesee's hdf5_ecf, which
+HDF5_PLUGIN_PATH has to name).
 
 References
 ----------
@@ -35,27 +34,44 @@ from typing import Any
 
 import numpy as np
 
-# of addresses; a block takes megabytes, but a damaged file may ask for anything
 MAX_BYTES = 4 << 30
+"""Bytes of addresses that the worker may use. A block takes megabytes, but a damaged file may ask
+for anything."""
+
 BLOCK_EVENTS = 1 << 16
-# of each data set: a chunk that does not fit is decompressed again for every block
+"""Number of events that are read together."""
+
 CACHE_BYTES = 1 << 26
+"""Bytes of HDF5's cache for each data set: a chunk that does not fit is decompressed again for
+every block."""
+
 COLUMNS = ("t", "x", "y", "p")
-ES_SENSOR_AT = 16  # the byte of a file's header where width and height begin, 16 bits each
+"""Names of the columns of a block, in their order."""
+
+ES_SENSOR_AT = 16
+"""Byte of an ES file at which width and height begin, 16 bits each."""
+
 MAX_SIDE = 1 << 16
 """Pixels of the longest side that a file may state."""
+
 ECF = 0x8ECF
+"""HDF5's number of the filter that compresses Metavision's files."""
+
 ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
 PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
 
 Reader = Callable[[str], Iterator[Any]]
+"""Function of a path that yields a file's sensor, then blocks of its events."""
 
-_blocks: Iterator[Any] = iter(())  # of the file that this process reads
+_blocks: Iterator[Any] = iter(())
+"""Blocks of the file that this process reads."""
 
 
 def start(read: Reader, path: str) -> Any:
-    """Start to read a file, and return what comes first, its sensor; `next_block` then returns its
-    events."""
+    """Start to read a file, and return what comes first, its sensor.
+
+    `next_block` then returns its events.
+    """
     global _blocks
     _limit_memory()
     _blocks = read(path)
@@ -65,7 +81,7 @@ def start(read: Reader, path: str) -> Any:
 def head_of(read: Reader, path: str) -> tuple[Any, Any]:
     """What comes first, a file's sensor, and the first block, None if there is none.
 
-    The file is closed then: HDF5 lets nobody write one that is open.
+    Then the file is closed: HDF5 lets nobody write a file that is open.
     """
     global _blocks
     head = start(read, path)
@@ -80,6 +96,7 @@ def next_block() -> Any:
 
 
 def _limit_memory() -> None:
+    """Let allocations beyond `MAX_BYTES` fail in this process."""
     with suppress(ImportError, OSError, ValueError):  # no POSIX, or a lower limit already
         import resource
 
@@ -90,15 +107,16 @@ def _limit_memory() -> None:
 
 
 def read_aedat4(path: str) -> Iterator[Any]:
-    """AEDAT4 files (`.aedat4`) of DV: their first stream of events."""
+    """The first stream of events in an AEDAT4 file (`.aedat4`) of DV."""
     from faery.extension import aedat
 
     decoder = aedat.Decoder(path)
     tracks = decoder.tracks()
-    track = next((track for track in tracks if track.data_type == "events"), None)
-    if track is None:
+    with_events = [track for track in tracks if track.data_type == "events"]
+    if not with_events:
         kinds = ", ".join(track.data_type for track in tracks) or "none"
         raise ValueError(f"it must have a stream of events; its streams are: {kinds}")
+    track = with_events[0]
     yield None if track.dimensions is None else tuple(map(int, track.dimensions))
     for found, packet in decoder:
         if found.id == track.id and found.data_type == "events" and len(packet):
@@ -106,8 +124,8 @@ def read_aedat4(path: str) -> Iterator[Any]:
 
 
 def read_es(path: str) -> Iterator[Any]:
-    """Event Stream files (`.es`): DVS events, or ATIS events; of the latter, those of changing
-    light.
+    """The events of an Event Stream file (`.es`): DVS events, or those ATIS events that report a
+    change of light.
 
     faery drops the packet in which it finds damage, and says nothing of a file that ends within an
     event.
@@ -185,19 +203,39 @@ def read_hdf5(path: str) -> Iterator[Any]:
 
 
 def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
-    """The data sets, of columns t, x, y, p or of records, and what to add to t."""
-    what, offset = "events/t, x, y, p", None
+    """The data sets of events, one of records or four of columns t, x, y, p, and what to add to t,
+    in microseconds.
+
+    Raises
+    ------
+    ValueError : there are none, or they are not what they should be.
+    """
+    what = "events/t, x, y, p"
     sets = [_find(h5py, file, f"events/{name}") for name in COLUMNS]
+    offset = None
     if None not in sets:
         offset = _find(h5py, file, "t_offset")
     else:
-        what, sets = "CD/events", [_find(h5py, file, "CD/events")]
+        what = "CD/events"
+        sets = [_find(h5py, file, "CD/events")]
     if None in sets:
         raise ValueError(
             f"expected events/t, x, y, p (DSEC, RVT) or CD/events (Metavision), got "
             f"{sorted(file)[:8]}"
         )
-    for data in [*sets, *([] if offset is None else [offset])]:
+
+    _check_stored(h5py, what, sets if offset is None else [*sets, offset])
+    offset_us = 0 if offset is None else _offset_us(offset)
+    _check_types(what, sets)
+    for data in sets:
+        _check_filters(h5py, data)
+        _check_complete(data)
+    return sets, offset_us
+
+
+def _check_stored(h5py: Any, what: str, sets: list[Any]) -> None:
+    """Refuse what is no data set, or has its values in other files."""
+    for data in sets:
         if not isinstance(data, h5py.Dataset):
             raise ValueError(
                 f"{what} and `t_offset` must be data sets, but {data.name} is a "
@@ -208,7 +246,10 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
                 f"{data.name} must be stored in the file itself, but its values are kept in other "
                 "files"
             )
-    offset_us = 0 if offset is None else _offset_us(offset)
+
+
+def _check_types(what: str, sets: list[Any]) -> None:
+    """Refuse data sets that are not of equal lengths, or not of whole numbers."""
     shapes = {data.shape for data in sets}
     if len(shapes) != 1 or any(len(shape) != 1 for shape in shapes):
         raise ValueError(f"{what} must have one dimension and equal lengths, got {sorted(shapes)}")
@@ -217,18 +258,14 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
         if not set(COLUMNS) <= set(types[0].names or ()):
             raise ValueError(f"CD/events must be records of t, x, y, p, got {types[0]}")
         types = [types[0][name] for name in COLUMNS]
-    if not all(
-        dtype.kind in ("iub" if name == "p" else "iu")
-        for name, dtype in zip(COLUMNS, types, strict=True)
-    ):
-        raise ValueError(f"{what} must be whole numbers, got {', '.join(map(str, types))}")
-    for data in sets:
-        _check_filters(h5py, data)
-        _check_complete(data)
-    return sets, offset_us
+    for name, dtype in zip(COLUMNS, types, strict=True):
+        allowed = "iub" if name == "p" else "iu"
+        if dtype.kind not in allowed:
+            raise ValueError(f"{what} must be whole numbers, got {', '.join(map(str, types))}")
 
 
 def _offset_us(offset: Any) -> int:
+    """The number in the data set `t_offset`, in microseconds."""
     if offset.size != 1:
         raise ValueError(f"`t_offset` must be one number, got shape {offset.shape}")
     offset_us = int(offset[()].item())
@@ -251,6 +288,7 @@ def _find(h5py: Any, file: Any, path: str) -> Any:
 
 
 def _check_filters(h5py: Any, data: Any) -> None:
+    """Refuse a data set that is compressed by a filter that is missing here."""
     plist = data.id.get_create_plist()
     for i in range(plist.get_nfilters()):
         code, _, _, name = plist.get_filter(i)
@@ -259,22 +297,26 @@ def _check_filters(h5py: Any, data: Any) -> None:
         with suppress(ImportError):
             import_module("hdf5plugin")  # registers its filters
         if not h5py.h5z.filter_avail(code):
-            name = name.decode("ascii", "backslashreplace").split(";")[0] or "a filter"
-            hint = (
-                ECF_HINT
-                if code == ECF
-                else f"{name} (filter {code}), which is missing: {PLUGIN_HINT}"
-            )
+            hint = ECF_HINT
+            if code != ECF:
+                name = name.decode("ascii", "backslashreplace").split(";")[0] or "a filter"
+                hint = f"{name} (filter {code}), which is missing: {PLUGIN_HINT}"
             raise ValueError(f"its events are compressed by {hint}")
 
 
 def _check_complete(data: Any) -> None:
-    """Refuse a data set that was not all written: HDF5 would read zeros there, as many as the
-    header claims."""
+    """Refuse a data set of which a part was never written.
+
+    HDF5 would read zeros there, as many as the header claims.
+    """
     if data.chunks is None:
-        needed, have, what = data.size * data.dtype.itemsize, data.id.get_storage_size(), "bytes"
+        what = "bytes"
+        needed = data.size * data.dtype.itemsize
+        have = data.id.get_storage_size()
     else:
-        needed, have, what = -(-data.size // data.chunks[0]), data.id.get_num_chunks(), "chunks"
+        what = "chunks"
+        needed = -(-data.size // data.chunks[0])
+        have = data.id.get_num_chunks()
     if have < needed:
         raise ValueError(
             f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} "
@@ -283,14 +325,14 @@ def _check_complete(data: Any) -> None:
 
 
 def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
-    """The numbers events/width and events/height; None if the file does not have both."""
+    """(width, height) from the numbers events/width and events/height; None without both."""
     sides = [_find(h5py, file, f"events/{name}") for name in ("width", "height")]
     if None in sides:
         return None
     for side in sides:
         if not isinstance(side, h5py.Dataset) or side.size != 1 or side.dtype.kind not in "iu":
             raise ValueError(f"{side.name} must be one whole number, got {side}")
-    width, height = (int(side[()].item()) for side in sides)
+    width, height = [int(side[()].item()) for side in sides]
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise ValueError(
             f"events/width and height must be in [1, {MAX_SIDE}], got {width} and {height}"
@@ -299,12 +341,11 @@ def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
 
 
 def _geometry(file: Any) -> tuple[int, int] | None:
+    """(width, height) from the attribute `geometry`; None without it."""
     geometry = file.attrs.get("geometry")
     if isinstance(geometry, bytes):
         geometry = geometry.decode("ascii", "replace")
-    match = (
-        re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", geometry)
-        if isinstance(geometry, str)
-        else None
-    )
+    if not isinstance(geometry, str):
+        return None
+    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", geometry)
     return (int(match[1]), int(match[2])) if match else None

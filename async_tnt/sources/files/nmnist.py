@@ -31,8 +31,13 @@ SENSOR = (34, 34)
 """Width and height of N-MNIST's sensor crop, in pixels."""
 
 BYTES_PER_EVENT = 5
+"""Bytes of an event, or of a row that marks an overflow."""
+
 OVERFLOW_Y = 240
+"""The y of a row that marks an overflow of the camera's timer."""
+
 OVERFLOW_US = 1 << 13
+"""Microseconds that the timer has lost at each overflow."""
 
 
 def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
@@ -67,24 +72,25 @@ def read_nmnist(path: str | os.PathLike[str]) -> np.ndarray:
     t_us += OVERFLOW_US * np.cumsum(is_overflow)
 
     event_rows = np.flatnonzero(~is_overflow)
-    columns = t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7
+    columns = (t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7)
     events = structured([column[event_rows] for column in columns], len(event_rows))
+
+    problem = ""
     backwards = np.flatnonzero(np.diff(events["t"]) < 0)
-    if not len(backwards) and not n_left:
-        return events
     if len(backwards):
         bad = int(backwards[0]) + 1
         problem = (
             f"event {bad}: `t` must never decrease, got {events['t'][bad]} us after "
-            f"{events['t'][bad - 1]} us "
-            f"(byte {event_rows[bad] * BYTES_PER_EVENT})"
+            f"{events['t'][bad - 1]} us (byte {event_rows[bad] * BYTES_PER_EVENT})"
         )
-    else:
+    elif n_left:
         problem = (
             f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got "
-            f"{len(raw)}: "
-            f"the file ends {n_left} bytes into row {n_rows}"
+            f"{len(raw)}: the file ends {n_left} bytes into row {n_rows}"
         )
-    raise ValueError(
-        f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. Fetch the file again."
-    )
+    if problem:
+        raise ValueError(
+            f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. Fetch the file "
+            "again."
+        )
+    return events

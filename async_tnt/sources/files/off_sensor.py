@@ -4,8 +4,8 @@ another sensor.
 A flipped bit on a cable, or a lost word of a stream, gives an event a pixel that the sensor does
 not have. Such an event says nothing, but those around it are good. Many of them mean something
 else: the recording is of another sensor than the one that is stated or given. They are many if
-there are more than FEW of them and more than SHARE of all events, or more than half of all. Where
-no sensor is known, only what no sensor can have is left out: pixels below 0 or beyond 65535.
+there are more than `FEW` of them and more than `SHARE` of all events, or more than half of all.
+Where no sensor is known, only pixels that no sensor can have are left out: below 0 or beyond 65535.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ from async_tnt.volume.events import ANY_SENSOR, EVENT_DTYPE
 from async_tnt.volume.sensor import Sensor
 
 FEW = 100
+"""The most events off the sensor that never mean another sensor, unless they are half of all."""
+
 SHARE = 0.01
+"""The largest share of events off the sensor that does not mean another sensor."""
 
 WIDE_DTYPE = np.dtype([("t", "<i8"), ("x", "<i8"), ("y", "<i8"), ("p", "u1")])
 """`EVENT_DTYPE` for events whose pixels do not fit its 16 bits: these are off every sensor."""
@@ -46,8 +49,12 @@ class SensorCheck:
         self._first_off = ""
 
     def off(self, events: np.ndarray) -> np.ndarray:
-        """Count these next events, of `EVENT_DTYPE` or `WIDE_DTYPE`. Returns which of them lie off
-        the sensor: bool."""
+        """Count the next events, and return which of them lie off the sensor: bool, shape (n,).
+
+        Parameters
+        ----------
+        events : shape (n,), of `EVENT_DTYPE` or `WIDE_DTYPE`.
+        """
         width, height = self._sensor or ANY_SENSOR
         x = events["x"]
         y = events["y"]
@@ -85,8 +92,8 @@ class SensorCheck:
 def likely_side(counts: np.ndarray) -> int:
     """The side of a sensor, in pixels, from the number of events at each of its columns (or rows).
 
-    It is the largest column that has an event, plus 1, but for strays: columns that lie beyond
-    twice all others, and have no more than SHARE of all events.
+    It is the largest column that has an event, plus 1. Strays do not count: columns beyond twice
+    all others that have no more than `SHARE` of all events.
 
     Examples
     --------

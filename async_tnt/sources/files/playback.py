@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.base.checks import ParameterValueError
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.volume.events import ANY_SENSOR, as_events
 
-LONGEST_S = 1e6  # of one sleep: the system refuses some centuries
+LONGEST_S = 1e6
+"""Seconds of the longest sleep: the system refuses some centuries."""
 
 
 def replay(
@@ -36,7 +38,7 @@ def replay(
 
     Raises
     ------
-    ValueError : `speed` is not above 0, or `packet_us` below 1.
+    ParameterValueError : `speed` is not above 0, or `packet_us` below 1.
 
     Examples
     --------
@@ -48,19 +50,22 @@ def replay(
     True
     """
     if not speed > 0:  # nan, too
-        raise ValueError(f"`speed` must be above 0 (math.inf: as fast as possible), got {speed}")
+        rule = "must be above 0 (math.inf: as fast as possible)"
+        raise ParameterValueError("speed", rule, speed)
     if packet_us < 1:
-        raise ValueError(f"`packet_us` must be at least 1, got {packet_us}")
+        raise ParameterValueError("packet_us", "must be at least 1", packet_us)
     if isinstance(source, (str, os.PathLike)):
         source = open_recording(source)
     return _replay([source] if isinstance(source, np.ndarray) else source, speed, int(packet_us))
 
 
 def _replay(source: Iterable[Any], speed: float, packet_us: int) -> Iterator[np.ndarray]:
-    started_ns = first_us = newest_us = None
+    """The packets of `replay`, whose arguments have been checked."""
+    started_ns: int | None = None
+    first_us: int | None = None
+    newest_us: int | None = None
     for given in source:
-        fields = isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.names
-        packet = given if fields and {*"txyp"} <= {*fields} else as_events(given, ANY_SENSOR)
+        packet = given if _has_fields(given) else as_events(given, ANY_SENSOR)
         if len(packet) == 0:
             continue
         # an event out of order is due together with the newest before it
@@ -72,15 +77,28 @@ def _replay(source: Iterable[Any], speed: float, packet_us: int) -> Iterator[np.
             first_us = int(due_us[0])
         cell = (due_us - first_us) // packet_us
         cuts = np.flatnonzero(cell[1:] != cell[:-1]) + 1
-        for first, end in zip([0, *cuts.tolist()], [*cuts.tolist(), len(packet)], strict=True):
+        starts = [0, *cuts.tolist()]
+        ends = [*cuts.tolist(), len(packet)]
+        for start, end in zip(starts, ends, strict=True):
             if started_ns is None:  # the clock starts when the first packet is asked for
                 started_ns = time.monotonic_ns()
             wait_until(started_ns + (int(due_us[end - 1]) - first_us) * 1000 / speed)
-            yield packet[first:end]
+            yield packet[start:end]
+
+
+def _has_fields(packet: Any) -> bool:
+    """Whether a packet is a structured array with fields t, x, y and p."""
+    if not isinstance(packet, np.ndarray) or packet.ndim != 1:
+        return False
+    return {"t", "x", "y", "p"} <= set(packet.dtype.names or ())
 
 
 def wait_until(deadline_ns: float) -> None:
-    """Sleep until `time.monotonic_ns()` reaches this; no core is kept busy, at the price of waking
-    0.1 ms late."""
-    while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
+    """Sleep until `time.monotonic_ns()` reaches the deadline.
+
+    No core is kept busy, at the price of waking 0.1 ms late.
+    """
+    left_ns = deadline_ns - time.monotonic_ns()
+    while left_ns > 0:
         time.sleep(min(left_ns / 1e9, LONGEST_S))
+        left_ns = deadline_ns - time.monotonic_ns()

@@ -1,13 +1,12 @@
-"""Prophesee's files: RAW (`.raw`) in EVT2, EVT2.1 and EVT3, and DAT (`.dat`), with the header they
-share.
+"""Prophesee's files: RAW (`.raw`) in EVT2, EVT2.1 and EVT3, and DAT (`.dat`).
 
-The header is lines that begin with `% `. After it, a RAW file has words, which `kernels.evt`
-decodes; a DAT file has
+Both begin with a header, lines that begin with `% `. After it, a RAW file has words, which
+`kernels/sources/evt.py` decodes. A DAT file has, after the header, two bytes: the type of its
+events (0x00 and 0x0C: pixels) and the size of one, 8. Then its events follow, little-endian:
 
-    two bytes              type of events (0x00 and 0x0C: pixels), size of one: 8
-    then, little-endian    t: 32 bits of microseconds
-                           version 2: x: 14 bits, y: 14, p: 4;  version 1: x: 9, y: 8, p: 1, unused:
-                                                                14
+    32 bits    t, in microseconds
+    32 bits    version 2: x: 14 bits, y: 14, p: 4
+               version 1: x: 9 bits, y: 8, p: 1, unused: 14
 
 DAT's clock of 32 bits wraps after 71.6 minutes; times are unwrapped.
 """
@@ -16,8 +15,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -41,58 +40,77 @@ from async_tnt.volume.events import empty_columns, structured
 from async_tnt.volume.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
+"""Bytes at the beginning of a file in which its header is looked for."""
+
+MAX_SIDE = 1 << 16
+"""Pixels of the longest side that a header may state."""
+
 CHUNK_BYTES = 1 << 18
-# kernel, type of its words, bytes that belong together
-EVT_VERSIONS: dict[str, tuple[Any, np.dtype, int]] = {
-    "2": (decode_evt2, np.dtype("<u4"), 4),
-    "2.1": (decode_evt21, np.dtype("<u4"), 8),
-    "3": (decode_evt3, np.dtype("<u2"), 2),
+"""Bytes of a RAW file that are read together."""
+
+
+@dataclass(frozen=True)
+class EvtVersion:
+    """A version of the EVT format.
+
+    Parameters
+    ----------
+    decode : the kernel that decodes its words.
+    word : type of a word, as the kernel takes it.
+    n_bytes : bytes that belong together.
+    """
+
+    decode: Callable[..., tuple[int, int]]
+    word: np.dtype
+    n_bytes: int
+
+
+EVT_VERSIONS = {
+    "2": EvtVersion(decode_evt2, np.dtype("<u4"), 4),
+    "2.1": EvtVersion(decode_evt21, np.dtype("<u4"), 8),
+    "3": EvtVersion(decode_evt3, np.dtype("<u2"), 2),
 }
+"""Version as `% evt` states it, without ".0" -> how it is read."""
+
 EVT_NAMES = {"evt2": "2", "evt21": "2.1", "evt3": "3"}
+"""Name in a line `% format` -> version."""
+
 DAT_EVENT_BYTES = 8
+"""Bytes of an event in a DAT file."""
+
 DAT_PERIOD_US = 1 << 32
+"""Microseconds after which a DAT file's clock wraps."""
+
 DAT_SIDE = 1 << 14
-"""Pixels of the longest side that version 2 can say."""
+"""Pixels of the longest side that version 2 of DAT can say."""
+
 DAT_PIXEL_EVENTS = (0x00, 0x0C)
-# x, y, p: first bit, bits
+"""Types of events in a DAT file that are of pixels."""
+
 DAT_FIELDS = {"2": ((0, 14), (14, 14), (28, 4)), "1": ((0, 9), (9, 8), (17, 1))}
+"""Version of DAT -> first bit and number of bits of x, of y and of p in an event's second word."""
+
 _SIDE = re.compile(r"\d{1,5}")
 
 
 class Header:
-    """
+    """The header of a RAW or DAT file.
+
     Attributes
     ----------
     fields : keyword in lower case -> the rest of its line.
-    options : those of `% format EVT3;height=720;width=1280`, in lower case.
+    format : the format that a line such as `% format EVT3;height=720;width=1280` names, in lower
+        case; "" without one.
+    options : name -> value of the options in that line, in lower case.
     length : bytes of the header.
     sensor : (width, height), from geometry, format or Width and Height; None without them.
     """
 
     def __init__(self, path: Path) -> None:
-        with path.open("rb") as file:
-            data = file.read(MAX_HEADER_BYTES)
         self.path = path
         self.fields: dict[str, str] = {}
         self.length = 0
-        # an event's first byte can be a %, but hardly a line of text follows
-        while data.startswith(b"% ", self.length):
-            end = data.find(b"\n", self.length)
-            line = data[self.length : end if end >= 0 else len(data)].rstrip(b"\r")
-            if not is_text(line):
-                break
-            if end < 0:
-                if len(data) < MAX_HEADER_BYTES:
-                    raise ValueError(
-                        f"{path}: the file ends inside its header, in "
-                        f"{line.decode(errors='replace')[:80]!r}"
-                    )
-                break
-            self.length = end + 1
-            keyword, _, rest = line[2:].decode(errors="replace").strip().partition(" ")
-            if keyword.lower() == "end":
-                break
-            self.fields[keyword.lower()] = rest.strip()
+        self._read_lines()
         self.format, *options = self.fields.get("format", "").lower().split(";")
         pairs = (option.partition("=") for option in options)
         self.options = {name.strip(): value.strip() for name, _, value in pairs}
@@ -107,29 +125,50 @@ class Header:
             raise ValueError(f"{self.path}: `% t0` must be whole microseconds, got {t0[:40]!r}")
         return int(t0)
 
+    def _read_lines(self) -> None:
+        """Fill `fields` and `length`."""
+        with self.path.open("rb") as file:
+            data = file.read(MAX_HEADER_BYTES)
+        # an event's first byte can be a %, but hardly a line of text follows
+        while data.startswith(b"% ", self.length):
+            end = data.find(b"\n", self.length)
+            line = data[self.length : end if end >= 0 else len(data)].rstrip(b"\r")
+            if not is_text(line):
+                break
+            if end < 0:
+                if len(data) < MAX_HEADER_BYTES:
+                    beginning = line.decode(errors="replace")[:80]
+                    raise ValueError(
+                        f"{self.path}: the file ends inside its header, in {beginning!r}"
+                    )
+                break
+            self.length = end + 1
+            keyword, _, rest = line[2:].decode(errors="replace").strip().partition(" ")
+            if keyword.lower() == "end":
+                break
+            self.fields[keyword.lower()] = rest.strip()
+
     def _sensor(self) -> Sensor | None:
-        if "geometry" in self.fields:
-            sides = self.fields["geometry"].lower().split("x")
-        else:
-            found = next(
-                (
-                    where
-                    for where in (self.options, self.fields)
-                    if {"width", "height"} <= where.keys()
-                ),
-                None,
-            )
-            if found is None:
-                return None
-            sides = [found["width"], found["height"]]
-        if len(sides) != 2 or not all(
-            _SIDE.fullmatch(side) and 1 <= int(side) <= 1 << 16 for side in sides
-        ):
+        """(width, height), None if the header does not state both."""
+        sides = self._sides()
+        if sides is None:
+            return None
+        are_numbers = len(sides) == 2 and all(_SIDE.fullmatch(side) for side in sides)
+        if not are_numbers or not all(1 <= int(side) <= MAX_SIDE for side in sides):
             raise ValueError(
                 f"{self.path}: the header's sensor must be two sizes in pixels, got "
                 f"{'x'.join(sides)!r}"
             )
         return int(sides[0]), int(sides[1])
+
+    def _sides(self) -> list[str] | None:
+        """The words for the sensor's sides; None without them."""
+        if "geometry" in self.fields:
+            return self.fields["geometry"].lower().split("x")
+        for where in (self.options, self.fields):
+            if "width" in where and "height" in where:
+                return [where["width"], where["height"]]
+        return None
 
 
 class EvtSource(Source):
@@ -139,15 +178,15 @@ class EvtSource(Source):
         header = Header(path)
         version = EVT_NAMES.get(header.format) or header.fields.get("evt", "").removesuffix(".0")
         if version not in EVT_VERSIONS:
+            got = header.fields.get("format") or header.fields.get("evt")
             raise ValueError(
                 f"{path}: the header must say `% evt` 2.0, 2.1 or 3.0, or `% format` EVT2, EVT21 "
-                "or EVT3; "
-                f"got {header.fields.get('format') or header.fields.get('evt')!r}"
+                f"or EVT3; got {got!r}"
             )
         self.path = path
         self.sensor = header.sensor
         self.format = f"EVT {version}"
-        self._version = version
+        self._version = EVT_VERSIONS[version]
         self._start = header.length
         self._t0_us = header.t0_us
         # IMX636 and older send the upper half of a 64-bit word first, which the header calls legacy
@@ -157,7 +196,8 @@ class EvtSource(Source):
             raise ValueError(f"{path}: `endianness` must be little or legacy, got {endianness!r}")
 
     def blocks(self) -> Iterator[np.ndarray]:
-        decode, dtype, size = EVT_VERSIONS[self._version]
+        version = self._version
+        size = version.n_bytes
         state = np.array(INITIAL, np.int64)
         columns = empty_columns(BLOCK_EVENTS)[:4]
         n_events = 0
@@ -165,10 +205,11 @@ class EvtSource(Source):
             file.seek(self._start)
             place = self._start
             while chunk := file.read(CHUNK_BYTES):
-                words = np.frombuffer(chunk, dtype, len(chunk) // size * size // dtype.itemsize)
+                n_words = len(chunk) // size * size // version.word.itemsize
+                words = np.frombuffer(chunk, version.word, n_words)
                 if self._halves_swapped:
                     words = np.ascontiguousarray(words.reshape(-1, 2)[:, ::-1]).ravel()
-                for events in decoded_words(words, decode, state, columns):
+                for events in decoded_words(words, version.decode, state, columns):
                     n_events += len(events)
                     events["t"] += self._t0_us
                     yield events
@@ -187,11 +228,11 @@ def decoded_words(
     state: np.ndarray,
     columns: Sequence[np.ndarray],
 ) -> Iterator[np.ndarray]:
-    """The events of EVT words, in arrays of at most `columns`' length.
+    """The events of EVT words, in arrays of at most the columns' length.
 
     Parameters
     ----------
-    decode : of the kernels in `kernels.evt`.
+    decode : one of the kernels in `kernels/sources/evt.py`.
     state : what these words depend on, `INITIAL` before the first; updated in place.
     columns : t, x, y, p, for the kernel to write to.
     """
@@ -203,7 +244,12 @@ def decoded_words(
 
 
 def refuse_unplaced(state: np.ndarray, n_events: int) -> None:
-    """A `CorruptData` if words had events, but none of these had a time and a row."""
+    """Refuse words that had events, but none with a time and a row.
+
+    Raises
+    ------
+    CorruptData : they are.
+    """
     if state[UNPLACED] and n_events == 0:
         raise CorruptData(
             f"{state[UNPLACED]} words of events have no time or no row: no TIME_HIGH or ADDR_Y "
@@ -215,9 +261,8 @@ def dat_header(sensor: Sensor) -> bytes:
     """The first bytes of a DAT file of version 2, up to its first event."""
     width, height = sensor
     lines = ("Data file containing CD events", "Version 2", f"Height {height}", f"Width {width}")
-    return "".join(f"% {line}\n" for line in lines).encode() + bytes(
-        (DAT_PIXEL_EVENTS[-1], DAT_EVENT_BYTES)
-    )
+    text = "".join(f"% {line}\n" for line in lines)
+    return text.encode() + bytes([DAT_PIXEL_EVENTS[-1], DAT_EVENT_BYTES])
 
 
 def dat_records(events: np.ndarray, t0_us: int) -> bytes:
@@ -225,8 +270,8 @@ def dat_records(events: np.ndarray, t0_us: int) -> bytes:
 
     Parameters
     ----------
-    events : of `EVENT_DTYPE`; x and y below `DAT_SIDE`.
-    t0_us : when the file's times begin.
+    events : structured array of `EVENT_DTYPE`; x and y below `DAT_SIDE`.
+    t0_us : time at which the file's times begin, in microseconds.
 
     Raises
     ------
@@ -242,7 +287,9 @@ def dat_records(events: np.ndarray, t0_us: int) -> bytes:
         )
     words = np.empty((len(events), 2), "<u4")
     words[:, 0] = t
-    x, y, p = (events[name].astype(np.uint32) for name in "xyp")
+    x = events["x"].astype(np.uint32)
+    y = events["y"].astype(np.uint32)
+    p = events["p"].astype(np.uint32)
     words[:, 1] = x | y << 14 | p << 28
     return words.tobytes()
 
@@ -277,12 +324,11 @@ class DatSource(Source):
         with self.path.open("rb") as file:
             file.seek(self._start)
             while chunk := file.read(BLOCK_EVENTS * DAT_EVENT_BYTES):
-                words = np.frombuffer(chunk, "<u4", len(chunk) // DAT_EVENT_BYTES * 2).reshape(
-                    -1, 2
-                )
+                n_events = len(chunk) // DAT_EVENT_BYTES
+                words = np.frombuffer(chunk, "<u4", 2 * n_events).reshape(-1, 2)
                 t = words[:, 0].astype(np.int64)
                 newest_us = np.int64(unwrap_times(t, newest_us, np.int64(DAT_PERIOD_US)))
-                x, y, p = (words[:, 1] >> first & (1 << bits) - 1 for first, bits in self._fields)
+                x, y, p = [words[:, 1] >> first & (1 << bits) - 1 for first, bits in self._fields]
                 events, problem = valid_events(t + self._t0_us, x, y, p)
                 yield events
                 n_read += len(events)
@@ -290,7 +336,8 @@ class DatSource(Source):
                     raise CorruptData(
                         f"event {n_read} (byte {self._start + n_read * DAT_EVENT_BYTES}): {problem}"
                     )
-                if n_left := len(chunk) % DAT_EVENT_BYTES:
+                n_left = len(chunk) % DAT_EVENT_BYTES
+                if n_left:
                     raise CorruptData(
                         f"the file ends {n_left} bytes into event {n_read}, which has "
                         f"{DAT_EVENT_BYTES}"

@@ -17,7 +17,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from async_tnt.base.checks import is_whole, positive_int, short
+from async_tnt.base.checks import ParameterValueError, is_whole, positive_int, short
 from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
@@ -34,6 +34,7 @@ from async_tnt.sources.files.source import (
     Source,
     gathered,
 )
+from async_tnt.sources.files.source_error import SourceError
 from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
 from async_tnt.volume.events import EVENT_DTYPE
@@ -43,7 +44,8 @@ Reader = Callable[[Path, ReadOptions], Source]
 
 OffSensor = Literal["warn", "raise", "count"]
 OFF_SENSOR = get_args(OffSensor)
-NMNIST = "N-MNIST"
+"""What `open_recording` can do with events off the sensor."""
+
 BY_FIRST_BYTES: dict[bytes, Reader] = {
     b"\x89HDF\r\n\x1a\n": open_hdf5,
     b"#!AER-DAT4": open_aedat4,
@@ -51,11 +53,11 @@ BY_FIRST_BYTES: dict[bytes, Reader] = {
     b"#!AER-DAT3.1": Aedat3Source,
     b"Event Stream": open_es,
 }
+"""First bytes of a file -> function of (path, options) that opens it."""
 
 
 def _open_by_content(path: Path, options: ReadOptions) -> Source:
-    """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it
-    is."""
+    """Open a file by its first bytes: many programs write `.raw`, `.dat`, `.h5` and `.aedat`."""
     with path.open("rb") as file:
         start = file.read(4096)
     for magic, open_it in BY_FIRST_BYTES.items():
@@ -63,26 +65,29 @@ def _open_by_content(path: Path, options: ReadOptions) -> Source:
             return open_it(path, options)
     if not start:
         raise ValueError(f"{path}: the file is empty")
-    header = start.lower()
-    if header.startswith(b"%") and (b"% evt " in header or b"% format evt" in header):
-        return EvtSource(path, options)
-    if header.startswith(b"%") and path.suffix.lower() == ".dat":
-        return DatSource(path, options)
+    if start.startswith(b"%"):
+        header = start.lower()
+        if b"% evt " in header or b"% format evt" in header:
+            return EvtSource(path, options)
+        if path.suffix.lower() == ".dat":
+            return DatSource(path, options)
     raise ValueError(
         f"{path}: its first bytes are not those of a known format: expected a header of EVT (with "
-        "a line `% evt 3.0` "
-        f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 or 4, ES or HDF5; "
-        f"got {start[:16]!r}"
+        "a line `% evt 3.0` or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 "
+        f"or 4, ES or HDF5; got {start[:16]!r}"
     )
 
 
 def _open_nmnist(path: Path, options: ReadOptions) -> Source:
-    """N-MNIST's format, of its 34 x 34 pixels or of the stated sensor, which the file does not
-    state."""
-    is_other = options.sensor not in (None, NMNIST_SENSOR)
-    source = ArraySource(read_nmnist(path), None if is_other else NMNIST_SENSOR, NMNIST)
-    if not is_other:
-        source.sensor_hint = "a .bin is of N-MNIST's sensor unless `sensor` says another"
+    """Open a file in N-MNIST's format, which does not state the sensor.
+
+    It is N-MNIST's, 34 x 34, unless the caller says another.
+    """
+    events = read_nmnist(path)
+    if options.sensor not in (None, NMNIST_SENSOR):
+        return ArraySource(events, None, "N-MNIST")
+    source = ArraySource(events, NMNIST_SENSOR, "N-MNIST")
+    source.sensor_hint = "a .bin is of N-MNIST's sensor unless {sensor} says another"
     return source
 
 
@@ -101,7 +106,8 @@ READERS: dict[str, Reader] = {
 
 @dataclass(frozen=True, slots=True)
 class RecordingCounts:
-    """Events of a recording, up to the damage if there is any: received = kept + off_sensor."""
+    """What became of a recording's events, up to the damage if there is any: received = kept +
+    off_sensor."""
 
     received: int = 0
     """Events in the file, or in the part of it that is read."""
@@ -117,23 +123,25 @@ class _Totals:
 
     counts: RecordingCounts
     earliest_us: int
+    """Time of the earliest event, in microseconds; 0 without events."""
     newest_us: int
+    """Time of the latest event, in microseconds; 0 without events."""
 
 
 @dataclass(eq=False, repr=False)
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
-    Each iteration reads the file again and yields packets that the caller may change. All formats
-    but `.bin` and `.npz` are read block by block, so that memory does not grow with the file.
-    `counts`, `n_events`, `earliest_us`, `duration_us` and `len` take a pass over the file, unless
-    one was made before.
+    Each iteration reads the file again and yields packets that the caller may change. A `.bin` or
+    `.npz` is read as a whole. All other formats are read block by block, so that memory does not
+    grow with the file. `counts`, `n_events`, `earliest_us`, `duration_us` and `len` take a pass
+    over the file, unless one was made before.
 
     Parameters
     ----------
     source : reads the file's events, block by block.
-    path, sensor, packet_events, strict, between_us, off_sensor : see `open_recording`; attributes,
-        too.
+    path, sensor, packet_events, strict, between_us, off_sensor : see `open_recording`. They are
+        attributes, too.
 
     Attributes
     ----------
@@ -179,7 +187,7 @@ class Recording:
         return totals.newest_us - totals.earliest_us
 
     def read(self) -> np.ndarray:
-        """All events at once: a new structured array of `EVENT_DTYPE`."""
+        """All events in one new structured array of `EVENT_DTYPE`."""
         return np.concatenate([np.empty(0, EVENT_DTYPE), *self._blocks()])
 
     def __iter__(self) -> Iterator[np.ndarray]:
@@ -194,12 +202,13 @@ class Recording:
             stop = n_waiting - n_waiting % self.packet_events
             for start in range(0, stop, self.packet_events):
                 yield events[start : start + self.packet_events]
-            waiting, n_waiting = [events[stop:]], n_waiting - stop
+            waiting = [events[stop:]]
+            n_waiting -= stop
         if n_waiting:
             yield np.concatenate(waiting)
 
     def __len__(self) -> int:
-        """Packets in the recording."""
+        """The number of packets in the recording."""
         return -(-self.n_events // self.packet_events)
 
     def __repr__(self) -> str:
@@ -209,6 +218,7 @@ class Recording:
         )
 
     def _counted(self) -> _Totals:
+        """What a pass over the file finds; makes one if there was none."""
         if self._totals is None:
             for _ in self._blocks():
                 pass
@@ -216,9 +226,11 @@ class Recording:
         return self._totals
 
     def _blocks(self) -> Iterator[np.ndarray]:
-        """One pass: the source's blocks without events off the sensor, checked and counted."""
+        """The source's blocks without the events off the sensor. Counts the events of this pass."""
         check = SensorCheck(self.sensor)
-        n_kept = earliest_us = newest_us = 0
+        n_kept = 0
+        earliest_us = 0
+        newest_us = 0
         try:
             for events in self._on_sensor(check):
                 if not len(events):
@@ -230,6 +242,7 @@ class Recording:
                 yield events
         except CorruptData as error:
             self._report_damage(str(error), n_kept, newest_us)
+
         counts = RecordingCounts(n_kept + check.n_off, n_kept, check.n_off)
         self._totals = _Totals(counts, earliest_us, newest_us)
         if check.n_off and self.off_sensor == "warn":
@@ -237,24 +250,24 @@ class Recording:
             self._warn(EventsOffSensor, f"{self.path}: {check}; {left_out}")
 
     def _on_sensor(self, check: SensorCheck) -> Iterator[np.ndarray]:
-        """The events of the part that is read, but for those off the sensor.
+        """The events of the part that is read, without those off the sensor.
 
         Raises
         ------
-        ValueError : too many are off the sensor; or one is, and `off_sensor` is "raise".
+        SourceError : too many are off the sensor; or one is, and `off_sensor` is "raise".
         CorruptData : see `Source`; also if too many are off the sensor only later in the file.
         """
         for k, events in enumerate(gathered(self._part())):
             off = check.off(events)
             if check.n_off and self.off_sensor == "raise":
                 yield events[: int(np.argmax(off))].astype(EVENT_DTYPE, copy=False)
-                raise ValueError(f"{self.path}: {check}{self._sensor_hint()}")
+                raise SourceError(str(self.path), f"{check}{self._sensor_hint()}")
             if check.is_another_sensor and k > 0:
                 raise CorruptData(f"{check}, where before it there were few")
             if check.is_another_sensor:
-                raise ValueError(
-                    f"{self.path}: {check}: the recording is of another sensor, or "
-                    f"damaged{self._sensor_hint()}"
+                raise SourceError(
+                    str(self.path),
+                    f"{check}: the recording is of another sensor, or damaged{self._sensor_hint()}",
                 )
             yield events[~off].astype(EVENT_DTYPE) if off.any() else events
 
@@ -271,14 +284,15 @@ class Recording:
             yield events[(t >= start_us) & (t < end_us)]
 
     def _sensor_hint(self) -> str:
-        """Why the sensor may be wrong, for messages."""
+        """Why the sensor may be wrong, for the end of a `SourceError`."""
         if self.source.sensor_hint:
             return f"; {self.source.sensor_hint}"
         if self.stated_sensor is None and self.sensor is not None:
-            return "; the file states none, `sensor`, the model or another recording does"
+            return "; the file states none, {sensor}, the model or another recording does"
         return ""
 
     def _report_damage(self, problem: str, n_kept: int, newest_us: int) -> None:
+        """Raise a ValueError with `strict`, else warn."""
         text = f"{self.path}: damaged recording: {problem}"
         if self.strict:
             raise ValueError(f"{text}. Fetch the file again.") from None
@@ -303,34 +317,34 @@ def open_recording(
     topic: str | None = None,
     off_sensor: OffSensor | None = None,
 ) -> Recording:
-    """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it
-    may mean several.
+    """Open a recording. Its format is known by its suffix, or by its first bytes where the suffix
+    may mean several (`READERS`).
 
     Parameters
     ----------
     path : file to read; `~` is the home folder.
     packet_events : events per packet when iterating; the last packet has what is left.
-    strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning;
-        True raises a ValueError when reading gets there. Either way, a file that cannot be
-        understood at all, a damaged `.bin` or `.npz`, and a `.npy` of the wrong size are refused
-        here, with a ValueError.
-    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps
-        its own. A `.bin` has this sensor instead of N-MNIST's 34 x 34.
-    off_sensor : what to do with events off the sensor. "warn" leaves them out and, at the end of
-        the first pass, gives one `EventsOffSensor` warning; "raise" raises a ValueError at the
-        first one; "count" leaves them out without a word. By default "raise" with `strict`, else
-        "warn". `Recording.counts` has their number. More than 100 of them that are more than 1 % of
-        the events so far, or more than half of these, are a recording of another sensor: a
-        ValueError. (It is judged with every 65,536 events; later than in the first, it counts as
-        damage.)
-    between_us : (start, end): only the events with start <= t < end. The file is read up to the
-        first block of events that all come later.
-    columns : the order of four columns, such as "xypt", in text and NumPy files that do not name
+    strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning.
+        True raises a ValueError when reading gets there. Either way, three kinds of files are
+        refused here, with a ValueError: a file that cannot be understood at all, a damaged `.bin`
+        or `.npz`, and a `.npy` of the wrong size.
+    sensor : (width, height) of the camera, for files that do not state it. A file that states a
+        sensor keeps its own. A `.bin` has this sensor instead of N-MNIST's 34 x 34.
+    between_us : (start, end): only the events with start <= t < end are read. The file is read up
+        to the first block of events that all come later.
+    columns : order of the four columns, such as "xypt", in text and NumPy files that do not name
         them.
-    topic : the topic to read, of a ROS bag with several topics of events.
+    topic : name of the topic to read, in a ROS bag with several topics of events.
+    off_sensor : what to do with events off the sensor. "warn" leaves them out and, at the end of
+        the first pass, gives one `EventsOffSensor` warning. "raise" raises a ValueError at the
+        first one. "count" leaves them out without a word. The default is "raise" with `strict`,
+        else "warn". `Recording.counts` has their number. Too many of them mean that the recording
+        is of another sensor, which is a ValueError: more than 100 that are more than 1 % of the
+        events so far, or more than half of the events so far. (This is judged with every 65,536
+        events. After the first of these, too many count as damage.)
 
-    Options that a format does not need, because its files state the same or have no such thing,
-    change nothing.
+    An option that a format does not need changes nothing: its files state the same, or have no such
+    thing.
 
     Returns
     -------
@@ -338,8 +352,9 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, one of which not even the first event can be read, a
-        pointer of Git LFS, a pipe or device, `packet_events` below 1, or another invalid option.
+    ValueError : an unknown suffix; a damaged file, also one in which not even the first event can
+        be read; a pointer of Git LFS; a pipe or a device; `packet_events` below 1, or another
+        invalid option.
     OSError : missing, a folder, or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
@@ -352,50 +367,60 @@ def open_recording(
     True
     """
     path = user_path(path)
-    suffix = path.suffix.lower()
     packet_events = positive_int("packet_events", packet_events)
     options = ReadOptions(sensor, columns, topic)
     between_us = _checked_between(between_us)
-    if off_sensor not in (None, *OFF_SENSOR):
-        raise ValueError(
-            f"`off_sensor` must be one of {', '.join(OFF_SENSOR)}, got {short(off_sensor)}"
-        )
-    off_sensor = ("raise" if strict else "warn") if off_sensor is None else off_sensor
+    if off_sensor is None:
+        off_sensor = "raise" if strict else "warn"
+    if off_sensor not in OFF_SENSOR:
+        rule = f"must be one of {', '.join(OFF_SENSOR)}"
+        raise ParameterValueError("off_sensor", rule, short(off_sensor))
+
+    _check_path(path)
+    source = READERS.get(path.suffix.lower(), _open_by_content)(path, options)
+    try:
+        source.check_first()
+    except CorruptData as error:
+        raise ValueError(f"{path}: not one event can be read: {error}") from None
+    known_sensor = source.sensor or options.sensor
+    return Recording(path, source, known_sensor, packet_events, strict, between_us, off_sensor)
+
+
+def _check_path(path: Path) -> None:
+    """Refuse what is there, but cannot be a recording. A missing file passes."""
     if path.is_dir():
         raise IsADirectoryError(
             f"{path} is a folder, expected a recording; `async-tnt info` says what is in it"
         )
     refuse_git_lfs(path)
-    if suffix not in READERS and path.exists():  # else it is missing, whatever its suffix
+    if not path.exists():
+        return
+    if path.suffix.lower() not in READERS:
         raise ValueError(
             f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}"
         )
-    if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
+    if not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(
             f"{path}: a recording must be a file that can be read more than once, got a pipe or a "
             "device"
         )
-    source = READERS.get(suffix, _open_by_content)(path, options)
-    try:
-        source.check_first()
-    except CorruptData as error:
-        raise ValueError(f"{path}: not one event can be read: {error}") from None
-    return Recording(
-        path, source, source.sensor or options.sensor, packet_events, strict, between_us, off_sensor
-    )
 
 
 def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | None:
-    """(start, end) as Python integers; a ValueError if it is no range of times."""
+    """(start, end) as Python integers; None stays None.
+
+    Raises
+    ------
+    ParameterValueError : it is no range of times.
+    """
     if between_us is None:
         return None
     is_pair = isinstance(between_us, (tuple, list, np.ndarray)) and len(between_us) == 2
     if not (is_pair and all(map(is_whole, between_us)) and between_us[0] < between_us[1]):
-        raise ValueError(
-            f"`between_us` must be (start, end), whole microseconds with start < end, got "
-            f"{short(between_us)}"
-        )
-    return int(between_us[0]), int(between_us[1])
+        rule = "must be (start, end), whole microseconds with start < end"
+        raise ParameterValueError("between_us", rule, short(between_us))
+    start_us, end_us = between_us
+    return int(start_us), int(end_us)
 
 
 def sample_recordings() -> dict[int, Path]:

@@ -2,14 +2,14 @@
 
 Times are microseconds:
 
-EventPacket, evt3         the clock of the sensor: its low 24 bits are those of the words TIME_HIGH
-                          and TIME_LOW, and it is unwrapped every 16.8 s. Where the recording did
-                          not begin with the camera, the first time is what the clock showed, modulo
-                          16.8 s. `time_base` is not defined for this encoding.
+EventPacket, evt3         the clock of the sensor. The words TIME_HIGH and TIME_LOW have its low 24
+                          bits, so it is unwrapped every 16.8 s. If the recording began later than
+                          the camera, the first time is the clock's modulo 16.8 s. `time_base` is
+                          not defined for this encoding.
 EventPacket, libcaer_cmp  `time_base` of the message, nanoseconds since 1970, rounded down to a
-                          microsecond, and the time that the words add to it
+                          microsecond, plus the time that the words add to it.
 EventArray                the stamp of each event, seconds and nanoseconds since 1970 or since the
-                          start of a simulation, to the nearest microsecond
+                          start of a simulation, to the nearest microsecond.
 
 The stamps of messages, and the times of their recording, are not used.
 """

@@ -1,8 +1,8 @@
-"""Bags of ROS, read by rosbags in a worker process: their topics, and the messages of one of them.
+"""The reader of ROS bags in a worker process: their topics, and the messages of one of them.
 
-This module is what the worker imports: nothing that takes time. A bag is of ROS 1 (`.bag`), or a
-storage file of ROS 2 (`.db3`, `.mcap`), which is read without the `metadata.yaml` beside it. Two
-types of messages hold events:
+The library rosbags opens the bag. The worker imports this module, which must import nothing that
+takes time. A bag is of ROS 1 (`.bag`), or a storage file of ROS 2 (`.db3`, `.mcap`), which is read
+without the `metadata.yaml` beside it. Two types of messages hold events:
 
 event_camera_msgs/EventPacket   bytes in an encoding that the message names: `evt3`, of Prophesee's
                                 cameras, or `libcaer_cmp`, of iniVation's; others are refused
@@ -47,43 +47,70 @@ from urllib.parse import quote
 
 import numpy as np
 
+from async_tnt.sources.files.source_error import SourceError
+
 EVENT_PACKET = "event_camera_msgs/msg/EventPacket"
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 MESSAGE_TYPES = (EVENT_PACKET, EVENT_ARRAY)
+"""Types of messages that hold events."""
+
 BAG_1 = b"#ROSBAG V"
+"""First bytes of a bag of ROS 1."""
+
 MCAP = b"\x89MCAP0\r\n"
+"""First bytes of an MCAP file."""
+
 SQLITE = b"SQLite format 3\0"
+"""First bytes of an SQLite file."""
+
 ZSTANDARD = b"\x28\xb5\x2f\xfd"
-"""The first bytes of a message that was compressed by itself; CDR begins with zeros."""
+"""First bytes of a message that was compressed by itself; CDR begins with zeros."""
+
 BLOCK_BYTES = 1 << 17
-"""Size of the events of the messages that are sent together."""
+"""Bytes of events after which the messages so far are sent together."""
+
+BLOCK_MESSAGES = 1_000
+"""The most messages that are sent together: some hold no events."""
+
 MAX_SIDE = 1 << 16
+"""Pixels of the longest side that a message may state."""
+
+MAX_TIME_NS = 1 << 62
+"""Nanoseconds below which `time_base` must be."""
+
+# Kinds of words in `libcaer_cmp`.
 TIME_HIGH = 0
 TIME_LOW = 1
 ADDR_X = 2
 ADDR_Y = 3
 VECT_BASE_Y = 4
 VECT_8 = 5
-"""Kinds of words in `libcaer_cmp`."""
-MAX_TIME_NS = 1 << 62
-BLOCK_MESSAGES = 1_000
-"""The most messages that are sent together: some hold no events."""
+
 CDR_HEADER_BYTES = 4
+"""Bytes before the first field of a message in CDR."""
+
 CDR_PADDING_BYTES = 3
-"""The most bytes without a meaning at the end of a message."""
-ROS_1_EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("sec", "<u4"), ("nsec", "<u4"), ("p", "u1")])
+"""The most bytes without a meaning at the end of a message in CDR."""
+
 CDR_EVENT_BYTES = 16
+"""Bytes from an event of an EventArray in CDR to the next."""
+
+ROS_1_EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("sec", "<u4"), ("nsec", "<u4"), ("p", "u1")])
+"""An event of an EventArray in ROS 1."""
 
 Block = tuple[int, list[np.ndarray]]
-"""How many messages, and their events: four columns t, x, y, p, or one array of EVT3 words."""
+"""Number of messages, and their events: four columns t, x, y, p, or one array of EVT3 words."""
+
+Message = tuple[tuple[int, int] | None, list[np.ndarray]]
+"""The sensor, (width, height) or None, and the events, as in a `Block`."""
 
 
 def read_bag(path: str, topic: str | None) -> Iterator[Any]:
-    """Yield (sensor, topics), then blocks of messages.
+    """The sensor and the topics of a bag, then the messages of one topic.
 
     Parameters
     ----------
-    topic : the name of one topic; None: the only one that has events.
+    topic : name of the topic to read; None: the only one that has events.
 
     Yields
     ------
@@ -92,7 +119,15 @@ def read_bag(path: str, topic: str | None) -> Iterator[Any]:
     """
     bag, is_ros_1 = _open(path)
     try:
-        connections, topics = _chosen(bag.connections, topic)
+        counts = _message_counts(bag.connections)
+        wanted = _chosen_topic(counts, topic)
+        topics = [
+            (name, kind, n, name == wanted and kind in MESSAGE_TYPES)
+            for (name, kind), n in sorted(counts.items())
+        ]
+        connections = [
+            one for one in bag.connections if one.topic == wanted and one.msgtype in MESSAGE_TYPES
+        ]
         messages = _messages(bag, connections, is_ros_1)
         first = next(messages, None)
         yield None if first is None else first[0], topics
@@ -114,7 +149,7 @@ def _open(path: str) -> tuple[Any, bool]:
         from rosbags.rosbag2 import Reader as Reader2
 
         if start == SQLITE:
-            # which becomes a part of an URI
+            # quoted, as the path becomes a part of an URI
             bag = Reader2.STORAGE_PLUGINS[".db3"](Path(quote(path)))
         elif start.startswith(MCAP):
             bag = Reader2.STORAGE_PLUGINS[".mcap"](Path(path))
@@ -126,61 +161,62 @@ def _open(path: str) -> tuple[Any, bool]:
     return bag, start.startswith(BAG_1)
 
 
-def _chosen(
-    connections: list[Any], topic: str | None
-) -> tuple[list[Any], list[tuple[str, str, int, bool]]]:
-    """The connections of the topic to read, and all topics of the bag.
+def _message_counts(connections: list[Any]) -> dict[tuple[str, str], int]:
+    """Name and type of each topic -> the number of its messages."""
+    counts: dict[tuple[str, str], int] = {}
+    for one in connections:
+        key = (one.topic, one.msgtype)
+        counts[key] = counts.get(key, 0) + one.msgcount
+    return counts
+
+
+def _chosen_topic(counts: dict[tuple[str, str], int], topic: str | None) -> str:
+    """The name of the topic to read.
+
+    Parameters
+    ----------
+    counts : name and type of each topic -> the number of its messages.
+    topic : as for `read_bag`.
 
     Raises
     ------
-    ValueError : no topic of events, several, or not the wanted one; lists those that there are.
+    ValueError : no topic has events.
+    SourceError : several have events, or not the wanted one. The message lists the topics.
     """
-    counts: dict[tuple[str, str], int] = {}
-    for one in connections:
-        counts[one.topic, one.msgtype] = counts.get((one.topic, one.msgtype), 0) + one.msgcount
     with_events = [name for name, kind in sorted(counts) if kind in MESSAGE_TYPES]
-    listed = (
-        ", ".join(f"{name} ({kind}, {n} messages)" for (name, kind), n in sorted(counts.items()))
-        or "none"
-    )
+    lines = [f"{name} ({kind}, {n} messages)" for (name, kind), n in sorted(counts.items())]
+    listed = ", ".join(lines) or "none"
     if not with_events:
         raise ValueError(
             f"it must have a topic of {' or '.join(MESSAGE_TYPES)}; its topics are: {listed}"
         )
     if topic is None and len(with_events) > 1:
-        raise ValueError(
-            f"several topics have events, choose one by `topic`: {', '.join(with_events)}"
-        )
+        rule = f"several topics have events, choose one by {{topic}}: {', '.join(with_events)}"
+        raise SourceError("", rule)
     wanted = with_events[0] if topic is None else topic
     if wanted not in with_events:
-        raise ValueError(
-            f"`topic` must be one of {', '.join(with_events)}, got {wanted!r}; all topics: {listed}"
+        raise SourceError(
+            "",
+            f"{{topic}} must be one of {', '.join(with_events)}, got {wanted!r}; all topics: "
+            f"{listed}",
         )
-    chosen = [one for one in connections if one.topic == wanted and one.msgtype in MESSAGE_TYPES]
-    topics = [
-        (*key, n, key[0] == wanted and key[1] in MESSAGE_TYPES) for key, n in sorted(counts.items())
-    ]
-    return chosen, topics
-
-
-Message = tuple[tuple[int, int] | None, list[np.ndarray]]
-"""The sensor, (width, height) or None, and the events, as in a `Block`."""
+    return wanted
 
 
 def _messages(bag: Any, connections: list[Any], is_ros_1: bool) -> Iterator[Message]:
     """The messages in the order of their recording."""
     for number, (connection, _, data) in enumerate(bag.messages(connections)):
+        unpack = _event_packet if connection.msgtype == EVENT_PACKET else _event_array
         try:
             if not is_ros_1 and bytes(data[:4]) == ZSTANDARD:
                 data = _decompressed(data)
-            cursor = _Cursor(data, is_ros_1)
-            yield (_event_packet if connection.msgtype == EVENT_PACKET else _event_array)(cursor)
+            yield unpack(_Cursor(data, is_ros_1))
         except (ValueError, struct.error) as error:
             raise ValueError(f"message {number}: {error}") from None
 
 
 def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
-    """Messages together; those before damage are sent before it is raised."""
+    """Messages, several together. Those before damage are sent before its error is raised."""
     sensor, events = first
     waiting = [events]
     n_bytes = sum(column.nbytes for column in events)
@@ -191,7 +227,8 @@ def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
                     f"message {number}: of {other_sensor} pixels, but those before of {sensor}"
                 )
             is_full = n_bytes >= BLOCK_BYTES or len(waiting) >= BLOCK_MESSAGES
-            if is_full or len(events) != len(waiting[0]):  # the latter: of another encoding
+            is_other_encoding = len(events) != len(waiting[0])
+            if is_full or is_other_encoding:
                 yield _joined(waiting)
                 waiting = []
                 n_bytes = 0
@@ -204,10 +241,12 @@ def _blocks(first: Message, others: Iterator[Message]) -> Iterator[Block]:
 
 
 def _joined(waiting: list[list[np.ndarray]]) -> Block:
+    """The events of several messages, end to end."""
     return len(waiting), [np.concatenate(columns) for columns in zip(*waiting, strict=True)]
 
 
 def _decompressed(data: bytes) -> bytes:
+    """A message that Zstandard has compressed."""
     if sys.version_info >= (3, 14):
         from compression import zstd
     else:
@@ -249,6 +288,7 @@ class _Cursor:
         return int(value)
 
     def bytes(self, n: int) -> bytes:
+        """The next `n` bytes."""
         data = bytes(self._data[self.place : self.place + n])
         if len(data) < n:
             raise ValueError(
@@ -258,7 +298,7 @@ class _Cursor:
         return data
 
     def end(self) -> None:
-        """Refuse bytes that belong to no field; of these, CDR may end with up to three."""
+        """Refuse bytes after the last field. CDR may end with up to three."""
         n_left = len(self._data) - self.place
         most = 0 if self.is_ros_1 else CDR_PADDING_BYTES
         if n_left > most:
@@ -268,7 +308,7 @@ class _Cursor:
 
 
 def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
-    """Read up to and with the sides; (width, height), None where they are not known."""
+    """(width, height), None where they are not known. Reads a message up to and with its sides."""
     if cursor.is_ros_1:
         cursor.number("I")  # seq
     cursor.number("I")  # seconds and nanoseconds of the message
@@ -286,7 +326,10 @@ def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
 
 
 def _event_packet(cursor: _Cursor) -> Message:
-    """The words of EVT3, whose times `time_base` does not change, or the events in columns."""
+    """The sensor and the events of an EventPacket: the words of EVT3, or columns.
+
+    `time_base` does not change the times of EVT3.
+    """
     sensor = _sensor_of(cursor)
     cursor.number("Q")  # seq
     time_base_ns = cursor.number("Q")
@@ -301,9 +344,9 @@ def _event_packet(cursor: _Cursor) -> Message:
     if len(data) % 2:
         raise ValueError(f"{encoding} has words of two bytes, got {len(data)} bytes")
     words = np.frombuffer(data, f"{order}u2").astype("<u2")
-    return sensor, [words] if encoding == "evt3" else _libcaer_events(
-        words.astype(np.int64), time_base_ns
-    )
+    if encoding == "evt3":
+        return sensor, [words]
+    return sensor, _libcaer_events(words.astype(np.int64), time_base_ns)
 
 
 def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
@@ -316,17 +359,20 @@ def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
     value = words & 0xFFF
     is_event = kind == ADDR_Y
     is_vector = kind == VECT_8
-    # whether the word has an event at its y, and at each of the seven pixels above
+    # has_pixel[i, k]: whether word i has an event k pixels above its y
     has_pixel = np.zeros((len(words), 8), bool)
     has_pixel[is_event, 0] = True
     has_pixel[is_vector] = value[is_vector, None] >> np.arange(8) & 1
     time_us = _latest(value, kind == TIME_HIGH) << 12 | _latest(value, kind == TIME_LOW)
+
+    # each vector after a base moves the base by 8 pixels
     n_vectors = np.cumsum(is_vector) - is_vector
     is_base = kind == VECT_BASE_Y
     base = _latest(value, is_base)
     y = np.where(is_event, value, base) & 0x7FF
     y += np.where(is_vector, 8 * (n_vectors - _latest(n_vectors, is_base)), 0)
     polarity = np.where(is_event, value, base) >> 11
+
     has_pixel &= (np.cumsum(kind == ADDR_X) > 0)[:, None]
     has_pixel[is_vector] &= (np.cumsum(is_base) > 0)[is_vector, None]
     word, pixel = np.nonzero(has_pixel)
@@ -335,20 +381,21 @@ def _libcaer_events(words: np.ndarray, time_base_ns: int) -> list[np.ndarray]:
 
 
 def _latest(values: np.ndarray, is_new: np.ndarray) -> np.ndarray:
-    """For each place the value at the latest one that `is_new`, up to itself; 0 before the
-    first."""
+    """For each place, the value at the latest place up to it that `is_new`; 0 before the first."""
     place = np.maximum.accumulate(np.where(is_new, np.arange(len(values)), -1))
     return np.where(place >= 0, values[place], 0)
 
 
 def _event_array(cursor: _Cursor) -> Message:
-    """The columns t, x, y, p of an EventArray; times in nanoseconds become microseconds, to the
-    nearest one."""
+    """The sensor and the columns t, x, y, p of an EventArray.
+
+    Times in nanoseconds become microseconds, to the nearest one.
+    """
     sensor = _sensor_of(cursor)
     n_events = cursor.number("I")
-    rows = _ros_1_events(cursor, n_events) if cursor.is_ros_1 else _cdr_events(cursor, n_events)
+    columns = _ros_1_events(cursor, n_events) if cursor.is_ros_1 else _cdr_events(cursor, n_events)
     cursor.end()
-    sec, nsec, x, y, p = (column.astype(np.int64) for column in rows)
+    sec, nsec, x, y, p = [column.astype(np.int64) for column in columns]
     return sensor, [sec * 1_000_000 + (nsec + 500) // 1_000, x, y, p]
 
 
@@ -361,10 +408,10 @@ def _ros_1_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
 def _cdr_events(cursor: _Cursor, n_events: int) -> list[np.ndarray]:
     """Columns sec, nsec, x, y, p of events in CDR, which begin at a multiple of 4.
 
-    Bytes 0 to 3 of the first event are x and y; 4 to 12 are sec, nsec and p. As p has one byte,
-    each later x begins at the next even place, 14, and its y at 16; then sec must begin at a
-    multiple of 4, which is 20. So there are rows of 16 bytes, and each x but the first is in the
-    row before.
+    Bytes 0 to 3 of the first event are x and y; 4 to 12 are sec, nsec and p. As p has one byte, the
+    second event's x begins at the next even place, 14, and its y at 16. Its sec must begin at a
+    multiple of 4, which is 20. So the events are rows of 16 bytes, and each x except the first is
+    in the row before.
     """
     if n_events == 0:
         return [np.zeros(0, np.int64)] * 5

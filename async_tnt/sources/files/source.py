@@ -1,5 +1,7 @@
-"""What the reader of a format provides: a source of blocks of events, which starts again at every
-pass."""
+"""What the reader of a format provides: a source of blocks of events.
+
+It starts again at every pass.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.base.checks import short
+from async_tnt.base.checks import ParameterValueError, short
 from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.sources.files.off_sensor import WIDE_DTYPE
 from async_tnt.volume.event_forms import Four, check_order
@@ -17,7 +19,10 @@ from async_tnt.volume.events import structured
 from async_tnt.volume.sensor import Sensor, checked_sensor
 
 BLOCK_EVENTS = 1 << 16
+"""Number of events that are read together."""
+
 ONLY_ASCII = bytes(range(128)) + b"?" * 128
+"""Table for `bytes.translate` that replaces what is not ASCII."""
 
 
 class DamagedRecording(UserWarning):
@@ -25,27 +30,27 @@ class DamagedRecording(UserWarning):
 
 
 class CorruptData(Exception):
-    """Raised by a source that cannot continue, with what is wrong and where: "row 17: expected `t x
-    y p`, got 'abc'".
+    """The error of a source that cannot continue.
 
+    Its message says what is wrong and where, such as "row 17: expected `t x y p`, got 'abc'".
     `Recording` turns it into a warning or a ValueError.
     """
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a caller knows of a file, for formats that do not state it; others do not use it.
+    """What a caller knows of a file that does not state it. Other files are read without it.
 
     Parameters
     ----------
     sensor : (width, height) of the camera.
-    columns : the order of four columns without names, such as "xypt".
-    topic : the name of the topic to read, of a file with several.
+    columns : order of four columns without names, such as "xypt".
+    topic : name of the topic to read from a file with several.
 
     Raises
     ------
-    ValueError : an impossible sensor; `columns` without each of t, x, y and p; a topic that is no
-        name.
+    ParameterValueError : an impossible sensor; `columns` without each of t, x, y and p; a topic
+        that is no name.
     """
 
     sensor: Sensor | None = None
@@ -58,7 +63,7 @@ class ReadOptions:
         if self.columns is not None:
             check_order("columns", self.columns)
         if self.topic is not None and (not isinstance(self.topic, str) or not self.topic):
-            raise ValueError(f"`topic` must be the name of a topic, got {short(self.topic)}")
+            raise ParameterValueError("topic", "must be the name of a topic", short(self.topic))
 
 
 @dataclass(frozen=True)
@@ -67,8 +72,9 @@ class Topic:
 
     Parameters
     ----------
-    name, type : such as "/event_camera/events" and "event_camera_msgs/msg/EventPacket".
-    messages : how many there are.
+    name : such as "/event_camera/events".
+    type : such as "event_camera_msgs/msg/EventPacket".
+    messages : number of its messages.
     is_read : whether the events come from this one.
     """
 
@@ -85,8 +91,8 @@ class Source(ABC):
     ----------
     sensor : (width, height) in pixels, or None where the file does not state it.
     format : the name of the file's format.
-    sensor_hint : what may be wrong where many events lie off the sensor, for messages; "" where
-        nothing is known.
+    sensor_hint : what may be wrong where many events lie off the sensor, for messages, in which
+        names of parameters stand in braces; "" where nothing is known.
     topics : all streams of messages in the file; empty for formats that have none.
     """
 
@@ -97,12 +103,11 @@ class Source(ABC):
 
     @abstractmethod
     def blocks(self) -> Iterator[np.ndarray]:
-        """Structured arrays of `EVENT_DTYPE` in the order of the file; the source does not use them
-        again.
+        """The events of the file, in its order, as structured arrays of `EVENT_DTYPE`.
 
-        Where a pixel of a block does not fit `EVENT_DTYPE`, the block is of `WIDE_DTYPE`. Whether
-        pixels lie on the sensor is not the source's business: `Recording` leaves out those that do
-        not.
+        A block is of `WIDE_DTYPE` if one of its pixels does not fit `EVENT_DTYPE`. The source need
+        not care whether pixels lie on the sensor: `Recording` leaves out those that do not. It does
+        not use a block again.
 
         Raises
         ------
@@ -111,15 +116,19 @@ class Source(ABC):
         """
 
     def check_first(self) -> None:
-        """Raise `CorruptData` if not even one event can be read: the file is then of another
-        format."""
+        """Read the first event.
+
+        Raises
+        ------
+        CorruptData : not even one event can be read: the file is of another format.
+        """
         for block in self.blocks():
             if len(block):
                 return
 
 
 class ArraySource(Source):
-    """Events that are in memory already."""
+    """The source of events that are in memory already."""
 
     def __init__(self, events: np.ndarray, sensor: Sensor | None, format: str) -> None:
         self.events = events
@@ -139,19 +148,23 @@ def valid_events(
     Returns
     -------
     The events before that one, of `EVENT_DTYPE` or, if a pixel does not fit it, of `WIDE_DTYPE`;
-    and what is wrong with that one ("": nothing is wrong with any).
+    and what is wrong with that one, "" if nothing is wrong with any.
     """
-    off = (p == 0) | (p == -1) if p.dtype.kind == "i" else p == 0
+    off = p == 0
+    if p.dtype.kind == "i":
+        off |= p == -1
     bad = (t < 0) | (t >= MAX_TIME_US) | ~(off | (p == 1))
-    n = int(np.argmax(bad)) if bad.any() else len(t)
-    problem = (
-        ""
-        if n == len(t)
-        else f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
-    )
+    n = len(t)
+    problem = ""
+    if bad.any():
+        n = int(np.argmax(bad))
+        problem = f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
     if _fits(x[:n]) and _fits(y[:n]):
         return structured((t, x, y, ~off), n), problem
-    x, y = (np.minimum(pixel, MAX_TIME_US) for pixel in (x, y))  # a uint64 beyond int64 would wrap
+
+    # a uint64 beyond int64 would wrap
+    x = np.minimum(x, MAX_TIME_US)
+    y = np.minimum(y, MAX_TIME_US)
     return structured((t, x, y, ~off), n, WIDE_DTYPE), problem
 
 
@@ -167,18 +180,20 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 
     Raises
     ------
-    CorruptData : at that event; or polarity is 0/1 at first, and then -1/+1, or the reverse.
+    CorruptData : at that event; or where polarity changes from 0/1 to -1/+1, or the reverse.
     """
-    off: int | None = None  # how this file writes OFF: 0 or -1; None before the first
+    off: int | None = None  # the number that this file writes for OFF, 0 or -1; None before one
     n_before = 0
     for columns in blocks:
         events, problem = valid_events(*columns)
         p = columns[3][: len(events)]
         if off is None and (p < 1).any():
             off = int(p[int(np.argmax(p < 1))])
-        if off is not None and (mixed := p == -1 - off).any():
-            events = events[: int(np.argmax(mixed))]
-            problem = f"p = {-1 - off}, and before it {off}: polarity is 0/1 or -1/+1, not both"
+        if off is not None:
+            is_other_off = p == -1 - off
+            if is_other_off.any():
+                events = events[: int(np.argmax(is_other_off))]
+                problem = f"p = {-1 - off}, and before it {off}: polarity is 0/1 or -1/+1, not both"
         yield events
         n_before += len(events)
         if problem:
@@ -186,8 +201,10 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 
 
 def is_text(line: bytes) -> bool:
-    """Whether a line of a header is text; binary data that follows hardly is. Programs write in the
-    encoding of their system: a few bytes may be anything."""
+    """Whether a line of a header is text. Binary data that follows a header hardly is.
+
+    Programs write in the encoding of their system: a few bytes may be anything.
+    """
     if 8 * sum(byte > 0x7F for byte in line) <= len(line):
         line = line.translate(ONLY_ASCII)
     try:
@@ -197,8 +214,10 @@ def is_text(line: bytes) -> bool:
 
 
 def gathered(blocks: Iterable[np.ndarray], n: int = BLOCK_EVENTS) -> Iterator[np.ndarray]:
-    """The same events in blocks of at least `n`, but for the last; what `blocks` raises comes after
-    all events."""
+    """The same events in larger blocks: each has at least `n` events, except the last one.
+
+    An error of `blocks` is raised after all events that came before it.
+    """
     waiting: list[np.ndarray] = []
     n_waiting = 0
     damage: CorruptData | None = None

@@ -1,18 +1,24 @@
 """Text with an event per row: UZH's layout (`.txt`) and CSV (`.csv`, `.tsv`, `.txt`).
 
-UZH    t x y p between blanks, t in seconds; before them, optionally, a line with the sensor's
-       `width height` 240 180
-       0.003811000 96 133 0
-       Seconds become microseconds, to the nearest one.
-CSV    commas, semicolons or tabs between the columns, t in whole microseconds; a header says which
-       column is which (t|ts|timestamp, x, y, p|on|polarity|pol; others are skipped), without one
-       they are t, x, y, p Metavision's has the sensor instead of a header, and other columns:
-       %geometry:1280,720
-       96,133,0,3811
+UZH    t x y p between blanks, t in seconds. Before them there may be a line with the sensor's
+       width and height:
 
-Columns without a header that are seen to be in another order are refused, unless the caller states
-it. Polarity is 0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments.
-NumPy's `loadtxt` reads the rows, as float64: whole numbers below 2**53 are exact.
+           240 180
+           0.003811000 96 133 0
+
+       Seconds become microseconds, to the nearest one.
+
+CSV    commas, semicolons or tabs between the columns, t in whole microseconds. A header says which
+       column is which (t|ts|timestamp, x, y, p|on|polarity|pol); other columns are skipped. Without
+       a header the columns are t, x, y, p. Metavision's CSV has the sensor instead of a header, and
+       the order x, y, p, t:
+
+           %geometry:1280,720
+           96,133,0,3811
+
+Columns without a header are refused if their numbers look like another order, unless the caller
+states the order. Polarity is 0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are
+comments. NumPy's `loadtxt` reads the rows, as float64: whole numbers below 2**53 are exact.
 
 References
 ----------
@@ -32,39 +38,68 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
+from async_tnt.sources.files.source_error import SourceError
 from async_tnt.volume.event_forms import NAMES, Four, likely_order, the_name
 from async_tnt.volume.sensor import Sensor
 
 CHUNK_BYTES = 1 << 18
+"""Bytes of text that are parsed together."""
+
 FIRST_BYTES = 1 << 12
-"""Bytes of rows among which the first event is looked for, before all of them are read."""
+"""Bytes of text in which the first event is looked for, when a file is opened."""
+
 ORDER_ROWS = 1_000
-"""The first rows of a file, by which the order of its columns is judged."""
+"""Number of rows, from the first on, by which the order of the columns is judged."""
+
 MAX_ROW_BYTES = 1 << 16
+"""Bytes of the longest row. In as many bytes at a file's beginning, header and sensor are looked
+for."""
+
 COMMENTS = ("#", "%")
+"""First characters of lines that are comments."""
+
 SEPARATORS = ",;\t"
+"""Characters that may stand between the columns of a CSV file."""
+
 UZH_ORDER = "txyp"
+"""Order of the columns in UZH's layout."""
+
 CSV_ORDER = "txyp"
+"""Order of the columns in a CSV file without a header."""
+
 METAVISION_ORDER = "xypt"
-"""The order of columns in a CSV file with a line `%geometry:WIDTH,HEIGHT`."""
+"""Order of the columns in a CSV file with a line `%geometry:WIDTH,HEIGHT`."""
+
 MAX_SIDE = 1 << 16
 """Pixels of the longest side that a file may state."""
+
+MAX_WHOLE = 1 << 53
+"""Every whole number below this one is exact in float64."""
+
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+"""A decimal number."""
+
 _WORD = re.compile("true|false", re.IGNORECASE)
+"""A polarity that is written as a word."""
+
 _GEOMETRY = re.compile(r"%\s*geometry\s*:\s*(.*)", re.IGNORECASE)
+"""The comment in which Metavision's CSV states the sensor."""
+
 _NO_EVENT = re.compile(rb"^[ \t\r]*(?:[#%].*)?$", re.MULTILINE)
+"""A line without an event: a comment, or an empty one."""
 
 
 @dataclass
 class TextSource(Source):
-    """Rows of text.
+    """The events of a text file with an event per row.
 
     Parameters
     ----------
-    start, line : the first row: where it begins, in bytes, and its line number, counted from 1.
+    start : byte at which the first row begins.
+    line : line number of the first row, counted from 1.
     columns : what each column is: t, x, y, p, or "" where it is skipped.
     separator : the character between columns; None: any number of spaces and tabs.
-    unit_us : of t, in microseconds.
+    unit_us : unit of t, in microseconds.
     expected : what a row looks like, for messages.
     """
 
@@ -88,70 +123,87 @@ class TextSource(Source):
                 return
 
     def _parsed(self, chunk_bytes: int) -> Iterator[Four]:
-        """Columns of whole numbers, part by part."""
+        """Columns of whole numbers, part by part.
+
+        Raises
+        ------
+        CorruptData : at the first row that is no event.
+        """
         line = self.line
-        for text, is_whole in self._chunks(chunk_bytes):
+        for text, ends_with_line in self._chunks(chunk_bytes):
             rows = _NO_EVENT.sub(b"", text).decode("utf-8", "backslashreplace").split("\n")
-            # the last number of the file may have lost its last digits, a polarity has one
-            whole = is_whole or self.columns[-1] in ("", "p") or not rows[-2]
-            n = len(rows) if whole else len(rows) - 2
-            columns = self._columns(rows[:n])
+            # the last number of the file may have lost its last digits, a polarity has only one
+            is_complete = ends_with_line or self.columns[-1] in ("", "p") or not rows[-2]
+            n_good = len(rows) if is_complete else len(rows) - 2
+            columns = self._columns(rows[:n_good])
             if columns is None:
-                n = bisect_left(range(n), True, key=lambda k: self._columns(rows[: k + 1]) is None)
-                columns = self._columns(rows[:n])
+                # bisection finds the first bad row
+                n_good = bisect_left(
+                    range(n_good), True, key=lambda k: self._columns(rows[: k + 1]) is None
+                )
+                columns = self._columns(rows[:n_good])
             if columns is not None:
                 yield columns
-            if n < len(rows):
-                cut = "" if is_whole or n < len(rows) - 2 else ", and the file ends there"
+
+            if n_good < len(rows):
+                is_last = not ends_with_line and n_good >= len(rows) - 2
+                end = ", and the file ends there" if is_last else ""
+                got = rows[n_good].strip()[:80]
                 raise CorruptData(
-                    f"line {line + n}: expected {self.expected}, got {rows[n].strip()[:80]!r}{cut}"
+                    f"line {line + n_good}: expected {self.expected}, got {got!r}{end}"
                 )
             line += len(rows) - 1
 
     def _columns(self, rows: list[str]) -> Four | None:
-        """Rows as columns t, x, y, p of whole numbers; None where they are not."""
+        """The columns t, x, y, p of some rows; None if one of the rows is not of whole numbers."""
         if not any(rows):
             empty = np.zeros(0, np.int64)
             return empty, empty, empty, empty
-        row = np.dtype(
-            [
-                (name or f"skipped {i}", "f8" if name else "U1")
-                for i, name in enumerate(self.columns)
-            ]
-        )
+
+        row_type = [
+            (name, "f8") if name else (f"skipped {i}", "U1") for i, name in enumerate(self.columns)
+        ]
+        converters: Any = None
         # calling a function for each polarity is slow: only where some may be words
-        words: Any = {self.columns.index("p"): _polarity} if _WORD.search("\n".join(rows)) else None
+        if _WORD.search("\n".join(rows)):
+            converters = {self.columns.index("p"): _polarity}
         try:
             table = np.loadtxt(
                 rows,
-                row,
+                np.dtype(row_type),
                 comments=None,
                 delimiter=self.separator,
-                converters=words,
+                converters=converters,
                 encoding="utf-8",
                 ndmin=1,
             )
         except ValueError:
             return None
-        t = np.rint(table["t"] * self.unit_us) if self.unit_us != 1.0 else table["t"]
-        columns = t, table["x"], table["y"], table["p"]
-        if not all(
-            ((column == np.rint(column)) & (np.abs(column) < 1 << 53)).all() for column in columns
-        ):
-            return None
-        t, x, y, p = (column.astype(np.int64) for column in columns)
+
+        t = table["t"] if self.unit_us == 1.0 else np.rint(table["t"] * self.unit_us)
+        columns = (t, table["x"], table["y"], table["p"])
+        for column in columns:
+            if not ((column == np.rint(column)) & (np.abs(column) < MAX_WHOLE)).all():
+                return None
+        t, x, y, p = [column.astype(np.int64) for column in columns]
         return t, x, y, p
 
     def _chunks(self, chunk_bytes: int) -> Iterator[tuple[bytes, bool]]:
-        """Whole rows, and whether the last of them has a line end (the file's last may not; here it
-        gets one)."""
+        """Whole rows of the file, and whether their last one ends with a line end.
+
+        The last row of the file may have no line end; here it gets one.
+        """
         with self.path.open("rb") as file:
             file.seek(self.start)
-            rest, line = b"", self.line
+            rest = b""
+            line = self.line
             while chunk := file.read(chunk_bytes):
                 if len(rest) > MAX_ROW_BYTES:
-                    got = f"got {rest[:80].decode('utf-8', 'backslashreplace')!r} and more than {MAX_ROW_BYTES:,} bytes"
-                    raise CorruptData(f"line {line}: expected {self.expected}, {got}")
+                    beginning = rest[:80].decode("utf-8", "backslashreplace")
+                    raise CorruptData(
+                        f"line {line}: expected {self.expected}, got {beginning!r} and more than "
+                        f"{MAX_ROW_BYTES:,} bytes"
+                    )
                 end = chunk.rfind(b"\n") + 1
                 if end:
                     line += chunk.count(b"\n")
@@ -163,21 +215,26 @@ class TextSource(Source):
 
 
 def _polarity(word: str) -> float:
-    """A polarity as a number or as False or True."""
+    """The number of a polarity, which may be written as False or True."""
     names = {"false": 0.0, "true": 1.0}
-    return names[word.lower()] if word.lower() in names else float(word)
+    lower = word.lower()
+    return names[lower] if lower in names else float(word)
 
 
 class _Row(NamedTuple):
-    """A line of text, where it begins and ends, in bytes, and its number, from 1."""
+    """A line of text that is not empty."""
 
     text: str
     start: int
+    """Byte of the file at which the line begins."""
     end: int
+    """Byte of the file at which it ends, without its line end."""
     line: int
+    """Number of the line, from 1."""
 
     @property
     def is_comment(self) -> bool:
+        """Whether the line is a comment."""
         return self.text.startswith(COMMENTS)
 
 
@@ -188,7 +245,7 @@ def _first_rows(path: Path) -> list[_Row]:
     if b"\0" in start:
         raise ValueError(f"{path}: expected text, got bytes that are not: {start[:16]!r}")
     rows = []
-    pos = 3 if start.startswith(b"\xef\xbb\xbf") else 0  # a byte order mark
+    pos = 3 if start.startswith(b"\xef\xbb\xbf") else 0  # after a byte order mark
     for line, raw in enumerate(start[pos:].split(b"\n"), 1):
         text = raw.decode("utf-8", "backslashreplace").strip(" \r")
         if text.strip():
@@ -198,15 +255,23 @@ def _first_rows(path: Path) -> list[_Row]:
 
 
 def open_txt(path: Path, options: ReadOptions) -> Source:
-    """Open a `.txt` file: CSV if there are commas or semicolons between the columns, else UZH's
-    layout."""
-    first = next((row.text for row in _first_rows(path) if not row.is_comment), "")
-    return open_csv(path, options) if "," in first or ";" in first else open_uzh_text(path, options)
+    """Open a `.txt` file.
+
+    It is CSV if there are commas or semicolons in its first row, else in UZH's layout.
+    """
+    events = [row.text for row in _first_rows(path) if not row.is_comment]
+    if events and ("," in events[0] or ";" in events[0]):
+        return open_csv(path, options)
+    return open_uzh_text(path, options)
 
 
 def open_uzh_text(path: Path, options: ReadOptions) -> Source:
-    """Open a text file in UZH's layout; whole numbers as times are refused: they may be seconds or
-    microseconds."""
+    """Open a text file in UZH's layout.
+
+    Raises
+    ------
+    ValueError : no such layout; or times are whole numbers, which may be seconds or microseconds.
+    """
     all_rows = _first_rows(path)
     order = options.columns or UZH_ORDER
     expected = f"`{' '.join(order)}`, t in seconds"
@@ -221,15 +286,15 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
             sensor = _checked_sides(path, columns, text)
             if len(rows) == 1 and path.stat().st_size == end:
                 raise ValueError(
-                    f"{path}: the file ends in its first line, {text!r}: no events, and perhaps no "
-                    "sensor"
+                    f"{path}: the file ends in its first line, {text!r}: no events, and perhaps "
+                    "no sensor"
                 )
             start = end  # a line end, which the first row may begin with
             rows = rows[1:]
         elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
             raise ValueError(
-                f"{path}: expected {expected}, or first `width height`, got {text[:80]!r} at line "
-                f"{line}"
+                f"{path}: expected {expected}, or first `width height`, got {text[:80]!r} "
+                f"at line {line}"
             )
         _refuse_whole_times(path, rows, order.index("t"))
     return TextSource(path, start, line, tuple(order), None, 1e6, expected, sensor)
@@ -237,13 +302,15 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
 
 def _refuse_whole_times(path: Path, rows: list[_Row], column: int) -> None:
     """Refuse a file in which the times of all rows, in this column, are whole numbers."""
-    times = [words[column] for row in rows if len(words := row.text.split()) > column]
-    whole = [float(time) for time in times if _NUMBER.fullmatch(time) and float(time).is_integer()]
+    words = [row.text.split() for row in rows]
+    times = [row[column] for row in words if len(row) > column]
+    numbers = [float(time) for time in times if _NUMBER.fullmatch(time)]
+    whole = [number for number in numbers if number.is_integer()]
     if len(whole) == len(times) > 1 and any(whole):
         raise ValueError(
             f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, "
-            f"{times[1]}, ...); "
-            "if they are microseconds, write t,x,y,p with commas: CSV's times are microseconds"
+            f"{times[1]}, ...); if they are microseconds, write t,x,y,p with commas: CSV's times "
+            "are microseconds"
         )
 
 
@@ -251,75 +318,100 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
     """Open a CSV file; without a header, it must have four columns."""
     rows = _first_rows(path)
     sensor = _geometry(path, rows)
-    first = next((row for row in rows if not row.is_comment), None)
-    if first is None:
-        _, start, _, line = rows[-1] if rows else _Row("", 0, 0, 1)
-        return TextSource(
-            path, start, line, tuple(CSV_ORDER), ",", 1.0, ",".join(CSV_ORDER), sensor
-        )
-    text, start, end, line = first
-    separator, columns = _split(text)
-    if len(columns) < 4:
+    n_comments = 0
+    while n_comments < len(rows) and rows[n_comments].is_comment:
+        n_comments += 1
+    if n_comments == len(rows):  # no event in the first 64 KiB
+        last = rows[-1] if rows else _Row("", 0, 0, 1)
+        expected = ",".join(CSV_ORDER)
+        columns = tuple(CSV_ORDER)
+        return TextSource(path, last.start, last.line, columns, ",", 1.0, expected, sensor)
+
+    first = rows[n_comments]
+    separator, words = _split(first.text)
+    if len(words) < 4:
         raise ValueError(
             f"{path}: expected at least four columns with commas, semicolons or tabs between them, "
-            f"got {text[:80]!r} at line {line}"
+            f"got {first.text[:80]!r} at line {first.line}"
         )
-    comments = [
-        _names_in(row.text.lstrip("".join(COMMENTS)), len(columns))
-        for row in rows[: rows.index(first)]
-    ]
-    header = next(filter(_is_header, reversed(comments)), None)  # a comment may be one: `# x,y,p,t`
-    if header is None and any(
-        re.search("[A-Za-z]", c) and not _NUMBER.fullmatch(c) for c in columns[:2]
-    ):
-        header = columns
-        if not _is_header(header):
-            wanted = ", ".join("|".join(names) for names in NAMES.values())
-            raise ValueError(
-                f"{path}: the header must name {wanted}; got {text[:80]!r} at line {line}"
-            )
-        if len(rows) == 1 and path.stat().st_size == end:
-            raise ValueError(f"{path}: the file ends in its header, {text[:80]!r}")
-        start = end  # a line end, which the first row may begin with
+    start = first.start
+    header = _header_in(rows[:n_comments], len(words))
+    if header is None and _names_columns(words):
+        _check_header(path, words, first)
+        if len(rows) == 1 and path.stat().st_size == first.end:
+            raise ValueError(f"{path}: the file ends in its header, {first.text[:80]!r}")
+        header = words
+        start = first.end  # a line end, which the first row may begin with
     if header is None:
-        if len(columns) != 4:
+        if len(words) != 4:
             raise ValueError(
-                f"{path}: without a header there must be four columns t, x, y, p, got "
-                f"{len(columns)} in "
-                f"{text[:80]!r} at line {line}; with one, further columns are skipped"
+                f"{path}: without a header there must be four columns t, x, y, p, got {len(words)} "
+                f"in {first.text[:80]!r} at line {first.line}; with one, further columns are "
+                "skipped"
             )
         header = list(_order_without_header(path, rows, separator, options, sensor))
+
+    roles = _roles(path, header)
+    expected = separator.join(header) + ", t in whole microseconds"
+    return TextSource(path, start, first.line, roles, separator, 1.0, expected, sensor)
+
+
+def _header_in(comments: list[_Row], n_columns: int) -> list[str] | None:
+    """The columns that the last header among these comments names, such as `# x,y,p,t`; None
+    without one."""
+    for row in reversed(comments):
+        names = _names_in(row.text.lstrip("".join(COMMENTS)), n_columns)
+        if _is_header(names):
+            return names
+    return None
+
+
+def _names_columns(words: list[str]) -> bool:
+    """Whether one of the first two words of a row is a name rather than a number."""
+    return any(re.search("[A-Za-z]", word) and not _NUMBER.fullmatch(word) for word in words[:2])
+
+
+def _check_header(path: Path, names: list[str], row: _Row) -> None:
+    """Refuse a header that does not name all of t, x, y and p."""
+    if not _is_header(names):
+        wanted = ", ".join("|".join(known) for known in NAMES.values())
+        raise ValueError(
+            f"{path}: the header must name {wanted}; got {row.text[:80]!r} at line {row.line}"
+        )
+
+
+def _roles(path: Path, header: list[str]) -> list[str]:
+    """What each column of a header is: t, x, y, p, or "" where it is skipped."""
     roles = [""] * len(header)
     for field in "txyp":
         try:
-            roles[header.index(the_name(field, header, "the header"))] = field
+            name = the_name(field, header, "the header")
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
-    expected = separator.join(header) + ", t in whole microseconds"
-    return TextSource(path, start, line, roles, separator, 1.0, expected, sensor)
+        roles[header.index(name)] = field
+    return roles
 
 
 def _order_without_header(
     path: Path, rows: list[_Row], separator: str, options: ReadOptions, sensor: Sensor | None
 ) -> str:
-    """The order of four columns: as the caller states it, or as the format has it, if the numbers
-    look like that.
+    """The order of four columns: as the caller states it, or else as the format has it.
 
     Raises
     ------
-    ValueError : they look like another order.
+    SourceError : the numbers look like another order.
     """
     usual = CSV_ORDER if sensor is None else METAVISION_ORDER
     order = options.columns or usual
     table = _numbers(rows, separator)
     likely = order if table is None else likely_order(table, order)
-    if likely == order:
-        return order
-    raise ValueError(
-        f"{path}: the columns are not {order!r}; they look like {likely!r}: state their order with "
-        "`columns`, or "
-        "write a header"
-    )
+    if likely != order:
+        raise SourceError(
+            str(path),
+            f"the columns are not {order!r}; they look like {likely!r}: state their order with "
+            "{columns}, or write a header",
+        )
+    return order
 
 
 def _numbers(rows: list[_Row], separator: str) -> np.ndarray | None:
@@ -327,11 +419,11 @@ def _numbers(rows: list[_Row], separator: str) -> np.ndarray | None:
     events = [row.text for row in rows if not row.is_comment]
     if len(events) > 1:
         events.pop()  # it may be cut off
+    rows_of_words = [text.split(separator) for text in events[:ORDER_ROWS]]
     try:
-        words = [
-            [word.strip(" \r\"'") for word in text.split(separator)] for text in events[:ORDER_ROWS]
-        ]
-        table = np.array([[_polarity(word) for word in row] for row in words])
+        table = np.array(
+            [[_polarity(word.strip(" \r\"'")) for word in words] for words in rows_of_words]
+        )
     except ValueError:  # not a number, or rows of different lengths
         return None
     return table if table.ndim == 2 and table.shape[1] == 4 else None
@@ -342,15 +434,21 @@ def _geometry(path: Path, rows: list[_Row]) -> Sensor | None:
     for row in rows:
         if not row.is_comment:
             return None
-        if found := _GEOMETRY.fullmatch(row.text):
+        found = _GEOMETRY.fullmatch(row.text)
+        if found is not None:
             return _checked_sides(path, found[1].split(","), row.text)
     return None
 
 
 def _checked_sides(path: Path, words: list[str], text: str) -> Sensor:
-    """Two words as (width, height); a ValueError that quotes the text if they are not sides of a
-    sensor."""
-    sides = [int(word) for word in words if word.strip().isdecimal() and len(word) < 20]
+    """Two words as (width, height).
+
+    Raises
+    ------
+    ValueError : they are not the sides of a sensor; the message quotes the line's `text`.
+    """
+    decimals = [word for word in words if word.strip().isdecimal()]
+    sides = [int(word) for word in decimals if len(word) < 20]
     if len(words) != 2 or len(sides) != 2 or not all(1 <= side <= MAX_SIDE for side in sides):
         raise ValueError(
             f"{path}: a sensor must have 1 to {MAX_SIDE} pixels a side, got {text[:80]!r}"
@@ -365,10 +463,12 @@ def _split(text: str) -> tuple[str, list[str]]:
 
 
 def _names_in(comment: str, n_columns: int) -> list[str]:
-    """The columns that a comment may name, with the separators of rows or with blanks: `# x,y,p,t`,
-    `# x y p t`."""
+    """The words of a comment that may name columns, such as `# x,y,p,t` or `# x y p t`."""
     by_blanks = comment.lower().split()
-    return by_blanks if len(by_blanks) == n_columns else _split(comment)[1]
+    if len(by_blanks) == n_columns:
+        return by_blanks
+    _, by_separators = _split(comment)
+    return by_separators
 
 
 def _is_header(columns: list[str]) -> bool:

@@ -1,5 +1,6 @@
-"""AEDAT4, ES and HDF5 files, read in a worker process, because a damaged file can crash or hang
-their libraries.
+"""Readers of AEDAT4, ES and HDF5 files, which run in a worker process.
+
+A damaged file can crash or hang their libraries.
 
 faery panics on a damaged file or asks for so much memory that its process is aborted; Blosc's
 decoder can crash, and HDF5 itself can read a damaged file forever. After damage, a minute of
@@ -24,10 +25,17 @@ from async_tnt.base.checks import one_line
 from async_tnt.base.worker import Worker
 from async_tnt.sources.files import library_readers
 from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
+from async_tnt.sources.files.source_error import SourceError
 
-SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
-AHEAD = 8  # calls that the worker has; blocks may be small
-READ_S = 120.0  # after which a worker ends itself, if its parent has not
+SILENCE_S = 60.0
+"""Seconds to wait for an answer of the worker. A block takes milliseconds, but a disk may sleep,
+and a machine may be busy."""
+
+AHEAD = 8
+"""Number of calls that the worker has at once: blocks may be small."""
+
+READ_S = 120.0
+"""Seconds of one call after which a worker ends itself, if its parent has not ended it."""
 
 
 class WorkerSource(Source):
@@ -35,8 +43,9 @@ class WorkerSource(Source):
 
     Parameters
     ----------
-    read : how, see `library_readers.py`.
-    format : its name, for messages.
+    path : path of the file.
+    read : function that reads the file in the worker, see `library_readers.py`.
+    format : name of the format.
 
     Attributes
     ----------
@@ -54,6 +63,8 @@ class WorkerSource(Source):
             worker.submit(library_readers.head_of, read, self._path, limit_s=READ_S)
             try:
                 head, self._first = worker.result(SILENCE_S)
+            except SourceError as error:
+                raise error.of(path, f"not a readable {format} file: ") from None
             except Exception as error:
                 raise ValueError(
                     f"{path}: not a readable {format} file: {one_line(error)}"
@@ -68,7 +79,9 @@ class WorkerSource(Source):
             yield from self._events_of(self._received(worker))
 
     def check_first(self) -> None:
-        for events in self._events_of([] if self._first is None else [self._first]):
+        if self._first is None:
+            return
+        for events in self._events_of([self._first]):
             if len(events):
                 return
 
@@ -77,19 +90,21 @@ class WorkerSource(Source):
         self.sensor = head
 
     def _size_of(self, block: Any) -> int:
-        """How many units a block has."""
+        """The number of units in a block."""
         return len(block[0])
 
     def _events_of(self, blocks: Iterable[Any]) -> Iterator[np.ndarray]:
-        """Blocks of the reader as events."""
+        """The events in blocks of the reader."""
         return valid_blocks(blocks)
 
     def _received(self, worker: Worker) -> Iterator[Any]:
-        """The blocks of a file that the worker has started to read; it reads on while a block is
-        used."""
+        """The blocks of a file that the worker has started to read.
+
+        The worker reads on while a block is used.
+        """
         n_read = 0
         try:
-            worker.result(SILENCE_S)  # the sensor
+            worker.result(SILENCE_S)  # what `start` returns: the sensor
             while (block := worker.result(SILENCE_S)) is not None:
                 worker.submit(library_readers.next_block, limit_s=READ_S)
                 yield block
@@ -100,14 +115,16 @@ class WorkerSource(Source):
             raise CorruptData(f"after {self.unit} {n_read}: {one_line(error)}") from None
 
 
-# one at most, by process: a forked one must not use that of its parent
 _idle: dict[int, Worker] = {}
+"""Process id -> its worker without work. A forked process must not use that of its parent."""
 
 
 @contextmanager
 def _worker() -> Iterator[Worker]:
-    """A worker; kept for the next file, but ended after an error, or if the file was not read to
-    its end."""
+    """A worker, which is kept for the next file.
+
+    It is ended after an error, or if the file was not read to its end.
+    """
     worker = _idle.pop(os.getpid(), None)
     if worker is not None and not worker.is_running:
         worker.end()
@@ -124,7 +141,8 @@ def _worker() -> Iterator[Worker]:
 
 @atexit.register
 def _end_idle() -> None:
-    if worker := _idle.pop(os.getpid(), None):
+    worker = _idle.pop(os.getpid(), None)
+    if worker is not None:
         worker.end()
 
 
@@ -136,6 +154,12 @@ def _open(
     path: Path,
     options: ReadOptions,
 ) -> Source:
+    """Open a file that `read` reads in the worker.
+
+    Raises
+    ------
+    ImportError : the `library` is missing; `extra` installs it.
+    """
     if find_spec(library) is None:
         raise ImportError(
             f"{path}: {format} is read by {library}, which is missing: pip install "
@@ -147,5 +171,4 @@ def _open(
 open_aedat4 = partial(_open, library_readers.read_aedat4, "AEDAT4", "faery", "files")
 open_es = partial(_open, library_readers.read_es, "ES", "faery", "files")
 open_hdf5 = partial(_open, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
-"""Each opens a file of its format: a function of a path and `ReadOptions` that returns a
-`Source`."""
+"""Functions of a path and `ReadOptions` that open a file, each of one format, as a `Source`."""

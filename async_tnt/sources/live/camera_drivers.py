@@ -1,5 +1,4 @@
-"""The camera libraries behind one interface: a driver finds the connected cameras, a device is
-read."""
+"""The camera libraries behind one interface: a driver finds cameras, a device is an opened one."""
 
 from __future__ import annotations
 
@@ -9,14 +8,18 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import import_module
+from itertools import chain
 from typing import Any, Protocol
 
 import numpy as np
 
-WAIT_S = 0.1  # how long neuromorphic-drivers waits for events at a time, and `close` at most
-PAUSE_S = 0.001  # dv-processing does not wait: it is polled this often, which takes 3 % of a core
+WAIT_S = 0.1
+"""Seconds that neuromorphic-drivers waits for events at a time, so that `close` waits no longer."""
 
-NEUROMORPHIC_KINDS = {  # KIND of `camera:KIND`, by neuromorphic-drivers' names of models
+PAUSE_S = 0.001
+"""Seconds after which dv-processing, which does not wait, is asked again: takes 3 % of a core."""
+
+NEUROMORPHIC_KINDS = {
     "Prophesee EVK4": ("evk4",),
     "Prophesee EVK3 HD": ("evk3",),
     "iniVation DAVIS 346": ("davis346", "davis"),
@@ -24,7 +27,9 @@ NEUROMORPHIC_KINDS = {  # KIND of `camera:KIND`, by neuromorphic-drivers' names 
     "CenturyArks VGA": ("silkyevcam",),
     "Lucid Triton": ("triton",),
 }
-DV_KINDS = {  # the same by dv-processing's names, which do not tell a DAVIS346 from other DAVIS
+"""Name of a model in neuromorphic-drivers -> every KIND of `camera:KIND` that matches it."""
+
+DV_KINDS = {
     "DVS128": ("dvs128",),
     "DAVIS": ("davis", "davis346"),
     "DAVIS_GEN2": ("davis", "davis346"),
@@ -33,42 +38,41 @@ DV_KINDS = {  # the same by dv-processing's names, which do not tell a DAVIS346 
     "DVXPLORER_M": ("dvxplorer", "dvxplorer-m"),
     "DVXPLORER_S": ("dvxplorer", "dvxplorer-s"),
 }
+"""The same for dv-processing, whose names do not tell a DAVIS346 from another DAVIS."""
+
 DV_SETTINGS = (
-    *(
-        "ContrastThresholdOn",
-        "ContrastThresholdOff",
-        "ReadoutFPS",
-        "GlobalHold",
-        "BackgroundActivityFilter",
-    ),
-    *(
-        "RefractoryPeriodFilter",
-        "SkipFilter",
-        "CropAreaEvents",
-        "CropArea",
-        "FirmwareVersion",
-        "LogicVersion",
-    ),
+    "ContrastThresholdOn",
+    "ContrastThresholdOff",
+    "ReadoutFPS",
+    "GlobalHold",
+    "BackgroundActivityFilter",
+    "RefractoryPeriodFilter",
+    "SkipFilter",
+    "CropAreaEvents",
+    "CropArea",
+    "FirmwareVersion",
+    "LogicVersion",
 )
-"""What a dv-processing camera is asked for: `getReadoutFPS` and so on."""
-ALL_KINDS = sorted(
-    {kind for kinds in (*NEUROMORPHIC_KINDS.values(), *DV_KINDS.values()) for kind in kinds}
-)
+"""Settings that a dv-processing camera is asked for: `getReadoutFPS` and so on."""
+
+ALL_KINDS = sorted({*chain(*NEUROMORPHIC_KINDS.values(), *DV_KINDS.values())})
+"""Every KIND of `camera:KIND`."""
 
 
 @dataclass
 class CameraCounts:
-    """What a camera has sent so far. None: the library does not report it."""
+    """What a camera has sent so far, in numbers. None: the library does not report it."""
 
     packets: int = 0
-    """Those that hold events."""
+    """Packets with events."""
     events: int = 0
+    """Events handed on."""
     overflows: int | None = None
-    """Gaps in the stream of events, which were not read in time."""
+    """Gaps in the stream of events, which was not read in time."""
     dropped: int | None = None
     """Raw USB packets that the library dropped."""
     clock_restarts: int = 0
-    """How often the camera's clock moved back; times continue, see `Clock`."""
+    """Times that the camera's clock moved back; times continue, see `Clock`."""
     off_sensor: int = 0
     """Events left out because they lie off the sensor: the cable or the driver garbled them."""
     jumped: int = 0
@@ -79,21 +83,23 @@ class Device(Protocol):
     """An opened camera of one of the libraries. `Camera` calls one method at a time."""
 
     sensor: tuple[int, int]
+    """(width, height) in pixels."""
     time_field: str
-    """Of its packets."""
+    """Name of the field of times in its packets."""
     counts: CameraCounts
-    """It updates what the library reports as lost while it is read; `Camera` does the rest."""
+    """The device counts what the library reports as lost while it is read; `Camera` counts the
+    rest."""
     handle: Any
     """The library's own object."""
     settings: dict[str, Any]
-    """Name -> value of what decides which events it sends, when it was opened, as far as the
-    library tells."""
+    """Name -> value of the settings that decide which events it sends, when it was opened, as far
+    as the library tells."""
 
     def read(self) -> np.ndarray | None:
         """The next packet, a structured array in new memory; None if there is none now.
 
-        Waits for one, for 0.2 s at most. If the camera is gone, raises what the library raises, see
-        `failure`.
+        Waits for a packet, for 0.2 s at most. If the camera is gone, raises what the library
+        raises, see `failure`.
         """
 
     def close(self) -> None:
@@ -105,11 +111,13 @@ class FoundCamera:
     """A connected camera."""
 
     model: str
-    """The library's name."""
+    """The library's name of its model."""
     kinds: tuple[str, ...]
     """Every KIND of `camera:KIND` that matches it."""
     serial: str | None
+    """Its serial number; None: the library does not tell it."""
     open: Callable[[], Device]
+    """Opens it."""
     problem: str | None = None
     """Why it may not open, if the library reports it."""
 
@@ -118,8 +126,8 @@ class FoundCamera:
 
 
 Driver = Callable[[], Sequence[FoundCamera]]
-"""Finds the connected cameras of one library. ImportError without it; if it cannot search, what the
-library raises."""
+"""Function that finds the connected cameras of one library. It raises an ImportError without the
+library, and what the library raises if it cannot search."""
 
 
 def failure(error: BaseException) -> str:
@@ -134,7 +142,8 @@ def failure(error: BaseException) -> str:
 
     Examples
     --------
-    >>> failure(RuntimeError("/a/b.hpp(88): dv::open()\\nRuntimeError: no such device\\nStacktrace:\\n 0# x"))
+    >>> lines = ("/a/b.hpp(88): dv::open()", "RuntimeError: no such device", "Stacktrace:")
+    >>> failure(RuntimeError("\\n".join(lines)))
     'no such device'
     >>> failure(ValueError())
     'ValueError'
@@ -150,29 +159,29 @@ def failure(error: BaseException) -> str:
 
 
 def neuromorphic_cameras(library: Any) -> list[FoundCamera]:
-    """By neuromorphic-drivers: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer and others.
+    """The cameras that neuromorphic-drivers finds: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer
+    and others.
 
     Parameters
     ----------
-    library : the module `neuromorphic_drivers`, of which `list_devices` and `open` are called.
+    library : the module `neuromorphic_drivers`. Its `list_devices` and `open` are called.
     """
     found = []
     for listed in library.list_devices():
         model = listed.name.value
-        # by its address if it is in a network and its serial number is unknown
+        # a camera in a network may have no known serial number, but an address
         which = {"serial": listed.serial} if listed.serial else {"address": listed.address}
         open_this = partial(NeuromorphicDevice, library.open, which)
-        found.append(
-            FoundCamera(
-                model, NEUROMORPHIC_KINDS.get(model, ()), listed.serial, open_this, listed.error
-            )
-        )
+        kinds = NEUROMORPHIC_KINDS.get(model, ())
+        found.append(FoundCamera(model, kinds, listed.serial, open_this, listed.error))
     return found
 
 
 class NeuromorphicDevice:
-    """One camera. The library puts each packet in new memory and keeps no reference: it is not
-    copied."""
+    """A camera that neuromorphic-drivers has opened.
+
+    The library puts each packet in new memory and keeps no reference to it, so it is not copied.
+    """
 
     time_field = "t"
 
@@ -186,8 +195,8 @@ class NeuromorphicDevice:
 
     def read(self) -> np.ndarray | None:
         status, packet = next(self.handle)
-        if (ring := status.ring) is not None:  # None: nothing came within WAIT_S
-            self.counts.dropped = ring.dropped_packets
+        if status.ring is not None:  # None: nothing came within WAIT_S
+            self.counts.dropped = status.ring.dropped_packets
         events: np.ndarray | None = None if packet is None else packet.polarity_events
         if events is None:
             return None
@@ -201,25 +210,26 @@ class NeuromorphicDevice:
 
 
 def dv_cameras(library: Any) -> list[FoundCamera]:
-    """By dv-processing, iniVation's own library: the DAVIS, DVXplorer and DVS128 families.
+    """The cameras that dv-processing, iniVation's own library, finds: DAVIS, DVXplorer and DVS128.
 
     Parameters
     ----------
-    library : the module `dv_processing.io.camera`, of which `discover` and `open` are called.
+    library : the module `dv_processing.io.camera`. Its `discover` and `open` are called.
     """
     found = []
     for descriptor in library.discover():
         model = descriptor.cameraModel.name
         open_this = partial(DvDevice, library.open, descriptor)
-        found.append(
-            FoundCamera(model, DV_KINDS.get(model, ()), descriptor.serialNumber or None, open_this)
-        )
+        kinds = DV_KINDS.get(model, ())
+        found.append(FoundCamera(model, kinds, descriptor.serialNumber or None, open_this))
     return found
 
 
 class DvDevice:
-    """One camera, or any other `dv_processing.io.InputBase`: recordings and network streams are
-    read alike."""
+    """A camera that dv-processing has opened, or any other `dv_processing.io.InputBase`.
+
+    Recordings and network streams are read like cameras.
+    """
 
     time_field = "timestamp"
 
@@ -236,7 +246,7 @@ class DvDevice:
                 self.settings[name] = getattr(self.handle, f"get{name}")()
 
     def read(self) -> np.ndarray | None:
-        # first, as events from before the end can be read after it
+        # asked first: events from before the end can be read after it
         running = self.handle.isRunning()
         store = self.handle.getNextEventBatch()
         if store is not None:
@@ -256,5 +266,5 @@ DRIVERS: Mapping[str, Driver] = {
     "neuromorphic-drivers": lambda: neuromorphic_cameras(import_module("neuromorphic_drivers")),
     "dv-processing": lambda: dv_cameras(import_module("dv_processing").io.camera),
 }
-"""Library -> its `Driver`, in the order in which they are tried: the first waits without polling,
-and counts losses."""
+"""Library -> its `Driver`, in the order in which they are tried. The first one waits without
+polling and counts losses."""

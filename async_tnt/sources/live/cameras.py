@@ -1,5 +1,4 @@
-"""Cameras: `open_camera` opens one by name, `Camera` yields its packets until it is closed or
-unplugged."""
+"""Cameras: `open_camera` opens one by its name, `Camera` yields its packets."""
 
 from __future__ import annotations
 
@@ -20,25 +19,34 @@ from async_tnt.sources.live.camera_drivers import (
     CameraCounts,
     Device,
     Driver,
+    FoundCamera,
     failure,
 )
 from async_tnt.sources.live.clock import Clock
 
-MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
+MAX_JUMP_S = 1.0
+"""Seconds that a time may lie ahead of what is expected: a camera's events arrive in order and
+soon."""
+
+ADVICE = "Is it plugged in, and used by no other program?"
+LINUX_ADVICE = (
+    " Does lsusb show it, and do udev rules let users read it "
+    "(neuromorphic-drivers-install-udev-rules)?"
+)
 
 log = logging.getLogger("async_tnt.sources")
 
 
 class Camera(AbstractContextManager["Camera"]):
-    """Events of a camera. Made by `open_camera`.
+    """A camera and its events. Made by `open_camera`.
 
     Iterating yields packets: structured arrays with the library's own fields, never empty, each in
-    new memory, in a form that `as_events` and `Processor.push` accept. Frames, IMU samples and
-    triggers are left out. Iterating ends when `close` is called, from any thread, and may be
-    resumed after a `break`. One thread reads at a time.
+    new memory, in a form that `Processor.push` accepts. Frames, IMU samples and triggers are left
+    out. Iterating ends when `close` is called, from any thread, and may be resumed after a `break`.
+    One thread reads at a time.
 
-    If the camera is unplugged, OSError is raised after the packets before it, and the camera is
-    closed.
+    If the camera is unplugged, an OSError is raised after the packets that came before, and the
+    camera is closed.
 
     Attributes
     ----------
@@ -51,7 +59,8 @@ class Camera(AbstractContextManager["Camera"]):
     def __init__(self, device: Device, name: str) -> None:
         self.name = name
         self._device = device
-        self.sensor, self.settings = device.sensor, device.settings
+        self.sensor = device.sensor
+        self.settings = device.settings
         self._counts = device.counts
         self._clock = Clock(MAX_JUMP_S)
         self._closing = threading.Event()
@@ -72,7 +81,7 @@ class Camera(AbstractContextManager["Camera"]):
 
     @property
     def counts(self) -> CameraCounts:
-        """What it has sent so far."""
+        """What the camera has sent so far: packets, events, and what was lost."""
         return replace(self._counts, clock_restarts=self._clock.restarts)
 
     def __repr__(self) -> str:
@@ -97,7 +106,8 @@ class Camera(AbstractContextManager["Camera"]):
 
     def __iter__(self) -> Iterator[np.ndarray]:
         while not self._closing.is_set():
-            if (events := self._read()) is not None:
+            events = self._read()
+            if events is not None:
                 yield events
 
     def _read(self) -> np.ndarray | None:
@@ -112,38 +122,43 @@ class Camera(AbstractContextManager["Camera"]):
                 self.close()
                 raise OSError(
                     f"{self.name}: the camera is gone after {self._counts.events:,} events "
-                    f"({reason}); "
-                    "check its cable and power, and open it again"
+                    f"({reason}); check its cable and power, and open it again"
                 ) from error
-            if events is None or not len(events) or not len(events := self._valid(events)):
+            if events is None or not len(events):
+                return None
+            events = self._valid(events)
+            if not len(events):
                 return None
             self._counts.packets += 1
             self._counts.events += len(events)
             return events
 
     def _valid(self, events: np.ndarray) -> np.ndarray:
-        """The packet without the events that the cable or the driver garbled, which a processor
-        would refuse."""
+        """The packet without garbled events, which a processor would refuse.
+
+        The cable or the driver can garble them.
+        """
         width, height = self.sensor
-        # below 0 is beyond any sensor
-        x, y = events["x"].view(np.uint16), events["y"].view(np.uint16)
+        # unsigned, a pixel below 0 is beyond any sensor
+        x = events["x"].view(np.uint16)
+        y = events["y"].view(np.uint16)
         n = len(events)
         if x.max() >= width or y.max() >= height:
             events = events[(x < width) & (y < height)]
             self._counts.off_sensor += n - len(events)
             n = len(events)
         events = self._clock(events, self._device.time_field, time.monotonic_ns() // 1000)
-        # also times that no clock shows, which `Clock.jumped` leaves out
+        # counted here: `Clock.jumped` leaves out times that no clock shows
         self._counts.jumped += n - len(events)
         return events
 
     # -- the end -----------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Stop, end every iteration and release the camera, from any thread; counts stay. May be
-        called again.
+        """Stop, end every iteration and release the camera; counts stay.
 
-        Waits for a read in progress, about 0.1 s; after that the camera may be opened again.
+        Any thread may call it, also again. Waits for a read in progress, about 0.1 s. After that
+        the camera may be opened again.
         """
         self._closing.set()
         with self._using:
@@ -169,7 +184,7 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
 
     Returns
     -------
-    Camera, which is running: read it, or the buffer of its driver overflows.
+    `Camera`, which is running: read it, or the buffer of its driver overflows.
 
     Raises
     ------
@@ -179,7 +194,10 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
     ImportError : no library is installed.
     """
     kind, serial = parse_camera_name(name)
-    problems, searched, n_missing, was_found = [], [], 0, False
+    problems = []
+    searched = []
+    n_missing = 0
+    was_found = False
     for package, find in drivers.items():
         try:
             found = find()
@@ -193,10 +211,7 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
         if not found:
             searched.append(package)
         for camera in found:
-            # one that hides its serial number may be the right one; opening it shows why it does
-            if (kind and kind not in camera.kinds) or (
-                serial and camera.serial not in (serial, None)
-            ):
+            if not _is_wanted(camera, kind, serial):
                 problems.append(f"{package} found {camera}, which is another camera")
                 continue
             try:
@@ -214,20 +229,30 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
         )
     if searched:
         problems.insert(0, f"{' and '.join(searched)} found none")
-    advice = "Is it plugged in, and used by no other program?"
-    if sys.platform.startswith("linux"):
-        advice += " Does lsusb show it, and do udev rules let users read it (neuromorphic-drivers-install-udev-rules)?"
     problems.insert(0, "cannot be opened" if was_found else "no camera found")
+    advice = ADVICE + (LINUX_ADVICE if sys.platform.startswith("linux") else "")
     raise OSError(f"{name}: {'; '.join(problems)}. {advice}")
 
 
+def _is_wanted(camera: FoundCamera, kind: str | None, serial: str | None) -> bool:
+    """Whether a camera is of the kind, and has the serial number; None: any.
+
+    A camera that hides its serial number may be the right one: opening it shows why it does.
+    """
+    if kind and kind not in camera.kinds:
+        return False
+    return not serial or camera.serial in (serial, None)
+
+
 def parse_camera_name(name: str) -> tuple[str | None, str | None]:
-    """(kind, serial), None for any.
+    """The kind and the serial number in a camera's name; None where it has none.
 
     Examples
     --------
-    >>> parse_camera_name("camera"), parse_camera_name("camera:EVK4"), parse_camera_name("camera:davis346:00000042")
-    ((None, None), ('evk4', None), ('davis346', '00000042'))
+    >>> parse_camera_name("camera:EVK4")
+    ('evk4', None)
+    >>> parse_camera_name("camera:davis346:00000042")
+    ('davis346', '00000042')
     """
     word, *rest = name.split(":", 2)
     if word != "camera" or "" in rest:

@@ -17,22 +17,31 @@ from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
-from async_tnt.base.checks import whole_number
+from async_tnt.base.checks import ParameterValueError, whole_number
 from async_tnt.sources.live.datagrams import Decoder
 
-ROOM = 1 << 16  # more than any datagram: none is ever cut off
+ROOM = 1 << 16
+"""Bytes of memory for the next datagram: more than any has, so that none is ever cut off."""
+
 BATCH_BYTES = 1 << 18
-MAX_DATAGRAMS = 64  # in one packet
-# malformed events without a single good one, after which a warning names possible reasons
+"""Bytes of memory for the datagrams that are read together."""
+
+MAX_DATAGRAMS = 64
+"""The most datagrams in one packet."""
+
 WARN_AFTER = 1000
-LONGEST_S = 1e6  # the system sleeps for no longer than some weeks
+"""Number of malformed events, without a single good one, after which a warning names possible
+reasons."""
+
+LONGEST_S = 1e6
+"""Seconds of the longest wait: the system sleeps for no longer than some weeks."""
 
 log = logging.getLogger("async_tnt.sources")
 
 
 @dataclass(frozen=True)
 class NetworkCounts:
-    """What a `UdpSource` has received so far."""
+    """What a `UdpSource` has received so far, in numbers."""
 
     datagrams: int
     """Datagrams received."""
@@ -41,49 +50,53 @@ class NetworkCounts:
     events: int
     """Events handed on."""
     malformed: int
-    """Left out: cut off, off the sensor, an impossible polarity or time, a time that jumps."""
+    """Events left out: cut off, off the sensor, with an impossible polarity or time, or with a time
+    that jumps."""
     late: int
-    """Handed on, but older than one before: the network or the sender reordered them."""
+    """Events handed on that are older than one before: the network or the sender reordered them."""
     jumped: int = 0
-    """How many of `malformed` have a time that jumps, see `Clock`."""
+    """Malformed events with a time that jumps, see `Clock`."""
     off_sensor: int = 0
-    """How many of `malformed` lie off the sensor."""
+    """Malformed events off the sensor."""
     clock_restarts: int = 0
-    """How often the sender's clock moved back; times continue, see `Clock`."""
+    """Times that the sender's clock moved back; times continue, see `Clock`."""
 
 
 class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
-    """Listens for datagrams of events.
+    """A listener for datagrams of events.
 
-    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of the datagrams
-    that were waiting, 64 at most, or of the one that ended a wait. It ends when `close` is called,
-    from any thread, or after `timeout_s` without a valid event. Invalid events never raise; they
-    are dropped, see `counts`. One thread iterates at a time; asyncio reads it through a
-    `BackgroundReader`.
+    Iterating yields packets: structured arrays of `EVENT_DTYPE`, never empty. A packet has the
+    events of the datagrams that were waiting, 64 at most, or of the one that ended a wait.
+    Iterating ends when `close` is called, from any thread, or after `timeout_s` without a valid
+    event. Invalid events never raise; they are dropped, see `counts`. One thread iterates at a
+    time; asyncio reads the source through a `BackgroundReader`.
 
     Parameters
     ----------
     address, port : where to listen; by default only this machine can send. Port 0 picks a free one:
         read `port`.
-    format : one of `async_tnt.sources.EVENT_BYTES`.
+    format : `t64_x16_y16_on8`, `t32_x16_y15_on1`, `spif` or `spif_t32`, see `encode`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
-    buffer_bytes : receive buffer to ask the system for; the attribute has what it gives.
+    buffer_bytes : bytes of the receive buffer to ask the system for; the attribute of this name has
+        what the system gives.
     timeout_s : seconds without a valid event, below 1e6, after which iterating ends; None waits
         forever.
-    max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the
-        times of a sender that starts again. None: every time is trusted.
+    max_jump_s : parameter of the stream's `Clock`, which drops events whose time jumps, and
+        continues the times of a sender that starts again. None: every time is trusted.
 
     Raises
     ------
     OSError : the address is not this machine's, or taken.
-    ValueError : a setting out of range.
+    ParameterValueError : a setting out of range.
 
     Examples
     --------
     >>> from async_tnt import EVENT_DTYPE
     >>> from async_tnt.sources import encode
-    >>> with UdpSource(port=0, timeout_s=1) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
-    ...     _ = sender.sendto(encode(np.array([(258, 3, 4, 1)], EVENT_DTYPE)), (source.address, source.port))
+    >>> sender = socket.socket(type=socket.SOCK_DGRAM)
+    >>> data = encode(np.array([(258, 3, 4, 1)], EVENT_DTYPE))
+    >>> with sender, UdpSource(port=0, timeout_s=1) as source:
+    ...     _ = sender.sendto(data, (source.address, source.port))
     ...     next(iter(source)).tolist(), source.counts.events
     ([(258, 3, 4, 1)], 1)
     """
@@ -102,12 +115,11 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         port = whole_number("port", port, 0, 1 << 16)
         buffer_bytes = whole_number("buffer_bytes", buffer_bytes, 1, 1 << 30, "in [1, 2**30)")
         if timeout_s is not None and not 0 < timeout_s < LONGEST_S:
-            raise ValueError(
-                f"`timeout_s` must be a positive number of seconds below {LONGEST_S:g}, got "
-                f"{timeout_s}"
-            )
+            rule = f"must be a positive number of seconds below {LONGEST_S:g}"
+            raise ParameterValueError("timeout_s", rule, timeout_s)
         self.timeout_s = timeout_s
-        self.format, self.sensor = format, sensor
+        self.format = format
+        self.sensor = sensor
         # before the decoder, which may have to be compiled: an address that is taken shows at once
         self._socket = _bound_socket(address, port)
         try:
@@ -117,9 +129,13 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
             raise
         self._memory = memoryview(bytearray(BATCH_BYTES))
         self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
-        self._datagrams = self._bytes = self._events = self._cut = 0
+        self._datagrams = 0
+        self._bytes = 0
+        self._events = 0
+        self._cut = 0
         self._started_ns = time.monotonic_ns()
-        self._closed = self._has_warned = False
+        self._closed = False
+        self._has_warned = False
         # Held while a thread reads or waits, so that `close` does not free the socket's number
         # meanwhile: the system may give it to another socket. Re-entrant: a signal handler may
         # close, too.
@@ -142,17 +158,17 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
 
     @property
     def counts(self) -> NetworkCounts:
-        """Counts up to now."""
-        decoder, clock = self._decoder, self._decoder.clock
+        """The counts up to now."""
+        decoder = self._decoder
         return NetworkCounts(
-            self._datagrams,
-            self._bytes,
-            self._events,
-            self._cut + decoder.malformed,
-            clock.late,
-            clock.jumped,
-            decoder.off_sensor,
-            clock.restarts,
+            datagrams=self._datagrams,
+            bytes=self._bytes,
+            events=self._events,
+            malformed=self._cut + decoder.malformed,
+            late=decoder.clock.late,
+            jumped=decoder.clock.jumped,
+            off_sensor=decoder.off_sensor,
+            clock_restarts=decoder.clock.restarts,
         )
 
     @property
@@ -169,19 +185,23 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         restarts = f", clock restarts: {counts.clock_restarts:,}" if counts.clock_restarts else ""
         return (
             f"{counts.datagrams:,} datagrams, {counts.events:,} events ({counts.malformed:,} "
-            f"malformed, {of_them}"
-            f"{counts.late:,} out of order{restarts})"
+            f"malformed, {of_them}{counts.late:,} out of order{restarts})"
         )
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "open"
-        return f"UdpSource(udp://{self.address}:{self.port}?format={self.format}, {state}, {self.counts})"
+        url = f"udp://{self.address}:{self.port}?format={self.format}"
+        return f"UdpSource({url}, {state}, {self.counts})"
 
     # -- packets -----------------------------------------------------------------------------------
 
     def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
-        """The next packet; None if none came within `timeout_s` (None: wait forever) or the source
-        was closed."""
+        """The next packet; None if none came in time, or the source was closed.
+
+        Parameters
+        ----------
+        timeout_s : seconds to wait; None: forever.
+        """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         most = MAX_DATAGRAMS
         with self._reading:
@@ -201,16 +221,20 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         return None
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        while (events := self.receive(self.timeout_s)) is not None:
+        events = self.receive(self.timeout_s)
+        while events is not None:
             yield events
+            events = self.receive(self.timeout_s)
 
     def _drain(self, most: int) -> np.ndarray | None:
         """Up to `most` waiting datagrams as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
-        memory, filled = self._memory, 0
+        memory = self._memory
+        receive_into = self._socket.recv_into
+        clock = time.monotonic_ns
         ends: list[int] = []
         arrivals: list[int] = []
-        receive_into, clock = self._socket.recv_into, time.monotonic_ns
+        filled = 0
         try:
             while len(ends) < most and filled + ROOM <= BATCH_BYTES:
                 n = receive_into(memory[filled:])
@@ -232,18 +256,21 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
         self._datagrams += len(ends)
         self._events += len(events)
         if not self._events and not self._has_warned and self._decoder.malformed >= WARN_AFTER:
-            self._has_warned = True
-            log.warning(
-                "udp://%s:%s: none of the first %s events can be used, %s of them lie off the "
-                "sensor; does the sender "
-                "use another format than %s (?format=...), or a larger camera?",
-                self.address,
-                self.port,
-                self._decoder.malformed,
-                self._decoder.off_sensor,
-                self.format,
-            )
+            self._warn()
         return events if len(events) else None
+
+    def _warn(self) -> None:
+        """Log why no event may be usable, once."""
+        self._has_warned = True
+        log.warning(
+            "udp://%s:%s: none of the first %s events can be used, %s of them lie off the sensor; "
+            "does the sender use another format than %s (?format=...), or a larger camera?",
+            self.address,
+            self.port,
+            self._decoder.malformed,
+            self._decoder.off_sensor,
+            self.format,
+        )
 
     # -- the end -----------------------------------------------------------------------------------
 
@@ -262,8 +289,12 @@ class UdpSource(contextlib.AbstractContextManager["UdpSource"]):
 
 
 def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
-    """A `UdpSource` of a `url`, udp://HOST:PORT[?format=...&timeout_s=...]; `sensor` is its
-    argument.
+    """Open a `UdpSource` by its URL.
+
+    Parameters
+    ----------
+    url : udp://HOST:PORT[?format=...&timeout_s=...].
+    sensor : (width, height), as for `UdpSource`.
 
     Raises
     ------
@@ -272,17 +303,14 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
     """
     try:
         parts = urlsplit(url)
-        host, port = parts.hostname, parts.port
-        if (
-            parts.scheme != "udp"
-            or not host
-            or port is None
-            or parts.path not in ("", "/")
-            or "@" in parts.netloc
-        ):
+        host = parts.hostname
+        port = parts.port
+        is_plain = parts.path in ("", "/") and "@" not in parts.netloc
+        if parts.scheme != "udp" or not host or port is None or not is_plain:
             raise ValueError("expected udp://HOST:PORT, such as udp://127.0.0.1:3333")
         options: dict[str, Any] = dict(parse_qsl(parts.query, keep_blank_values=True))
-        if unknown := options.keys() - {"format", "timeout_s"}:
+        unknown = options.keys() - {"format", "timeout_s"}
+        if unknown:
             raise ValueError(f"unknown option {min(unknown)!r}, expected format or timeout_s")
         if "timeout_s" in options:
             options["timeout_s"] = float(options["timeout_s"])
@@ -292,8 +320,12 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
 
 
 def _bound_socket(address: str, port: int) -> socket.socket:
-    """A socket that does not block; an OSError if there is no such host, or its address cannot be
-    used."""
+    """A socket that does not block, bound to an address.
+
+    Raises
+    ------
+    OSError : there is no such host, or its address cannot be used.
+    """
     try:
         family, _, _, _, where = socket.getaddrinfo(address, port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError, OverflowError) as error:

@@ -1,4 +1,4 @@
-"""Drop events by pixel: outside a region of interest, or at masked pixels."""
+"""The filter that drops events by pixel: outside a region of interest, or at masked pixels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.base.checks import Running, is_whole, one_at_a_time, short
+from async_tnt.base.checks import ParameterValueError, Running, is_whole, one_at_a_time, short
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.sources.pixels import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.volume.records import COLUMN_TYPES
@@ -20,7 +20,7 @@ from async_tnt.volume.sensor import checked_sensor, format_size
 
 @dataclass(frozen=True, slots=True)
 class PixelCounts:
-    """Events so far: received = kept + dropped_masked + dropped_outside."""
+    """What became of the events so far: received = kept + dropped_masked + dropped_outside."""
 
     received: int = 0
     """Events in total."""
@@ -74,14 +74,16 @@ class PixelFilter:
         compile_only(keep_events, *COLUMN_TYPES, int64, uint8[:, ::1], int64, int64, uint8[::1])
         width, height = checked_sensor(sensor)
         check_crop(crop, roi)
-        self.roi = checked_region((0, 0, width, height) if roi is None else roi, (width, height))
+        whole = (0, 0, width, height)
+        self.roi = checked_region(whole if roi is None else roi, (width, height))
         if isinstance(mask, (str, os.PathLike)):
             mask = load_mask(mask, (width, height))
         elif mask is not None:
             mask = checked_mask(mask, (width, height))
-        self.crop = bool(crop)
-        self.sensor = self.roi[2:] if crop else (width, height)
+
         left, top, roi_width, roi_height = self.roi
+        self.crop = bool(crop)
+        self.sensor = (roi_width, roi_height) if crop else (width, height)
         inside = np.s_[top : top + roi_height, left : left + roi_width]
         self._verdicts = np.full((height, width), OUTSIDE, np.uint8)
         self._verdicts[inside] = 0 if mask is None else mask[inside] * np.uint8(MASKED)
@@ -92,8 +94,11 @@ class PixelFilter:
 
     @one_at_a_time
     def __call__(self, events: Any) -> np.ndarray:
-        """The events to keep of a packet in any form that `async_tnt.volume.event_forms` lists: a new
-        array of `EVENT_DTYPE`.
+        """The events of a packet to keep, as a new array of `EVENT_DTYPE`.
+
+        Parameters
+        ----------
+        events : a packet in any form that `async_tnt.volume.event_forms` lists.
 
         Raises
         ------
@@ -110,13 +115,15 @@ class PixelFilter:
 
     @property
     def counts(self) -> PixelCounts:
-        """Events so far."""
+        """The number of events so far, and what became of them."""
         outside = self._received - self._kept - self._masked
         return PixelCounts(self._received, self._kept, self._masked, outside)
 
     def reset(self) -> None:
         """Set the counts to zero."""
-        self._received = self._kept = self._masked = 0
+        self._received = 0
+        self._kept = 0
+        self._masked = 0
 
     def __repr__(self) -> str:
         return f"PixelFilter(roi={self.roi}, crop={self.crop}, {self.counts})"
@@ -125,29 +132,36 @@ class PixelFilter:
 def check_crop(crop: bool, roi: Any) -> None:
     """Refuse `crop` without a region."""
     if crop and roi is None:
-        raise ValueError("`crop` belongs to `roi`: the region that becomes the sensor")
+        rule = "belongs to {roi}: the region that becomes the sensor"
+        raise ParameterValueError("crop", rule)
 
 
 def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int, int, int, int]:
-    """(x, y, width, height) as four Python integers.
+    """The region (x, y, width, height) as four Python integers.
+
+    Parameters
+    ----------
+    sensor : (width, height) that the region must lie on; None: any.
 
     Raises
     ------
-    ValueError : not four whole numbers, or off this sensor; without one, off any.
+    ParameterValueError : not four whole numbers, or off the sensor.
     """
     try:
         numbers = tuple(roi)
     except TypeError:
         numbers = ()
     if len(numbers) != 4 or not all(map(is_whole, numbers)):
-        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {short(roi)}")
+        rule = "must be (x, y, width, height) in whole pixels"
+        raise ParameterValueError("roi", rule, short(roi))
     left, top, width, height = map(int, numbers)
+    region = (left, top, width, height)
     is_beyond = sensor is not None and (left + width > sensor[0] or top + height > sensor[1])
     if min(left, top) < 0 or min(width, height) < 1 or is_beyond:
         pixels = "" if sensor is None else f" of {format_size(sensor)} pixels"
-        raise ValueError(
-            f"`roi` (x, y, width, height) must lie on the sensor{pixels}, x and y at least 0, and "
-            "hold at least one "
-            f"pixel, got ({left}, {top}, {width}, {height})"
+        rule = (
+            f"(x, y, width, height) must lie on the sensor{pixels}, x and y at least 0, and hold "
+            "at least one pixel"
         )
-    return left, top, width, height
+        raise ParameterValueError("roi", rule, region)
+    return region

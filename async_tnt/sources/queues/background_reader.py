@@ -1,4 +1,4 @@
-"""Read a source of packets in a background thread, so that it never waits for their consumer."""
+"""A queue that a background thread fills from a source of packets."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Self
 
+from async_tnt.base.checks import ParameterTypeError
 from async_tnt.sources.queues.queue import PacketQueue
 
 
@@ -21,8 +22,8 @@ class BackgroundReader(PacketQueue):
 
     Parameters
     ----------
-    source : any iterable of packets, in any form that `async_tnt.volume.event_forms` lists: a camera, a
-        recording, a generator. Only the thread iterates it.
+    source : any iterable of packets, such as a camera, a recording or a generator. A packet has any
+        form that `async_tnt.volume.event_forms` lists. Only the thread iterates the source.
     latest : what happens when the queue is full. False: the source is not read until there is room,
         so that nothing is lost. True: the oldest packets are discarded and their events counted, so
         that the delay stays bounded however slow the consumer is.
@@ -55,14 +56,14 @@ class BackgroundReader(PacketQueue):
         on_close: Callable[[], Any] | None = None,
     ) -> None:
         if isinstance(source, (str, Path)):
-            raise TypeError(
-                f"`source` must yield events, got the path {source}; open_recording(path) reads a "
-                "file"
-            )
+            rule = f"must yield events, got the path {source}; open_recording(path) reads a file"
+            raise ParameterTypeError("source", rule)
         if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
             if hasattr(source, "__aiter__"):
-                raise TypeError("`source` is asynchronous already: pass it to `astream` directly")
-            raise TypeError(f"`source` must be an iterable of packets, got {type(source).__name__}")
+                rule = "is asynchronous already: pass it to `astream` directly"
+                raise ParameterTypeError("source", rule)
+            rule = "must be an iterable of packets"
+            raise ParameterTypeError("source", rule, type(source).__name__)
         super().__init__(
             max_packets=max_packets, latest=latest, max_delay_us=max_delay_us, copy=copy
         )
@@ -84,7 +85,8 @@ class BackgroundReader(PacketQueue):
         timeout_s : how long to wait for the thread.
         """
         super().close()
-        on_close, self._on_close = self._on_close, None
+        on_close = self._on_close
+        self._on_close = None
         try:
             if on_close is not None:
                 on_close()
@@ -109,10 +111,10 @@ class BackgroundReader(PacketQueue):
         await self.aclose()
 
     def _read(self, source: Iterable[Any]) -> None:
-        """The thread's work."""
+        """Put the packets of the source into the queue: the thread's work."""
         try:
             packets = iter(source)
-            # before reading the source: it is never ahead by more than the queue holds
+            # room first, so that the source is never ahead by more than the queue holds
             while self.wait_for_room():
                 try:
                     packet = next(packets)

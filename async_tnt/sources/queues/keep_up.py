@@ -1,5 +1,8 @@
-"""What to do when events outrun the network: decide less often, then skip whole packets, always
-counted."""
+"""A queue with bounded delay, for events that outrun the network.
+
+It lets the processor decide less often. If that is not enough, it skips whole packets, and counts
+their events.
+"""
 
 from __future__ import annotations
 
@@ -11,44 +14,63 @@ from typing import Any
 from async_tnt.sources.queues.background_reader import BackgroundReader
 
 MAX_PACKETS = 1 << 20
-"""That wait at most: the delay decides, and packets may be small."""
-SLOWER_FROM, URGENT_FROM, FASTER_BELOW = 0.25, 0.5, 0.05
-"""Shares of `max_delay_us`."""
-PAUSE, URGENT_PAUSE = 0.25, 0.05
-"""Between two changes, as such shares: what was changed shows after a while."""
+"""The most packets that wait. It is large, because the delay is the limit, and packets may be
+small."""
+
+SLOWER_FROM = 0.25
+"""Share of `max_delay_us`: a packet that waited longer makes decisions rarer."""
+
+URGENT_FROM = 0.5
+"""Share of `max_delay_us`: after a packet that waited longer, the next change comes soon."""
+
+FASTER_BELOW = 0.05
+"""Share of `max_delay_us`: a packet that waited for less makes decisions more frequent again."""
+
+PAUSE = 0.25
+"""Least time between two changes, as a share of `max_delay_us`: a change shows after a while."""
+
+URGENT_PAUSE = 0.05
+"""The same where it is urgent."""
+
 MOST_SLOWER = 1 << 10
+"""The largest factor by which decisions become rarer."""
 
 
 class KeepUp(BackgroundReader):
-    """A `BackgroundReader` whose packets, but for the newest, are at most `max_delay_us` old when
-    they are handed out.
+    """A `BackgroundReader` with bounded delay.
 
-    While packets wait for more than a quarter of that, `every_us` and `every_events` of the
-    processor that reads them are doubled, again and again, up to a window's length and to 1,024
-    times; while they wait for less than a twentieth, they are halved, down to what they were, and
-    what they were they are again behind the `with` block. Packets that waited for longer than
-    `max_delay_us` all the same are discarded, also while nobody reads. Their events are counted:
-    received = handed_out + skipped + backlog, see `counters`.
+    When a packet is handed out, it is at most `max_delay_us` old, unless it is the newest one.
+
+    While packets wait for more than a quarter of `max_delay_us`, decisions become rarer: the
+    processor's `every_us` and `every_events` are doubled, step by step, up to the length of a
+    window, and by a factor of 1,024 at most. While packets wait for less than a twentieth, both are
+    halved again, step by step, down to the values that the processor had at first. It has these
+    values again after the `with` block.
+
+    If that is not enough, packets that have waited for more than `max_delay_us` are discarded, also
+    while nobody reads. Their events are counted: received = handed_out + skipped + backlog, see
+    `counters`.
 
     Parameters
     ----------
     source : any iterable of packets.
-    processor : the `Processor` that is given the packets; its `every_us` and `every_events` are set
-        here.
-    max_delay_us : in microseconds.
+    processor : the `Processor` that receives the packets. Its `every_us` and `every_events` are
+        changed here.
+    max_delay_us : the longest that a packet may wait, in microseconds.
     copy, on_close : as for `BackgroundReader`.
 
     Attributes
     ----------
-    slower : by how much decisions are rarer now: 1, 2, 4, ...
-    slowest : the largest of these so far.
+    slower : the factor by which decisions are rarer now: 1, 2, 4, ...
+    slowest : the largest of these factors so far.
 
     Example
     -------
     >>> from async_tnt import Processor, load_model, stream
     >>> from async_tnt.sources import open_recording, sample_recordings
     >>> processor = Processor(load_model("digits"), every_us=50_000)
-    >>> with KeepUp(open_recording(sample_recordings()[3]), processor, max_delay_us=60_000_000) as packets:
+    >>> recording = open_recording(sample_recordings()[3])
+    >>> with KeepUp(recording, processor, max_delay_us=60_000_000) as packets:
     ...     decisions = list(stream(packets, processor))
     >>> decisions[-1].label, packets.slower, packets.n_skipped
     ('3', 1, 0)
@@ -63,12 +85,12 @@ class KeepUp(BackgroundReader):
         copy: bool = True,
         on_close: Callable[[], Any] | None = None,
     ) -> None:
-        self.slower = self.slowest = 1
+        self.slower = 1
+        self.slowest = 1
         self._processor = processor
-        self._every = every_us, every_events = processor.every_us, processor.every_events
-        most = 1 if every_us is None else -(-processor.config.window_us // every_us)
-        # beyond, nothing changes
-        self._most = MOST_SLOWER if every_events is not None else min(most, MOST_SLOWER)
+        self._every_us = processor.every_us
+        self._every_events = processor.every_events
+        self._most_slower = self._useful_factor()
         self._changed_ns = 0
         super().__init__(
             source,
@@ -80,13 +102,23 @@ class KeepUp(BackgroundReader):
         )
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """As of `BackgroundReader`; the processor decides as often as before."""
+        """Close the reader, see `BackgroundReader`; the processor decides as often as at first."""
         try:
             super().close(timeout_s)
         finally:
-            # the processor is at work: the loop over this reader sets it
+            # an error means that the processor is at work: then the loop over this reader does it
             with contextlib.suppress(RuntimeError):
                 self._set(1, 0)
+
+    def _useful_factor(self) -> int:
+        """The largest factor by which decisions can become rarer."""
+        if self._every_events is not None:
+            return MOST_SLOWER
+        if self._every_us is None:
+            return 1
+        # a step longer than the window changes nothing
+        n_steps: int = -(-self._processor.config.window_us // self._every_us)
+        return min(n_steps, MOST_SLOWER)
 
     def _raise_error(self) -> None:
         self._set(1, 0)  # here the loop ends
@@ -98,26 +130,27 @@ class KeepUp(BackgroundReader):
         return packet
 
     def _adapt(self) -> None:
-        """Set how often the processor decides, by how long the packet that was handed out has
-        waited."""
-        waited, now_ns = self.delay_us / self.max_delay_us, time.monotonic_ns()
+        """Set how often the processor decides, after the wait of the packet that is handed out."""
+        waited = self.delay_us / self.max_delay_us
+        now_ns = time.monotonic_ns()
         pause = URGENT_PAUSE if waited > URGENT_FROM else PAUSE
         if now_ns - self._changed_ns < 1000 * pause * self.max_delay_us:
             return
-        if waited > SLOWER_FROM and self.slower < self._most:
+        if waited > SLOWER_FROM and self.slower < self._most_slower:
             self._set(2 * self.slower, now_ns)
         elif waited < FASTER_BELOW and self.slower > 1:
             self._set(self.slower // 2, now_ns)
 
     def _set(self, slower: int, now_ns: int) -> None:
-        self.slower, self._changed_ns = slower, now_ns
+        """Make decisions rarer by the factor `slower`, but no rarer than one a window."""
+        self.slower = slower
+        self._changed_ns = now_ns
         self.slowest = max(self.slowest, slower)
-        every_us, every_events = self._every
-        if every_us is not None:
-            self._processor.every_us = min(
-                slower * every_us, max(every_us, self._processor.config.window_us)
-            )
-        if every_events is not None:
-            # beyond, nothing changes
-            most = self._processor.config.window_events or slower * every_events
-            self._processor.every_events = min(slower * every_events, max(every_events, most))
+        config = self._processor.config
+        if self._every_us is not None:
+            longest_us = max(self._every_us, config.window_us)
+            self._processor.every_us = min(slower * self._every_us, longest_us)
+        if self._every_events is not None:
+            wanted = slower * self._every_events
+            most = max(self._every_events, config.window_events or wanted)
+            self._processor.every_events = min(wanted, most)

@@ -1,5 +1,7 @@
-"""A bounded queue of packets between threads that put them and a reader, in a loop or in
-asyncio."""
+"""A bounded queue of packets, between threads that put them and a loop that reads them.
+
+The loop may be one of asyncio.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import positive_int
+from async_tnt.base.checks import ParameterValueError, positive_int
 from async_tnt.volume.event_forms import named_columns
 
-YIELD_AFTER_S = 1e-3  # how often asyncio's other tasks can run while the queue is never empty
+YIELD_AFTER_S = 1e-3
+"""Seconds after which asyncio's other tasks can run while the queue is never empty."""
 
 
 @dataclass(frozen=True, slots=True)
 class QueueCounters:
-    """Counts of a queue at one moment: received = handed_out + skipped + backlog."""
+    """The counts of a queue at one moment: received = handed_out + skipped + backlog."""
 
     received: int
     """Events put in."""
@@ -45,18 +48,19 @@ class PacketQueue:
 
     Parameters
     ----------
-    max_packets : packets that wait at most.
+    max_packets : the most packets that wait.
     latest : what happens when the queue is full. False: `put` waits until there is room. True:
         `put` never waits; the oldest packets are discarded and their events counted, so that the
         reader skips ahead.
-    max_delay_us : with `latest`: packets that have waited longer are discarded, but for the newest
-        one, also while nobody reads.
+    max_delay_us : with `latest`: the longest that a packet may wait, in microseconds. Packets that
+        have waited longer are discarded, except the newest one, also while nobody reads.
     copy : whether `put` copies packets, as drivers often reuse the memory of one for the next.
         False is for sources that put each packet in new memory.
 
     Attributes
     ----------
-    backlog, n_skipped : events that wait, and events discarded.
+    backlog : number of events that wait.
+    n_skipped : number of events that were discarded.
 
     Raises
     ------
@@ -86,7 +90,8 @@ class PacketQueue:
             math.inf if max_delay_us is None else positive_int("max_delay_us", max_delay_us)
         )
         if max_delay_us is not None and not latest:
-            raise ValueError("`max_delay_us` discards packets, which `latest=True` must allow")
+            rule = "discards packets, which `latest=True` must allow"
+            raise ParameterValueError("max_delay_us", rule)
         self.latest = bool(latest)
         self.copy = bool(copy)
         # One lock, re-entrant: a signal handler, which closes the queue, may run at any moment.
@@ -96,22 +101,36 @@ class PacketQueue:
         # packet, events, time of arrival in ns
         self._waiting: deque[tuple[Any, int, int]] = deque()
         self._sleepers: list[asyncio.Future[None]] = []
-        self._ended = self._closed = False
+        self._ended = False
+        self._closed = False
         self._error: BaseException | None = None
-        self.backlog = self._received = self._handed_out = self.n_skipped = 0
+        self.backlog = 0
+        self.n_skipped = 0
+        self._received = 0
+        self._handed_out = 0
         self._newest_ns: int | None = None  # arrival of the newest packet handed out
         self._longest_wait_ns = 0
         self._yielded_s = 0.0  # when asyncio's other tasks last had a chance to run
 
     def __repr__(self) -> str:
-        state = "closed" if self._closed else "ended" if self._ended else "open"
-        return f"{type(self).__name__}({state}, {self.backlog} events waiting, {self.n_skipped} skipped)"
+        state = "open"
+        if self._ended:
+            state = "ended"
+        if self._closed:
+            state = "closed"
+        return (
+            f"{type(self).__name__}({state}, {self.backlog} events waiting, {self.n_skipped} "
+            "skipped)"
+        )
 
     # -- packets in --------------------------------------------------------------------------------
 
     def put(self, packet: Any) -> bool:
-        """Add a `packet`, in any form that `async_tnt.volume.event_forms` lists; without `latest`, wait
-        for room first.
+        """Add a packet. Without `latest`, waits for room first.
+
+        Parameters
+        ----------
+        packet : in any form that `async_tnt.volume.event_forms` lists.
 
         Returns
         -------
@@ -144,26 +163,36 @@ class PacketQueue:
         return True
 
     def wait_for_room(self) -> bool:
-        """Wait until there is room; with `latest` there always is. Returns False if the queue is
-        closed."""
+        """Wait until there is room; with `latest` there always is.
+
+        Returns
+        -------
+        False if the queue is closed.
+        """
         with self._room:
             while not (self._ended or self.latest) and len(self._waiting) >= self.max_packets:
                 self._room.wait()
             return not self._closed
 
     def end(self, error: BaseException | None = None) -> None:
-        """Announce that no packets follow: the reader's loop ends after the last one, or raises
-        `error` there."""
+        """Announce that no packets follow. The reader's loop ends after the last one.
+
+        Parameters
+        ----------
+        error : the loop raises it where it ends; None: it just ends.
+        """
         with self._came:
-            # closing ends it, too: a source that fails because of that is no error
+            # closing ends the queue, too: a source that fails because of that is no error
             if not self._ended:
-                self._ended, self._error = True, error
+                self._ended = True
+                self._error = error
             self._wake_all()
 
     def close(self) -> None:
         """Stop now: discard waiting packets, accept no more, and end the reader's loop."""
         with self._came:
-            self._ended = self._closed = True
+            self._ended = True
+            self._closed = True
             self._error = None
             self._skip_all()
             self._wake_all()
@@ -211,13 +240,15 @@ class PacketQueue:
 
     @property
     def delay_us(self) -> int:
-        """Age of the newest packet handed out: microseconds from its arrival until now. 0 before
-        the first."""
-        return 0 if self._newest_ns is None else (time.monotonic_ns() - self._newest_ns) // 1000
+        """Microseconds from the arrival of the newest packet handed out until now; 0 before the
+        first."""
+        if self._newest_ns is None:
+            return 0
+        return (time.monotonic_ns() - self._newest_ns) // 1000
 
     @property
     def counters(self) -> QueueCounters:
-        """All counts, at one moment."""
+        """All counts at one moment."""
         with self._came:
             return QueueCounters(
                 self._received,
@@ -230,14 +261,18 @@ class PacketQueue:
     # -- with the lock held ------------------------------------------------------------------------
 
     def _is_ready(self) -> bool:
+        """Whether the reader need not wait: there is a packet, or the end."""
         return bool(self._waiting) or self._ended
 
     def _hand_out(self) -> Any:
+        """Take the oldest packet that is not too old."""
         self._skip_outdated()
-        # a signal handler may have closed it meanwhile: then no packet
-        packet, n, arrived_ns = (
-            self._waiting.popleft() if self._waiting else (None, 0, time.monotonic_ns())
-        )
+        if self._waiting:
+            packet, n, arrived_ns = self._waiting.popleft()
+        else:  # a signal handler has closed the queue meanwhile
+            packet = None
+            n = 0
+            arrived_ns = time.monotonic_ns()
         self.backlog -= n
         self._handed_out += n
         self._newest_ns = arrived_ns
@@ -246,7 +281,7 @@ class PacketQueue:
         return packet
 
     def _skip_outdated(self) -> None:
-        """Discard what has waited for too long, but for the newest packet."""
+        """Discard packets that have waited for too long, except the newest one."""
         oldest_ns = time.monotonic_ns() - 1000 * self.max_delay_us
         while len(self._waiting) > 1 and self._waiting[0][2] < oldest_ns:
             self._skip_oldest()
@@ -261,7 +296,9 @@ class PacketQueue:
             self._skip_oldest()
 
     def _raise_error(self) -> None:
-        error, self._error = self._error, None  # raised once; then the loop ends
+        """Raise the error that `end` was given, once."""
+        error = self._error
+        self._error = None
         if error is not None:
             raise error
 
@@ -271,7 +308,9 @@ class PacketQueue:
         self._wake()
 
     def _wake(self) -> None:
-        sleepers, self._sleepers = self._sleepers, []
+        """Wake up the readers of asyncio."""
+        sleepers = self._sleepers
+        self._sleepers = []
         for sleeper in sleepers:
             with contextlib.suppress(RuntimeError):  # that loop is closed, and its tasks are gone
                 sleeper.get_loop().call_soon_threadsafe(_resolve, sleeper)
@@ -283,12 +322,15 @@ def _resolve(future: asyncio.Future[None]) -> None:
 
 
 def measured(packet: Any, copy: bool) -> tuple[Any, int]:
-    """A packet of any form that `async_tnt.volume.event_forms` lists, or a copy of it, and how many events
-    it holds.
+    """A packet, or a copy of it, and the number of its events.
 
-    A structured array and a tuple of four columns keep their form when they are copied; other
-    objects become a tuple of four columns (t, x, y, p). What is not a packet of events counts 0 and
-    is left to its reader to refuse.
+    A structured array and a tuple of four columns keep their form when they are copied. Other
+    objects become a tuple of four columns (t, x, y, p). What is no packet of events counts 0: its
+    reader will refuse it.
+
+    Parameters
+    ----------
+    packet : in any form that `async_tnt.volume.event_forms` lists.
     """
     if isinstance(packet, np.ndarray) and packet.dtype.names is not None and packet.ndim == 1:
         return _copied(packet) if copy else packet, len(packet)
@@ -298,13 +340,15 @@ def measured(packet: Any, copy: bool) -> tuple[Any, int]:
         return packet, 0
     if columns is None:
         return packet, 0
+    n_events = columns[0].size
     is_one_event = isinstance(packet, tuple) and all(type(value) is int for value in packet)
-    return tuple(
-        column.copy() for column in columns
-    ) if copy and not is_one_event else packet, columns[0].size
+    if not copy or is_one_event:
+        return packet, n_events
+    return tuple(column.copy() for column in columns), n_events
 
 
 def _copied(packet: np.ndarray) -> np.ndarray:
+    """A copy of a structured array."""
     if type(packet) is not np.ndarray or not packet.flags.c_contiguous or packet.dtype.hasobject:
         return packet.copy()
     # NumPy copies records field by field, 5x slower

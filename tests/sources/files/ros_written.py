@@ -15,15 +15,19 @@ import pytest
 EVENT_PACKET = "event_camera_msgs/msg/EventPacket"
 EVENT_ARRAY = "dvs_msgs/msg/EventArray"
 DEFINITIONS = {
-    EVENT_PACKET: "std_msgs/Header header\nuint32 height\nuint32 width\nuint64 seq\nuint64 time_base\n"
-    "string encoding\nbool is_bigendian\nuint8[] events\n",
+    EVENT_PACKET: "std_msgs/Header header\nuint32 height\nuint32 width\nuint64 seq\n"
+    "uint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n",
     "dvs_msgs/msg/Event": "uint16 x\nuint16 y\n{time} ts\nbool polarity\n",
     EVENT_ARRAY: "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
     "std_msgs/msg/Text": "string data\n",
 }
+"""Type of a message -> its public definition."""
+
 OTHER = "std_msgs/msg/Text"
+"""A type of messages without events."""
+
 STAMP_S = 1_700_000_000
-"""Of messages: readers do not use it."""
+"""Stamp of all messages, in seconds, which readers do not use."""
 
 
 class Bag:
@@ -53,11 +57,9 @@ class Bag:
             if compressed:
                 self._writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
         else:
-            plugin = (
-                rosbag2.StoragePlugin.MCAP
-                if path.suffix == ".mcap"
-                else rosbag2.StoragePlugin.SQLITE3
-            )
+            plugin = rosbag2.StoragePlugin.SQLITE3
+            if path.suffix == ".mcap":
+                plugin = rosbag2.StoragePlugin.MCAP
             self._writer = rosbag2.Writer(self._folder / "made", version=9, storage_plugin=plugin)
             if compressed:
                 self._writer.set_compression(
@@ -72,9 +74,8 @@ class Bag:
 
     def __exit__(self, *error):
         self._writer.close()
-        (made,) = (
-            path for path in self._folder.rglob("*") if path.suffix in (".bag", ".db3", ".mcap")
-        )
+        files = self._folder.rglob("*")
+        (made,) = [path for path in files if path.suffix in (".bag", ".db3", ".mcap")]
         made.replace(self.path)
         shutil.rmtree(self._folder)
 
@@ -89,9 +90,8 @@ class Bag:
         if key not in self._connections:
             self._connections[key] = self._writer.add_connection(topic, kind, typestore=self.types)
         message = self.types.types[kind](*fields)
-        data = (self.types.serialize_ros1 if self.is_ros_1 else self.types.serialize_cdr)(
-            message, kind
-        )
+        serialize = self.types.serialize_ros1 if self.is_ros_1 else self.types.serialize_cdr
+        data = serialize(message, kind)
         self._n_written += 1
         self._writer.write(self._connections[key], STAMP_S * 10**9 + self._n_written, data)
 
@@ -108,25 +108,15 @@ class Bag:
     ):
         """An EventPacket of 16-bit words."""
         data = np.frombuffer(np.array(words, f"{order}u2").tobytes(), np.uint8)
-        size = sensor[1], sensor[0]
-        self.send(
-            topic,
-            EVENT_PACKET,
-            self.header(frame),
-            *size,
-            3,
-            time_base,
-            encoding,
-            order == ">",
-            data,
-        )
+        width, height = sensor
+        is_big = order == ">"
+        fields = (self.header(frame), height, width, 3, time_base, encoding, is_big, data)
+        self.send(topic, EVENT_PACKET, *fields)
 
     def array(self, events, sensor, *, topic="/camera/events", frame="c"):
         """An EventArray of events as `made_events` makes them."""
-        time, event = (
-            self.types.types["builtin_interfaces/msg/Time"],
-            self.types.types["dvs_msgs/msg/Event"],
-        )
+        time = self.types.types["builtin_interfaces/msg/Time"]
+        event = self.types.types["dvs_msgs/msg/Event"]
         rows = [
             event(x, y, time(t // 10**6, t % 10**6 * 1_000), bool(p))
             for t, x, y, p in events.tolist()
@@ -156,7 +146,9 @@ def array_bag(path, events, sensor):
 def libcaer_words(events):
     """Words of one message, whose time base is 0; every third event as a vector of one."""
     words = []
-    high = low = column = None
+    high = None
+    low = None
+    column = None
     for i, (t, x, y, p) in enumerate(events.tolist()):
         if t >> 12 != high:
             high = t >> 12

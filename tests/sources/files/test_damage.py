@@ -57,9 +57,8 @@ def read(path, **how):
             return None, caught
     off_sensor = [warning for warning in caught if warning.category is EventsOffSensor]
     caught = [warning for warning in caught if warning.category is not EventsOffSensor]
-    assert len(caught) <= 1 and all(
-        issubclass(warning.category, DamagedRecording) for warning in caught
-    )
+    assert len(caught) <= 1
+    assert all(issubclass(warning.category, DamagedRecording) for warning in caught)
     assert len(off_sensor) == (recording.counts.off_sensor > 0)
     got = np.concatenate([made_events(0), *packets])
     np.testing.assert_array_equal(got, again)
@@ -73,7 +72,11 @@ def read(path, **how):
 def test_a_file_cut_at_any_byte_gives_its_first_events(tmp_path, name):
     path = written(tmp_path / name, EVENTS, SMALL)
     data = path.read_bytes()
-    step = len(data) // 3 if name.endswith(IN_WORKER) else 7 if name.endswith(".npz") else 1
+    step = 1
+    if name.endswith(IN_WORKER):
+        step = len(data) // 3
+    elif name.endswith(".npz"):
+        step = 7
     sizes = range(0, len(data), step)
     n_silent = 0
     for size in sizes:
@@ -98,11 +101,10 @@ def damaged(data, rng):
     """Bytes changed, lost, inserted, doubled, set to zeros or ones; or the end lost."""
     data = bytearray(data)
     for _ in range(int(rng.integers(1, 4))):
-        place, length = int(rng.integers(0, len(data) + 1)), int(rng.integers(1, 12))
-        there, noise = (
-            data[place : place + length],
-            rng.integers(0, 256, length, dtype=np.uint8).tobytes(),
-        )
+        place = int(rng.integers(0, len(data) + 1))
+        length = int(rng.integers(1, 12))
+        there = data[place : place + length]
+        noise = rng.integers(0, 256, length, dtype=np.uint8).tobytes()
         new = (
             noise,
             b"",

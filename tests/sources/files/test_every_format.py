@@ -76,9 +76,11 @@ def test_every_bit_of_a_pixel_is_read(tmp_path, name):
     alone."""
     width, height = FORMATS[name].largest
     events = made_events(300, sensor=(width, height))
-    events["x"][:4], events["y"][:4] = [0, width - 1, 0, width - 1], [0, 0, height - 1, height - 1]
+    events["x"][:4] = [0, width - 1, 0, width - 1]
+    events["y"][:4] = [0, 0, height - 1, height - 1]
     for i in range(16):
-        events["x"][10 + i], events["y"][40 + i] = (1 << i) % width, (1 << i) % height
+        events["x"][10 + i] = (1 << i) % width
+        events["y"][40 + i] = (1 << i) % height
     path = written(tmp_path / name, events, (width, height))
     capitals = tmp_path / name.upper()
     if not capitals.exists():  # a file system may not tell them apart
@@ -130,7 +132,7 @@ def test_options_that_a_format_does_not_need_change_nothing(tmp_path, name):
     events = made_events(20, sensor=(34, 34))
     path = written(tmp_path / name, events, (34, 34))
     topic = "/camera/events" if name.endswith((".bag", ".db3", ".mcap")) else "/any"
-    columns = "xypt" if name == "metavision.csv" else "txyp" if name == "uzh.txt" else "pyxt"
+    columns = {"metavision.csv": "xypt", "uzh.txt": "txyp"}.get(name, "pyxt")
     np.testing.assert_array_equal(open_recording(path, columns=columns, topic=topic).read(), events)
 
 
@@ -167,7 +169,8 @@ def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts
 def test_addresses_of_cameras_by_hand(tmp_path):
     """The address (50, 20) is 50 from the right and 20 from the bottom; where no camera is named it
     is as it is."""
-    of_davis, of_dvs128 = 20 << 22 | 50 << 12 | 1 << 11, 20 << 8 | 50 << 1
+    of_davis = 20 << 22 | 50 << 12 | 1 << 11
+    of_dvs128 = 20 << 8 | 50 << 1
     for chip, address, pixel in (
         ("# AEChip: DAViS240C\r\n", of_davis, (189, 159)),
         # its bytes are #, two that are no text, and a line end
@@ -197,21 +200,13 @@ def test_atis_events_of_changing_light_by_hand(tmp_path):
     pytest.importorskip("faery", reason="ES needs faery")
     header = b"Event Stream\x02\x00\x00\x02" + np.array([320, 240], "<u2").tobytes()
     pixel = np.array([4, 0], "<u2").tobytes()  # y = 0 is the lowest row
-    body = (
-        b"\xfd\xfe"
-        + bytes([5 << 2 | 2])
-        + pixel
-        + bytes([1 << 2 | 1])
-        + pixel
-        + bytes([1 << 2])
-        + pixel
-    )
+    body = b"\xfd\xfe"  # time passes
+    for passed_and_kind in (5 << 2 | 2, 1 << 2 | 1, 1 << 2):
+        body += bytes([passed_and_kind]) + pixel
     (tmp_path / "a.es").write_bytes(header + body)
     recording = open_recording(tmp_path / "a.es")
-    assert recording.read().tolist() == [
-        (194, 4, 239, 1),
-        (196, 4, 239, 0),
-    ] and recording.sensor == (320, 240)
+    assert recording.read().tolist() == [(194, 4, 239, 1), (196, 4, 239, 0)]
+    assert recording.sensor == (320, 240)
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".dat"])
@@ -258,7 +253,8 @@ N_BLOCK = 100_000
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
     """The same events ten times over: a million different ones take longer to write than to
     read."""
-    path, sensor = tmp_path / name, sensor_for(name)
+    path = tmp_path / name
+    sensor = sensor_for(name)
     block = made_events(N_BLOCK, sensor=sensor, step_us=4)
     if name == "dsec.h5":
         dsec(path, np.repeat(block, N_LONG // N_BLOCK), chunks=(10_000,))
@@ -360,16 +356,16 @@ def test_wrong_arguments(name, how, message):
 def test_the_given_sensor_is_that_of_files_that_state_none(tmp_path):
     """N-Caltech101 has the format of N-MNIST and 304 x 240 pixels."""
     events = made_events(2, sensor=(1, 1))
-    events["x"], events["y"] = (239, 100), (179, 99)
+    events["x"] = (239, 100)
+    events["y"] = (179, 99)
     write_nmnist(tmp_path / "a.bin", events)
     for name in ("a.bin", "records.npy", "plain.csv"):
         path = tmp_path / name if name == "a.bin" else written(tmp_path / name, events)
         recording = open_recording(path, 1, sensor=(200, 200))
         assert (recording.sensor, recording.stated_sensor) == ((200, 200), None)
         np.testing.assert_array_equal(open_recording(path, sensor=(240, 180)).read(), events)
-    assert (
-        open_recording(written(tmp_path / "packed.npz", events), sensor=(200, 200)).sensor == SENSOR
-    )
+    stating = written(tmp_path / "packed.npz", events)
+    assert open_recording(stating, sensor=(200, 200)).sensor == SENSOR
     for sensor in (None, (34, 34)):
         with pytest.raises(
             ValueError, match=r"x = 239, y = 179: .*another sensor.*unless `sensor` says another"

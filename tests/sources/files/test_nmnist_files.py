@@ -7,7 +7,11 @@ from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.volume.events import EVENT_DTYPE
 from experiments.digit_data.nmnist_files import write_nmnist
 
-EVENT, OVERFLOW = bytes([1, 2, 0x80, 0, 100]), bytes([49, 240, 0, 0, 100])
+EVENT = bytes([1, 2, 0x80, 0, 100])
+"""An ON event at x = 1, y = 2, 100 us."""
+
+OVERFLOW = bytes([49, 240, 0, 0, 100])
+"""A row that marks an overflow of the timer."""
 
 
 def test_bytes_by_hand(tmp_path):

@@ -76,11 +76,11 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(
         (COLUMNS | {"t": np.array([1, 2])}, "must have equal lengths, got 2, 3, 3, 3"),
         (
             COLUMNS | {"sensor": np.array([0, 260])},
-            r"`sensor` must be two integers .* got \[0, 260\]",
+            r"its array 'sensor' must be two integers .* got \[0, 260\]",
         ),
         (
             COLUMNS | {"sensor": np.array([260, 2**40])},
-            r"`sensor` must be two integers .* in \[1, 65536\], got \[260",
+            r"its array 'sensor' must be two integers .* in \[1, 65536\], got \[260",
         ),
         ({"t": EVENTS["t"], "x": EVENTS["x"]}, r"`events`, or t, x, y and p; got \['t', 'x'\]"),
         (np.zeros((3, 5), int), r"an \(N, 4\) array of those columns, got shape \(3, 5\) of int64"),

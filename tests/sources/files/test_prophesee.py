@@ -53,15 +53,14 @@ def test_t0_is_added(tmp_path):
         np.testing.assert_array_equal(events["t"], EVENTS["t"] + 7_000_000)
 
 
-HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = (
-    0x8001,
-    0x6005,
-    0x0009,
-    0x2005,
-    0x3007,
-    0x4001,
-    0x5001,
-)
+# words of EVT3: their kind in the upper four bits
+HIGH = 0x8001
+LOW = 0x6005
+ROW = 0x0009
+X5 = 0x2005
+BASE7 = 0x3007
+VECTOR12 = 0x4001
+VECTOR8 = 0x5001
 
 
 @pytest.mark.parametrize(
@@ -107,7 +106,9 @@ def test_evt3_by_hand(decoded, words, events):
 
 def test_evt2_by_hand(decoded):
     """A word is an event: polarity, six bits of time, x, y; those before a time are left out."""
-    on, off, high = 1 << 28 | 5 << 22 | 64 << 11 | 9, 63 << 22 | 2047 << 11 | 2047, 8 << 28 | 1
+    on = 1 << 28 | 5 << 22 | 64 << 11 | 9
+    off = 63 << 22 | 2047 << 11 | 2047
+    high = 8 << 28 | 1
     assert decoded("2.0", [on, off, high, on, off]) == [(69, 64, 9, 1), (127, 2047, 2047, 0)]
     period = 1 << 28
     last = 8 << 28 | period - 1
@@ -118,7 +119,8 @@ def test_evt2_by_hand(decoded):
 def test_evt21_by_hand(decoded):
     """A word has 32 pixels: bits 0, 2 and 31 from x = 64, and up to the last column; none before
     the first time."""
-    high, pixels = 0x80000001 << 32, (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1 << 31 | 0b101
+    high = 0x80000001 << 32
+    pixels = (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1 << 31 | 0b101
     assert decoded("2.1", [pixels, high, pixels]) == [(69, x, 9, 1) for x in (64, 66, 95)]
     last = (1 << 28 | 2016 << 11 | 9) << 32 | 1 << 31
     assert decoded("2.1", [high, last]) == [(64, 2047, 9, 1)]

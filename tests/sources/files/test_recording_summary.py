@@ -6,7 +6,7 @@ import pytest
 from made import events_of, random_events
 from sources.files.written import FORMATS, SENSOR, made_events, written
 
-from async_tnt.sources.pixels.pixel_masks import hot_pixels
+from async_tnt.sources.pixels.hot_pixels import hot_pixels
 from async_tnt.sources.recording_summary import summarize
 
 
@@ -17,9 +17,8 @@ def test_a_file_that_states_its_sensor_or_not_is_summarized(tmp_path, name):
     events = made_events(3_000, sensor=sensor, step_us=40)
     found = summarize(written(tmp_path / name, events, sensor))
     assert found.bytes == (tmp_path / name).stat().st_size
-    assert (
-        found.sensor == (sensor if states_sensor else None) and found.sensor_stated == states_sensor
-    )
+    assert found.sensor == (sensor if states_sensor else None)
+    assert found.sensor_stated == states_sensor
     assert (found.events, found.on, found.unsorted) == (3_000, int((events["p"] > 0).sum()), 0)
     assert (found.first_us, found.last_us) == (events["t"][0], events["t"][-1])
     assert found.extent == (events["x"].max() + 1, events["y"].max() + 1)
@@ -46,13 +45,10 @@ def test_the_parts_of_a_long_recording_are_of_equal_length(tmp_path):
     )
     np.save(tmp_path / "long.npy", events)
     found = summarize(tmp_path / "long.npy", (34, 34))
-    assert (
-        np.mean(found.events_a_second) * 7_200 == pytest.approx(t.size)
-        and len(found.events_a_second) == 60
-    )
-    assert np.argmax(found.events_a_second) == 30 and np.median(
-        found.events_a_second
-    ) == pytest.approx(150_000 / 7_200, rel=0.1)
+    assert np.mean(found.events_a_second) * 7_200 == pytest.approx(t.size)
+    assert len(found.events_a_second) == 60
+    assert np.argmax(found.events_a_second) == 30
+    assert np.median(found.events_a_second) == pytest.approx(150_000 / 7_200, rel=0.1)
 
 
 @pytest.mark.parametrize("n", [1, 3])
@@ -62,9 +58,8 @@ def test_a_few_events_with_times_since_1970(tmp_path, n):
         events_of(1_700_000_000_000_000 + np.arange(n), [1] * n, [2] * n, [1] * n),
     )
     found = summarize(tmp_path / "now.npy", (34, 34))
-    assert np.isfinite(found.events_a_second).all() and np.mean(
-        found.events_a_second
-    ) == pytest.approx(1e6, rel=0.01)
+    assert np.isfinite(found.events_a_second).all()
+    assert np.mean(found.events_a_second) == pytest.approx(1e6, rel=0.01)
 
 
 def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
@@ -75,10 +70,8 @@ def test_unsorted_events_and_hot_pixels_are_counted(tmp_path):
     assert found.unsorted == (np.diff(events["t"]) < 0).sum() == 1
     counts = np.zeros((34, 34), np.int64)
     np.add.at(counts, (events["y"], events["x"]), 1)
-    assert (
-        found.hot_pixels == [{"x": 3, "y": 4, "events": counts[4, 3]}]
-        and hot_pixels(counts).sum() == 1
-    )
+    assert found.hot_pixels == [{"x": 3, "y": 4, "events": counts[4, 3]}]
+    assert hot_pixels(counts).sum() == 1
     assert summarize(tmp_path / "a.npy").hot_pixels == []
     with pytest.raises(
         ValueError, match=r"a\.npy: .* events lie off the 20 x 34 sensor; .*another sensor"

@@ -20,18 +20,25 @@ every_bag = pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
 
 
 def plainly_decoded(words):
-    """EVT3, word by word as its description has it, of a stream that begins with its time and
-    row."""
+    """The events of EVT3, word by word as its description has it, in a stream that begins with its
+    time and row."""
     events = []
-    overflows = high = low = y = base = base_polarity = 0
+    overflows = 0
+    high = 0
+    low = 0
+    y = 0
+    base = 0
+    base_polarity = 0
     for word in words:
-        kind, value = word >> 12, word & 0xFFF
+        kind = word >> 12
+        value = word & 0xFFF
         if kind == 0x0:
             y = value & 0x7FF
         elif kind == 0x2:
             events.append((overflows << 24 | high << 12 | low, value & 0x7FF, y, value >> 11))
         elif kind == 0x3:
-            base, base_polarity = value & 0x7FF, value >> 11
+            base = value & 0x7FF
+            base_polarity = value >> 11
         elif kind in (0x4, 0x5):
             length = 12 if kind == 0x4 else 8
             time = overflows << 24 | high << 12 | low
@@ -115,9 +122,8 @@ def test_libcaer_words_by_hand(tmp_path, name):
 @every_bag
 def test_the_stamps_of_an_event_array_become_the_nearest_microsecond(tmp_path, name):
     with Bag(tmp_path / name) as bag:
-        time, event = (
-            bag.types.types[kind] for kind in ("builtin_interfaces/msg/Time", "dvs_msgs/msg/Event")
-        )
+        time = bag.types.types["builtin_interfaces/msg/Time"]
+        event = bag.types.types["dvs_msgs/msg/Event"]
         stamps = [
             (0, 1_499),
             (0, 1_500),
@@ -160,11 +166,13 @@ def test_the_only_topic_of_events_is_read_and_of_several_the_one_that_is_named(t
     assert open_recording(other, topic="/left/events").read().tolist() == [*IN_TIME, IN_TIME[0]]
     right = open_recording(other, topic="/right/events")
     np.testing.assert_array_equal(right.read(), EVENTS)
-    assert right.sensor == (400, 300) and [t.name for t in right.source.topics if t.is_read] == [
-        "/right/events"
-    ]
+    assert right.sensor == (400, 300)
+    assert [topic.name for topic in right.source.topics if topic.is_read] == ["/right/events"]
     for wrong in ("/chatter", "/middle"):
-        message = rf"`topic` must be one of /left/events, /right/events, got '{wrong}'; all topics: /chatter \(std_msgs"
+        message = (
+            rf"`topic` must be one of /left/events, /right/events, got '{wrong}'; all topics: "
+            r"/chatter \(std_msgs"
+        )
         with pytest.raises(ValueError, match=message):
             open_recording(other, topic=wrong)
 
@@ -328,9 +336,8 @@ def payloads_of(path):
 def test_real_bags_have_the_events_that_their_authors_count(bags, name, n_off, n_on, sensor):
     recording = open_recording(bags / name, strict=True)
     polarity = recording.read()["p"]
-    assert recording.sensor == sensor and [topic.name for topic in recording.source.topics] == [
-        "/event_camera/events"
-    ]
+    assert recording.sensor == sensor
+    assert [topic.name for topic in recording.source.topics] == ["/event_camera/events"]
     assert ((polarity == 0).sum(), (polarity == 1).sum()) == (n_off, n_on)
 
 

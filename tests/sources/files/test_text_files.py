@@ -74,10 +74,8 @@ CSV_ROWS = ("0.25,1,2,1", "7,1,2,None", "7,1,2", "7,1,2,1,1", "7,,2,1", "7 7,1,2
 @pytest.mark.parametrize("row", UZH_ROWS + CSV_ROWS)
 def test_a_row_that_is_not_an_event_is_damage(text, row):
     if row in CSV_ROWS:
-        recording, expected = (
-            text("a.csv", f"t,x,y,p\n5,1,2,0\n6,1,2,1\n{row}\n"),
-            "t,x,y,p, t in whole microseconds",
-        )
+        recording = text("a.csv", f"t,x,y,p\n5,1,2,0\n6,1,2,1\n{row}\n")
+        expected = "t,x,y,p, t in whole microseconds"
     else:
         recording = text("a.txt", f"9 9\n0.000005 1 2 0\n0.000006 1 2 1\n{row}\n0.4 1 2 1\n")
         expected = "`t x y p`, t in seconds"

@@ -79,10 +79,14 @@ def evt21(events, sensor=SENSOR, endianness="little"):
 
 def evt3(events, sensor=SENSOR):
     """Every third event as a vector of one."""
-    out, high, low, row = [], None, None, None
+    out = []
+    high = None
+    low = None
+    row = None
     for i, (t, x, y, p) in enumerate(events.tolist()):
         if t >> 12 != high:
-            high, low = t >> 12, None
+            high = t >> 12
+            low = None
             out.append(0x8 << 12 | high & 4095)
         if t & 4095 != low:
             low = t & 4095
@@ -135,7 +139,8 @@ def aedat2(events, sensor, chip, davis=None):
             address = (size[1] - 1 - y) << 22 | (size[0] - 1 - x) << 12 | p << 11
             other = 1 << 31 | 7 << 22
         else:
-            address, other = y << 8 | x << 1 | 1 - p, 1 << 15
+            address = y << 8 | x << 1 | 1 - p
+            other = 1 << 15
         out.append(struct.pack(">IIII", other, t & 0xFFFFFFFF, address, t & 0xFFFFFFFF))
     return b"".join(out)
 
@@ -237,10 +242,11 @@ class Format(NamedTuple):
     """How to write one format, and what it can hold."""
 
     write: Callable
-    """Of (path, events, sensor)."""
+    """Function of (path, events, sensor) that writes a file."""
     largest: tuple[int, int] = (1 << 16, 1 << 16)
-    """The largest sensor."""
+    """The largest sensor, (width, height)."""
     states_sensor: bool = True
+    """Whether a file states its sensor."""
 
 
 def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True):

@@ -1,0 +1,43 @@
+"""The error of a source that cannot be read as the caller's parameters say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from async_tnt.base.checks import ParameterValueError
+
+
+class SourceError(ParameterValueError):
+    """A source and the parameters do not fit each other.
+
+    The message begins with the name of the source and says which parameter to change. What a file
+    states wrongly is no such error, but a plain ValueError.
+
+    Parameters
+    ----------
+    name : name of the source, such as a path; "" where the message has none.
+    rule : the rest of the message. Names of parameters stand in braces: "give {sensor}".
+
+    Examples
+    --------
+    >>> error = SourceError("a.npy", "its pixels are not known: give {sensor}")
+    >>> print(error)
+    a.npy: its pixels are not known: give `sensor`
+    >>> error.text({"sensor": "SENSOR"})
+    'a.npy: its pixels are not known: give SENSOR'
+    """
+
+    def text(self, written: Mapping[str, str] | None = None) -> str:
+        """The message, in which parameters are named as `written` says, or else in backticks."""
+        known = written or {}
+
+        def name_of(match: re.Match[str]) -> str:
+            return known.get(match[1], f"`{match[1]}`")
+
+        sentence = re.sub(r"\{(\w+)\}", name_of, self.rule)
+        return f"{self.name}: {sentence}" if self.name else sentence
+
+    def of(self, name: object, what: str = "") -> SourceError:
+        """The same error of the source with this name; `what` begins the sentence."""
+        return SourceError(str(name), f"{what}{self.rule}")

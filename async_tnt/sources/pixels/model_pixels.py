@@ -1,0 +1,156 @@
+"""The pixels that a model sees of recordings and cameras, whose sensors may differ from its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from async_tnt.base.checks import ParameterError
+from async_tnt.sources.files.recording import Recording, open_recording
+from async_tnt.sources.files.source_error import SourceError
+from async_tnt.sources.pixels.pixel_filter import PixelFilter
+from async_tnt.sources.pixels.pixels import Pixels
+from async_tnt.volume.sensor import Sensor, format_size
+
+
+class ModelPixels:
+    """Leaves out the events of sources that a model is not meant to see, and counts them.
+
+    Parameters
+    ----------
+    pixels : what the model sees.
+    model : (width, height) in pixels that the model is for.
+    any_size : whether the model can be for others, see `Model.for_sensor`; for messages.
+
+    Attributes
+    ----------
+    pixels : the parameter.
+    expected : (width, height) of the cameras, before any event is left out; None: the source must
+        state it.
+
+    Raises
+    ------
+    ValueError : a region of another size than the model's sensor; without `crop`, a camera of
+        another size, if `pixels` says it; a region off the camera, if that is known.
+    """
+
+    def __init__(self, pixels: Pixels, model: Sensor, *, any_size: bool = False) -> None:
+        self.pixels = pixels
+        self.expected = pixels.camera if pixels.crop else model
+        self._model = model
+        self._any_size = any_size
+        self._filters: dict[Sensor, PixelFilter] = {}
+        region = pixels.region
+        if region is not None and region != model:
+            raise SourceError(
+                "",
+                f"{{crop}}: the model is for {format_size(model)} pixels, got a region of "
+                f"{format_size(region)}; give {{roi}} X,Y,{model[0]},{model[1]}",
+            )
+        camera = pixels.camera
+        if not pixels.crop and camera is not None and camera != model:
+            raise SourceError(
+                "",
+                f"{pixels.origin} {format_size(camera)} pixels, but the model is for "
+                f"{format_size(model)}{self._advice(camera)}",
+            )
+        if self.expected is not None:
+            self.filter_of("", self.expected)  # now, so that mistakes show before the first event
+
+    def open(
+        self, path: Path, *, name: str | None = None, **reading: Any
+    ) -> tuple[Recording, Callable[[Any], Any]]:
+        """A recording and the filter for its packets.
+
+        Parameters
+        ----------
+        path, reading : arguments of `open_recording`.
+        name : of the recording, for messages; by default the path.
+
+        Raises
+        ------
+        ValueError, OSError : unreadable, or of another sensor than expected.
+        """
+        recording = open_recording(path, sensor=self.expected, **reading)
+        return recording, self.filter_of(path if name is None else name, recording.sensor)
+
+    def filter_of(self, name: Any, found: Sensor | None) -> Callable[[Any], Any]:
+        """The filter for packets of a source.
+
+        Parameters
+        ----------
+        name : of the source, for messages; "" for none.
+        found : (width, height) of its camera, before any event is left out, if it states them.
+
+        Raises
+        ------
+        ValueError : not the expected sensor, or an unknown one; the region or the mask does not fit
+            it.
+        """
+        camera = self.expected or found
+        if camera is None:
+            rule = "does not say the camera's pixels, which {crop} needs: give {sensor}"
+            raise SourceError(str(name), rule)
+        if found is not None and tuple(found) != camera:
+            origin = self.pixels.origin if self.pixels.crop else "the model is for"
+            advice = "" if self.pixels.crop else self._advice(found)
+            raise SourceError(
+                str(name),
+                f"a sensor of {format_size(found)} pixels, but {origin} {format_size(camera)}"
+                f"{advice}",
+            )
+
+        if camera not in self._filters:
+            pixel_filter = self._new_filter(str(name), camera)
+            if pixel_filter is None:
+                return _unchanged
+            self._filters[camera] = pixel_filter
+        return self._filters[camera]
+
+    def _new_filter(self, name: str, camera: Sensor) -> PixelFilter | None:
+        """The filter for a camera; None if every event counts. Errors name the source."""
+        try:
+            return self.pixels.filter_of(camera)
+        except ParameterError as error:
+            raise SourceError(name, f"{{{error.name}}} {error.rule}, got {error.got}") from None
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}" if name else str(error)) from None
+
+    def summary(self) -> str:
+        """What was left out of all sources so far, for people; "" if nothing came, or if nothing
+        could be left out."""
+        counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
+        if not any(one.received for one in counts):
+            return ""
+        parts = []
+        if self.pixels.roi is not None:
+            n_outside = sum(one.dropped_outside for one in counts)
+            parts.append(f"{n_outside:,} outside of the region")
+        if self.pixels.mask is not None:
+            n_masked = sum(one.dropped_masked for one in counts)
+            parts.append(f"{n_masked:,} of masked pixels")
+        return ", ".join(parts)
+
+    @property
+    def nothing(self) -> str:
+        """What a model has seen of a source without any event left, for messages."""
+        return "no events at the selected pixels" if self.pixels.leaves_out else "no events"
+
+    def _advice(self, camera: Sensor | None) -> str:
+        """What to do about a camera of another size than the model's."""
+        size = camera or self._model
+        if self._any_size:
+            return f"; give {{sensor}} {format_size(size)}"
+        width, height = self._model
+        if width > size[0] or height > size[1]:
+            return "; train one for this camera (async-tnt train)"
+        return (
+            "; train one for this camera (async-tnt train), or cut out a part: "
+            f"{{roi}} X,Y,{width},{height} {{crop}}"
+        )
+
+
+def _unchanged(packet: Any) -> Any:
+    """The filter where every event counts: the packet itself."""
+    return packet
