@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn
@@ -29,8 +29,8 @@ ENDING = [
 ]
 REPEATED_S = 1.0
 """Seconds within which a second signal is the same request to end."""
-# name of a module beside this one, with DESCRIPTION, add_arguments(parser) and main(args): a line
-# of help
+# Name of a module beside this one: its line of help. The module has DESCRIPTION, add_arguments(parser)
+# and main(args). It may have REMOVED: options of the version before, each with what to write instead.
 COMMANDS = {
     "run": "stream recordings through a model and print its decisions",
     "record": "record a camera or a network stream into class folders",
@@ -68,6 +68,7 @@ def build_parser(argv: Sequence[str]) -> _Parser:
             subparser.description = module.DESCRIPTION
             module.add_arguments(subparser)
             subparser.set_defaults(main=module.main)
+            _refuse_removed(subparser, argv, getattr(module, "REMOVED", {}))
             subparser.mistyped = mistyped(argv[argv.index(name) + 1 :], subparser.options)
     parser.mistyped = mistyped(argv, parser.options, list(COMMANDS))
     return parser
@@ -80,6 +81,19 @@ def _refuse_dashes(prog: str, argv: Sequence[str]) -> None:
             _Parser(prog=prog).error(
                 f"argument {word.removesuffix('=--')}: expected a value, got '--'"
             )
+
+
+def _refuse_removed(parser: _Parser, argv: Sequence[str], removed: Mapping[str, str]) -> None:
+    """Refuse an option that the version before had, in one line that says what to write instead.
+
+    Parameters
+    ----------
+    removed : option -> what to write instead, such as {"--bins": "write --volume bins=N"}.
+    """
+    for word in itertools.takewhile(lambda word: word != "--", argv):
+        name = word.partition("=")[0]
+        if name in removed:
+            parser.error(f"{name} is no longer an option: {removed[name]}")
 
 
 def mistyped(

@@ -215,6 +215,19 @@ def test_what_was_probably_meant(words, end, refused):
     assert refused(*words.split()).endswith(f"{end}\n")
 
 
+@pytest.mark.parametrize("words", ["--old", "--old=5", "3 --old 5 --modle x", "--every-us 5 --old"])
+def test_an_option_that_was_removed_says_what_to_write_instead(words, refused, monkeypatch):
+    monkeypatch.setattr(run, "REMOVED", {"--old": "write --every-us US"}, raising=False)
+    assert refused("run", *words.split()) == (
+        "async-tnt run: --old is no longer an option: write --every-us US (async-tnt run --help)\n"
+    )
+
+
+def test_a_file_may_have_the_name_of_an_option_that_was_removed(refused, monkeypatch):
+    monkeypatch.setattr(run, "REMOVED", {"--old": "write --every-us US"}, raising=False)
+    assert refused("run", "--", "--old") == "async-tnt: --old: No such file or directory\n"
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
