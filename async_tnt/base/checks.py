@@ -71,6 +71,10 @@ class ParameterTypeError(ParameterError, TypeError):
     """The value of a parameter is of a wrong type."""
 
 
+class ParameterWarning(ParameterError, UserWarning):
+    """The value of a parameter is allowed, but hardly meant."""
+
+
 def is_whole(value: Any) -> bool:
     """Whether it is a whole number of any type, which True and False are not."""
     if isinstance(value, (bool, np.bool_)):  # the latter: NumPy 1 lets it pass for an index

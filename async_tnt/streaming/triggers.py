@@ -10,7 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import positive_int, real_number, short
+from async_tnt.base.checks import (
+    ParameterValueError,
+    ParameterWarning,
+    positive_int,
+    real_number,
+    short,
+)
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.volume.config import TNTConfig
@@ -57,16 +63,23 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
     if config.window_events is None:
         if settings.every_us is not None and settings.every_us > config.window_us:
             never.append(
-                f"`every_us` = {settings.every_us} is longer than a window, {config.window_us} us"
+                (
+                    "every_us",
+                    f"= {settings.every_us} is longer than a window, {config.window_us} us",
+                )
             )
     elif settings.every_events is not None and settings.every_events > config.window_events:
         never.append(
-            f"`every_events` = {settings.every_events} is more than a window has, "
-            f"{config.window_events}"
+            (
+                "every_events",
+                f"= {settings.every_events} is more than a window has, {config.window_events}",
+            )
         )
-    for which in never:
+    for name, what in never:
         warnings.warn(
-            f"{which}: it never makes a decision due, windows are decided at their ends",
+            ParameterWarning(
+                name, f"{what}: it never makes a decision due, windows are decided at their ends"
+            ),
             stacklevel=stacklevel,
         )
 
@@ -178,7 +191,7 @@ class TriggerAttributes:
 def _level(name: str, value: Any) -> float:
     number = real_number(name, value)
     if not 0 < number <= 1:
-        raise ValueError(f"`{name}` must be a probability in (0, 1], got {short(value)}")
+        raise ParameterValueError(name, "must be a probability in (0, 1]", short(value))
     return number
 
 

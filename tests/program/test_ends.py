@@ -186,11 +186,11 @@ def test_a_second_signal_at_once_does_not_end_the_cleaning_up(
     later_s, cleaned_up, program, monkeypatch
 ):
     """Closing a terminal sends two; somebody who presses Ctrl-C again later means it."""
-    from async_tnt.cli import program as module
-    from async_tnt.cli import run
+    from async_tnt.cli import run, signals
 
-    now_s, done = [100.0], []
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    now_s = [100.0]
+    done = []
+    monkeypatch.setattr(signals, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
 
     def clean_up(args):
         try:
