@@ -70,7 +70,7 @@ def test_packets_older_than_keep_up_milliseconds_are_skipped(
     now_us, have_waited = [1_000_000], threading.Event()
     clock = SimpleNamespace(monotonic_ns=lambda: 1_000 * now_us[0])
     for module in ("queue", "keep_up"):
-        monkeypatch.setattr(f"async_tnt.sources.{module}.time", clock)
+        monkeypatch.setattr(f"async_tnt.sources.queues.{module}.time", clock)
 
     class Source:
         name = "camera"
