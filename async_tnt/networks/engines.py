@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.base.checks import ParameterValueError, one_line, parse_json, short
+from async_tnt.base.checks import one_line, parse_json, short
 from async_tnt.base.files import read_regular, user_path
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.models.model import Model
@@ -71,9 +71,7 @@ def is_onnx(name_or_path: str | Path) -> bool:
 def _of_other_program(path: Path, config: Path) -> Engine:
     """The compiled form of another program's network, where it has one; else onnxruntime."""
     if not is_onnx(path):
-        raise ParameterValueError(
-            "config", f"is for .onnx files of other programs; {path} has its own"
-        )
+        raise ValueError(f"`config` is for .onnx files of other programs; {path} has its own")
     try:
         given = parse_json(read_regular(config))
         if not isinstance(given, dict) or "config" not in given:

@@ -10,13 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import (
-    ParameterValueError,
-    ParameterWarning,
-    positive_int,
-    real_number,
-    short,
-)
+from async_tnt.base.checks import positive_int, real_number, short
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.volume.config import TNTConfig
@@ -63,23 +57,16 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
     if config.window_events is None:
         if settings.every_us is not None and settings.every_us > config.window_us:
             never.append(
-                (
-                    "every_us",
-                    f"= {settings.every_us} is longer than a window, {config.window_us} us",
-                )
+                f"`every_us` = {settings.every_us} is longer than a window, {config.window_us} us"
             )
     elif settings.every_events is not None and settings.every_events > config.window_events:
         never.append(
-            (
-                "every_events",
-                f"= {settings.every_events} is more than a window has, {config.window_events}",
-            )
+            f"`every_events` = {settings.every_events} is more than a window has, "
+            f"{config.window_events}"
         )
-    for name, what in never:
+    for which in never:
         warnings.warn(
-            ParameterWarning(
-                name, f"{what}: it never makes a decision due, windows are decided at their ends"
-            ),
+            f"{which}: it never makes a decision due, windows are decided at their ends",
             stacklevel=stacklevel,
         )
 
@@ -191,7 +178,7 @@ class TriggerAttributes:
 def _level(name: str, value: Any) -> float:
     number = real_number(name, value)
     if not 0 < number <= 1:
-        raise ParameterValueError(name, "must be a probability in (0, 1]", short(value))
+        raise ValueError(f"`{name}` must be a probability in (0, 1], got {short(value)}")
     return number
 
 

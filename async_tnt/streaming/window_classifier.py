@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, one_line, short
+from async_tnt.base.checks import one_line, short
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.decisions.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
 from async_tnt.kernels.decisions.objects import N_KNOWN, NEXT_NUMBER
@@ -343,9 +343,7 @@ class WindowClassifier:
 
 def _check_confidence(reader: ObjectReader | None, confidence: float | None) -> None:
     if reader is not None and confidence is not None:
-        raise ParameterValueError(
-            "confidence", "needs one answer for the window; a map model finds objects"
-        )
+        raise ValueError("`confidence` needs one answer for the window; a map model finds objects")
 
 
 def _not_finite(logits: np.ndarray) -> ValueError:

@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
-from async_tnt.base.checks import ParameterValueError, checked_time, positive_int, short
+from async_tnt.base.checks import checked_time, positive_int, short
 from async_tnt.streaming.decision import Decision
 from async_tnt.volume.config import TNTConfig
 from async_tnt.volume.counts import Counts
@@ -70,10 +70,9 @@ class WindowScheduler:
         if config.window_events is not None:
             for name, value in (("hop_us", hop_us), ("start_us", start_us)):
                 if value is not None:
-                    raise ParameterValueError(
-                        name,
-                        f"must not be given with window_events={config.window_events}",
-                        short(value),
+                    raise ValueError(
+                        f"`{name}` must not be given with window_events={config.window_events}, "
+                        f"got {short(value)}"
                     )
         self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
         if self.hop_us > window_us:

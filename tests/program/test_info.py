@@ -41,7 +41,10 @@ def test_a_sensor_that_is_not_stated_is_asked_for(program, tmp_path):
     code, _, err = program("info", tmp_path / "a.npy", "--sensor", "20x20")
     assert code == 2 and err.count("\n") == 1
     assert "events lie off the 20 x 20 sensor; the first is " in err
-    assert "the recording is of another sensor, or damaged; the file states none, " in err
+    assert (
+        "the recording is of another sensor, or damaged; the file states none, --sensor, the model "
+        "or another recording does" in err
+    )
 
 
 def test_a_folder_names_its_classes_and_what_cannot_be_read(program, tmp_path):
@@ -54,7 +57,7 @@ def test_a_folder_names_its_classes_and_what_cannot_be_read(program, tmp_path):
     assert code == 2 and lines[0] == f"{tmp_path}: 4 recordings, 300 events; clap 2, wave 2"
     assert len(lines) == 5 and "clap/damaged.npy" in lines[2] and "cannot be read: " in lines[2]
     text = program("info", tmp_path, "--sensor", "8x8")[1]
-    assert "of another sensor, or damaged; the file states none, " in text
+    assert "of another sensor, or damaged; the file states none, --sensor" in text
     report = json.loads(program("info", tmp_path, "--json")[1])
     assert report["folders"] == {"clap": 2, "wave": 2} and "error" in report["recordings"][1]
     (tmp_path / "empty").mkdir()

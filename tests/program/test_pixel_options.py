@@ -121,6 +121,8 @@ def test_a_map_model_reads_a_camera_of_any_size_that_is_known(sets, tmp_path, pr
     words = "run", "--model", "digits-everywhere", "--json"
     code, _, message = program(*words, small, large)
     assert code == 2
-    assert "a sensor of 100x80 pixels, but the model is for 34x34; give " in message
+    assert (
+        "a sensor of 100x80 pixels, but the model is for 34x34; give --sensor 100x80\n" in message
+    )
     np.save(tmp_path / "a.npy", open_recording(large).read())
     assert program(*words, tmp_path / "a.npy", "--mask", sets / "large.npy")[0] == 0

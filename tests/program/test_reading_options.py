@@ -94,8 +94,9 @@ def test_the_topic_of_a_bag_is_chosen_and_several_are_listed(
     program, tmp_path, two_topics, command
 ):
     code, err, _ = answer(program, command, two_topics, tmp_path)
-    assert code == 2 and "several topics have events, choose one by " in err
-    assert ": /left, /right" in err
+    option = "`topic`" if command == "evaluate" else "--topic"
+    assert code == 2
+    assert f"several topics have events, choose one by {option}: /left, /right" in err
     expected = answer(program, command, saved(tmp_path / "all" / "3" / "a.npz", EVENTS), tmp_path)
     assert expected[0] == 0
     assert answer(program, command, two_topics, tmp_path, "--topic", "/left") == expected
@@ -107,11 +108,13 @@ def test_the_order_of_columns_is_stated(program, tmp_path, command):
     path.parent.mkdir(parents=True)
     path.write_bytes(metavision_csv(EVENTS).split(b"\n", 1)[1])
     code, err, _ = answer(program, command, path, tmp_path)
-    assert code == 2 and "look like 'xypt': state their order with " in err
+    option = "`columns`" if command == "evaluate" else "--columns"
+    assert code == 2 and f"look like 'xypt': state their order with {option}" in err
     expected = answer(program, command, saved(tmp_path / "all" / "3" / "a.npz", EVENTS), tmp_path)
     assert answer(program, command, path, tmp_path, "--columns", "xypt") == expected
     code, err, _ = answer(program, command, path, tmp_path, "--columns", "xyz")
-    assert code == 2 and " must have the letters t, x, y and p, each once, got 'xyz'" in err
+    assert code == 2
+    assert "--columns must have the letters t, x, y and p, each once, got 'xyz'" in err
 
 
 @pytest.mark.parametrize("command", SINGLE)

@@ -110,7 +110,7 @@ def test_nanoseconds_read_as_microseconds_are_warned_of(program, tmp_path):
             "off.csv",
             b"t,x,y,p\n5,40,1,1\n",
             "it is event 0 at x = 40, y = 1: the recording is of another sensor, or damaged; the "
-            "file states none, ",
+            "file states none, --s",
         ),
     ],
 )

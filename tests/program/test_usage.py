@@ -110,11 +110,11 @@ def test_bad_usage_refers_to_help(words, message, refused):
         ("run SAMPLE --crop", "--crop belongs to --roi"),
         (
             "run SAMPLE --sensor 36x34",
-            "says 36x34 pixels, but the model is for 34x34; train one for this",
+            "--sensor says 36x34 pixels, but the model is for 34x34; train one for this",
         ),
         (
             "run SAMPLE --roi 0,0,20,20 --crop",
-            "for 34x34 pixels, got a region of 20x20",
+            "for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34",
         ),
         ("bench --model no_such_model", "no model file no_such_model"),
         (
@@ -126,7 +126,7 @@ def test_bad_usage_refers_to_help(words, message, refused):
         ("run udp://203.0.113.1:50000", "203.0.113.1"),
         (
             "run udp://127.0.0.1:0 --roi 60,0,34,34 --crop",
-            "does not say the camera's pixels, which ",
+            "does not say the camera's pixels, which --crop needs: give",
         ),
         ("check EMPTY", "empty.bin: no event"),
     ],

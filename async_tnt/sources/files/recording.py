@@ -17,7 +17,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, is_whole, positive_int, short
+from async_tnt.base.checks import is_whole, positive_int, short
 from async_tnt.base.files import refuse_git_lfs, user_path
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
@@ -391,10 +391,9 @@ def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | No
         return None
     is_pair = isinstance(between_us, (tuple, list, np.ndarray)) and len(between_us) == 2
     if not (is_pair and all(map(is_whole, between_us)) and between_us[0] < between_us[1]):
-        raise ParameterValueError(
-            "between_us",
-            "must be (start, end), whole microseconds with start < end",
-            short(between_us),
+        raise ValueError(
+            f"`between_us` must be (start, end), whole microseconds with start < end, got "
+            f"{short(between_us)}"
         )
     return int(between_us[0]), int(between_us[1])
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, short
+from async_tnt.base.checks import short
 from async_tnt.kernels.volume.records import MAX_TIME_US
 from async_tnt.sources.files.off_sensor import WIDE_DTYPE
 from async_tnt.volume.event_forms import Four, check_order
@@ -58,7 +58,7 @@ class ReadOptions:
         if self.columns is not None:
             check_order("columns", self.columns)
         if self.topic is not None and (not isinstance(self.topic, str) or not self.topic):
-            raise ParameterValueError("topic", "must be the name of a topic", short(self.topic))
+            raise ValueError(f"`topic` must be the name of a topic, got {short(self.topic)}")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.base.checks import ParameterValueError, Running, is_whole, one_at_a_time, short
+from async_tnt.base.checks import Running, is_whole, one_at_a_time, short
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.sources.pixels import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.volume.records import COLUMN_TYPES
@@ -125,7 +125,7 @@ class PixelFilter:
 def check_crop(crop: bool, roi: Any) -> None:
     """Refuse `crop` without a region."""
     if crop and roi is None:
-        raise ParameterValueError("crop", "belongs to {roi}: the region that becomes the sensor")
+        raise ValueError("`crop` belongs to `roi`: the region that becomes the sensor")
 
 
 def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int, int, int, int]:
@@ -140,16 +140,14 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
     except TypeError:
         numbers = ()
     if len(numbers) != 4 or not all(map(is_whole, numbers)):
-        rule = "must be (x, y, width, height) in whole pixels"
-        raise ParameterValueError("roi", rule, short(roi))
+        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {short(roi)}")
     left, top, width, height = map(int, numbers)
     is_beyond = sensor is not None and (left + width > sensor[0] or top + height > sensor[1])
     if min(left, top) < 0 or min(width, height) < 1 or is_beyond:
         pixels = "" if sensor is None else f" of {format_size(sensor)} pixels"
-        raise ParameterValueError(
-            "roi",
-            f"(x, y, width, height) must lie on the sensor{pixels}, x and y at least 0, and hold "
-            "at least one pixel",
-            (left, top, width, height),
+        raise ValueError(
+            f"`roi` (x, y, width, height) must lie on the sensor{pixels}, x and y at least 0, and "
+            "hold at least one "
+            f"pixel, got ({left}, {top}, {width}, {height})"
         )
     return left, top, width, height
