@@ -19,7 +19,10 @@ from async_tnt.training.simulated_pictures import measure_camera
 EVENTS = open_recording(sample_recordings()[3]).read()
 SENSOR = (34, 34)
 PIXELS = PixelSelection(sensor=SENSOR)
-START, END = 50_000, 200_000
+START = 50_000
+"""The first microsecond of a part of the events."""
+END = 200_000
+"""The first microsecond behind that part."""
 PART = EVENTS[(EVENTS["t"] >= START) & (EVENTS["t"] < END)]
 SINGLE = ("run", "info", "plot", "view", "check", "mask")
 
@@ -40,29 +43,19 @@ def words_for(command, path, tmp_path):
 
 def answer(program, command, path, tmp_path, *options):
     """Exit code, stderr, and what the command found, without names and times."""
-    code, out, err = program(*words_for(command, path, tmp_path), *options)
-    lines = (
-        [json.loads(line) for line in out.splitlines()]
-        if "--json" in words_for(command, path, tmp_path)
-        else []
-    )
-    for line in lines:
-        for name in (
-            "recording",
-            "format",
-            "bytes",
-            "sensor_stated",
-            "latency_us",
-            "topics",
-            "out",
-        ):
-            line.pop(name, None)
-        line["recordings"] = (
-            list(line["recordings"].values()) if command == "check" else line.get("recordings")
-        )
+    words = words_for(command, path, tmp_path)
+    code, out, err = program(*words, *options)
     if command == "plot" and code == 0:
         return code, err, pixels_below_the_title(tmp_path / "a.png")
-    return code, err, lines or out
+    if "--json" not in words:
+        return code, err, out
+    reports = [json.loads(line) for line in out.splitlines()]
+    for report in reports:
+        for name in ("recording", "format", "bytes", "sensor_stated", "topics", "out"):
+            report.pop(name, None)
+        if command == "check":
+            report["recordings"] = list(report["recordings"].values())
+    return code, err, reports
 
 
 def pixels_below_the_title(path):
