@@ -92,7 +92,7 @@ def test_type_checkers_see_the_same_names(package):
     imports = [n for n in nodes if isinstance(n, ast.ImportFrom)]
     own = {"lazy_names", "__version__"}
     seen = {alias.name: n.module for n in imports for alias in n.names if alias.name not in own}
-    (table,) = [ast.literal_eval(n) for n in nodes if isinstance(n, ast.Dict)]
+    (table,) = (ast.literal_eval(n) for n in nodes if isinstance(n, ast.Dict))
     lazy = {
         name: f"{package.__name__}.{module}"
         for module, names in table.items()
