@@ -1,4 +1,4 @@
-"""Shared by all tests: where the data is, and the program as a function."""
+"""What all tests share: settings, the folder of data, and the program as a function."""
 
 import os
 import signal
@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, settings
 ROOT = Path(__file__).resolve().parent.parent
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# No deadline: how long an example takes depends on what else the machine does. Many more random
-# streams: HYPOTHESIS_PROFILE=deep pytest
+# No deadline: how long an example takes depends on what else the machine does.
+# `HYPOTHESIS_PROFILE=deep pytest` tries many more random streams.
 settings.register_profile(
     "ci", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow]
 )
@@ -19,8 +19,7 @@ settings.register_profile("few", settings.get_profile("ci"), max_examples=20)
 settings.register_profile("deep", settings.get_profile("ci"), max_examples=2000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
-# A shell's background job ignores SIGINT, and so would each program that a test starts to interrupt
-# it.
+# A shell's background job ignores SIGINT. So would the programs that tests start and interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if os.name != "nt" and signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # under nohup
@@ -28,8 +27,9 @@ if os.name != "nt" and signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # und
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Kernels are compiled once, before the workers start, by two processes."""
-    if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
+    """Compile the kernels once, by two processes, before the workers of pytest start."""
+    is_worker = hasattr(session.config, "workerinput")
+    if not is_worker and not session.config.option.collectonly:
         from async_tnt import warmup  # not above: OMP_NUM_THREADS has to be set first
 
         warmup()
@@ -37,8 +37,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
-    """Kernels are compiled once, here: a program that a test starts would say on stderr that it
-    compiles."""
+    """Compile the kernels before the first test: a program that a test starts would say on stderr
+    that it compiles."""
     from async_tnt import warmup  # not above: OMP_NUM_THREADS has to be set first
 
     warmup()
@@ -46,7 +46,7 @@ def compiled() -> None:
 
 @pytest.fixture(scope="session")
 def data() -> Path:
-    """The folder with `nmnist/` and `mnist/`, or skip."""
+    """The folder with `nmnist/` and `mnist/`. Without it, the test is skipped."""
     folder = Path(os.environ.get("TNT_DATA", ROOT.parent / "shared" / "data"))
     if not (folder / "nmnist" / "Test").is_dir():
         pytest.skip(f"no recordings in {folder} (TNT_DATA names another folder)")
@@ -55,7 +55,7 @@ def data() -> Path:
 
 @pytest.fixture
 def program(capsys):
-    """Run `async-tnt` with words; returns exit code, stdout and stderr."""
+    """A function that runs `async-tnt` with words, and returns exit code, stdout and stderr."""
     from async_tnt.cli import main  # not above: OMP_NUM_THREADS has to be set first
 
     def run(*words):

@@ -7,12 +7,15 @@ from pathlib import Path
 import async_tnt
 
 OURS = tracemalloc.Filter(True, str(Path(async_tnt.__file__).parent / "*"))
+"""Keeps what files of the package have allocated."""
 
 
 def held():
-    """Bytes that the package has allocated and not let go, while tracemalloc traces.
+    """Bytes that the package has allocated and not released since tracemalloc started.
 
-    Threads of other libraries, which tests before have started, allocate as they like.
+    What other libraries allocate does not count: threads that earlier tests have started may do so
+    at any time.
     """
     gc.collect()
-    return sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces([OURS]).traces)
+    snapshot = tracemalloc.take_snapshot().filter_traces([OURS])
+    return sum(trace.size for trace in snapshot.traces)

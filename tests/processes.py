@@ -1,4 +1,4 @@
-"""Python as a process of its own, for the tests of what a process does."""
+"""Python in a process of its own, for the tests of what a process does."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+"""The folder of the repository."""
 PATHS = os.pathsep.join(str(ROOT / name) for name in ("", "reference", "tests"))
+"""PYTHONPATH of a process that imports the package, the reference and the tests."""
 
 
 @contextlib.contextmanager
 def started(*words: object, **settings: object) -> Iterator[subprocess.Popen]:
-    """Python with these words, which also imports the tests; killed at the end of the block."""
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    env = {**os.environ, "PYTHONPATH": PATHS, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(
-        [sys.executable, *map(str, words)], **{"env": env, **pipes, **settings}
-    ) as process:
+    """Start Python; it is killed at the end of the block.
+
+    words : what follows `python` on the command line.
+    settings : arguments of `Popen` that differ from the usual ones here.
+    """
+    usual = {
+        "env": {**os.environ, "PYTHONPATH": PATHS, "PYTHONUNBUFFERED": "1"},
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "text": True,
+    }
+    with subprocess.Popen([sys.executable, *map(str, words)], **usual | settings) as process:
         try:
             yield process
         finally:

@@ -76,6 +76,10 @@ class ParameterTypeError(ParameterError, TypeError):
     """The value of a parameter is of a wrong type."""
 
 
+class ParameterWarning(ParameterError, UserWarning):
+    """The value of a parameter is allowed, but hardly meant."""
+
+
 def is_whole(value: Any) -> bool:
     """Whether a value is a whole number of any type. True and False are not."""
     # np.bool_ too: NumPy 1 lets it pass for an index

@@ -1,5 +1,7 @@
-"""The entry of the program `async-tnt`. It imports fast and handles signals from its first line;
-see `program.py`."""
+"""The entry of the program `async-tnt`, whose commands are in `program.py`.
+
+It imports fast, and handles signals from its first line.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,9 @@ from collections.abc import Callable
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the program. Returns its exit code: 0 success, 1 the answer is no, 2 bad usage or bad
-    input.
+    """Run the program.
+
+    Returns its exit code: 0 success, 1 the answer is no, 2 bad usage or bad input.
 
     Parameters
     ----------
@@ -21,7 +24,8 @@ def main(argv: list[str] | None = None) -> int:
         Before and after a command, a signal then ends the process at once; stderr may be closed or
         full.
     """
-    if argv is None:
+    owns_process = argv is None
+    if owns_process:
         _at_signals(_end)
         _open_streams()
     # until the command begins: imports make no garbage, and to look for it takes a tenth of a start
@@ -33,35 +37,40 @@ def main(argv: list[str] | None = None) -> int:
         return run(sys.argv[1:] if argv is None else argv)
     finally:
         gc.enable()
-        if argv is None:
+        if owns_process:
             # an interpreter that ends takes a signal and calls no handler
             _at_signals(_signal.SIG_DFL)
 
 
 def _at_signals(handler: Callable[[int, object], None] | int) -> None:
+    """Set the handler of the signals that end the program.
+
+    Signals that are ignored stay ignored: Ctrl-C in a background job, SIGHUP under nohup.
+    """
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(_signal, name, None)  # Windows has no SIGHUP
-        # signals that are ignored stay ignored: Ctrl-C in a background job, SIGHUP under nohup
         if number is not None and _signal.getsignal(number) != _signal.SIG_IGN:
             _signal.signal(number, handler)
 
 
 def _end(number: int, frame: object) -> None:
+    """Say that a signal came, and end the process. A signal handler."""
+    what = b"interrupted" if number == _signal.SIGINT else b"terminated"
     try:
-        os.write(
-            2,
-            b"async-tnt: interrupted\n" if number == _signal.SIGINT else b"async-tnt: terminated\n",
-        )
+        os.write(2, b"async-tnt: " + what + b"\n")
     finally:  # also if stderr is closed or full
         os._exit(128 + number)
 
 
 def _open_streams() -> None:
-    """Open closed standard streams as /dev/null: else a file opened later would get their number
-    and output."""
+    """Make the standard streams such that they do not change how a command ends.
+
+    Closed ones become /dev/null: else a file opened later would get their number and their output.
+    """
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115 (it stays open)
+            mode = "r" if name == "stdin" else "w"
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 (it stays open)
     if isinstance(sys.stdout, io.TextIOWrapper):
         # the encoding of a file on Windows lacks characters
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -73,9 +82,11 @@ def _open_streams() -> None:
 
 
 class _Stderr(io.FileIO):
-    """Drops what cannot be written: a closed or full stderr does not change how a command ends."""
+    """Drops what cannot be written, as a closed or full stderr must not change how a command
+    ends."""
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
+        """Write the bytes; returns how many they are, even if they were dropped."""
         try:
             return super().write(data)
         except OSError:

@@ -14,7 +14,7 @@ from typing import Any
 from async_tnt.base.files import user_path
 from async_tnt.base.progress import progress
 from async_tnt.cli.options import READABLE, add_reading, reading_of, sample_or_path, size_of
-from async_tnt.cli.output import OPTIONS, can_print, complain, say, with_options
+from async_tnt.cli.output import can_print, complain, message_of, say
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.models.model import Model
 from async_tnt.sources.files.labelled_recordings import recordings_under
@@ -66,11 +66,13 @@ def main(args: argparse.Namespace) -> int:
     failed = False
     for name in args.what:
         try:
-            report, lines = _described(name, {"sensor": args.sensor, **reading_of(args)})
+            report, lines = _described(
+                name, {"sensor": args.sensor, **reading_of(args)}, args.written
+            )
         except (OSError, ValueError, ImportError) as error:
             if len(args.what) == 1:
                 raise
-            complain(error)
+            complain(error, args.written)
             failed = True
             continue
         failed |= any("error" in found for found in report.get("recordings", ()))
@@ -81,14 +83,22 @@ def main(args: argparse.Namespace) -> int:
     return 2 if failed else 0
 
 
-def _described(name: str, reading: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """A report for programs, and its lines for people; `reading` are arguments of `summarize`."""
+def _described(
+    name: str, reading: Mapping[str, Any], written: Mapping[str, str]
+) -> tuple[dict[str, Any], list[str]]:
+    """A report for programs, and its lines for people.
+
+    Parameters
+    ----------
+    reading : arguments of `summarize`.
+    written : parameter -> option, for errors.
+    """
     path = user_path(name)
     if path.suffix.lower() == ".safetensors" or (name in bundled_models() and not path.exists()):
         model = load_model(name)
         return {"model": name, **_of_model(model)}, list(_model_lines(name, model))
     if path.is_dir():
-        return _of_folder(path, reading)
+        return _of_folder(path, reading, written)
     found = summarize(sample_or_path(path), **reading)
     return asdict(found), list(_recording_lines(found))
 
@@ -141,9 +151,10 @@ def _rate_bars(found: RecordingSummary) -> str:
     return "".join(bars[max(low, high)] for low, high in zip(least, heights, strict=True))
 
 
-def _of_folder(folder: Path, reading: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """All recordings below a folder, and how many each of its folders has: in a data set, each
-    class."""
+def _of_folder(
+    folder: Path, reading: Mapping[str, Any], written: Mapping[str, str]
+) -> tuple[dict[str, Any], list[str]]:
+    """All recordings below it, and how many each folder has: in a data set, each class."""
     paths = recordings_under(folder)
     folders = Counter(str(path.parent.relative_to(folder)) for path in paths)
     reports = []
@@ -161,7 +172,7 @@ def _of_folder(folder: Path, reading: Mapping[str, Any]) -> tuple[dict[str, Any]
                 n_events += found.events
             except (OSError, ValueError, ImportError, MemoryError) as error:
                 reports.append({"recording": str(path), "error": str(error)})
-                lines.append(with_options(f"{name} cannot be read: {error}", OPTIONS))
+                lines.append(f"{name} cannot be read: {message_of(error, written)}")
             bar.update()
     counts = "no folders in it"
     if {*folders} != {"."}:

@@ -17,24 +17,28 @@ from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
 from async_tnt.volume.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
 
-FIELDS: dict[str, Callable[[str], Any]] = {
-    "representation": str,
-    "transform": str,
-    "landmark": str,
-    "polarity": str,
-    "bins": int,
-    "t_max": float,
-    "remove_flow": {"yes": True, "no": False}.__getitem__,
-}
-"""What --volume may give: fields of `TNTConfig`, and how their values are read."""
 SAMPLES = Path("samples")
+"""The name of all bundled recordings, unless there is a file or folder of this name."""
 READABLE = ", ".join(sorted(READERS))
+"""The suffixes of recordings, for help."""
 MODELS = f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
+"""The models that every command takes, for help."""
+MOST_DIGITS = 4300
+"""Digits of the longest whole number that Python reads."""
+
+
+# -- files and models ------------------------------------------------------------------------------
 
 
 def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool = False) -> None:
-    """FILEs, or `one`, and --model; with `live` also udp://... or a camera, a model in an .onnx
-    file, and --config."""
+    """Add FILE and --model.
+
+    Parameters
+    ----------
+    live : whether FILE may also be a camera or udp://..., and the model an .onnx file. Adds
+        --config, too.
+    one : whether there is one FILE at most.
+    """
     bundled = "a bundled one by default" if one else "the ten bundled `samples` by default"
     sources = "`camera`, udp://HOST:PORT, or " if live else ""
     onnx = ", or an .onnx file of `async-tnt export`" if live else ""
@@ -42,7 +46,7 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
         "files",
         nargs="?" if one else "*",
         metavar="FILE",
-        type=(lambda text: text if is_live(text) else user_path(text)) if live else user_path,
+        type=_live_or_path if live else user_path,
         help=f"{sources}recordings ({READABLE}), or digits of bundled ones, such as 3; {bundled}",
     )
     parser.add_argument(
@@ -56,24 +60,89 @@ def add_files(parser: argparse.ArgumentParser, *, live: bool = False, one: bool 
             "--config",
             type=user_path,
             metavar="FILE",
-            help="how events become the volumes of another program's .onnx network: a JSON file with `config` and "
-            "`classes`, as async-tnt info MODEL --json prints them",
+            help="how events become the volumes of another program's .onnx network: a JSON file "
+            "with `config` and `classes`, as async-tnt info MODEL --json prints them",
         )
 
 
+def paths_of(args: argparse.Namespace) -> list[Any]:
+    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file
+    exists.
+
+    A digit names its bundled recording, see `sample_or_path`.
+    """
+    bundled = list(sample_recordings().values())
+    if not args.files:
+        return bundled
+    given = args.files if isinstance(args.files, list) else [args.files]
+    paths: list[Any] = []
+    for file in given:
+        if isinstance(file, str):  # a camera or the network
+            paths.append(file)
+        elif file == SAMPLES and not SAMPLES.exists():
+            paths += bundled
+        else:
+            paths.append(sample_or_path(file))
+    return paths
+
+
+def sample_or_path(name: str | Path) -> Path:
+    """The path of a file; for a digit, such as "3", that of its bundled recording, unless a file
+    has this name."""
+    path = Path(name)
+    if path.exists():
+        return path
+    samples = {str(digit): file for digit, file in sample_recordings().items()}
+    return samples.get(str(path), path)
+
+
+def model_of(name: str) -> Model:
+    """The model of this name or path, which must not be an .onnx file."""
+    if Path(name).suffix.lower() == ".onnx":
+        raise ValueError(
+            f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed"
+        )
+    return load_model(name)
+
+
+def of_windows(model: Model, name: str | Path) -> Model:
+    """The model, if it has one answer for a window.
+
+    Raises
+    ------
+    ValueError : a map model, whose answers are objects.
+    """
+    if model.places is not None:
+        raise ValueError(
+            f"{name} finds objects, not the class of a window; run, view, plot, evaluate, check, "
+            "bench, export take it"
+        )
+    return model
+
+
+def _live_or_path(text: str) -> str | Path:
+    """The name of a camera or of a network stream as it is, anything else as a path. An argparse
+    type."""
+    return text if is_live(text) else user_path(text)
+
+
+# -- how recordings are read -----------------------------------------------------------------------
+
+
 def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None:
-    """How recordings are read; read it with `reading_of`.
+    """Add the options that say how recordings are read; `reading_of` reads them.
 
     Parameters
     ----------
-    single : also --between-us and --strict, which are for commands that take recordings one by one,
-        not data sets.
+    single : whether the command takes recordings one by one, not a data set. Adds --between-us and
+        --strict, too.
     """
     group = parser.add_argument_group("how recordings are read")
     group.add_argument(
         "--columns",
         metavar="ORDER",
-        help="the order of four columns, such as xypt, in text and NumPy files that do not name them",
+        help="the order of four columns, such as xypt, in text and NumPy files that do not name "
+        "them",
     )
     group.add_argument(
         "--topic",
@@ -95,19 +164,40 @@ def add_reading(parser: argparse.ArgumentParser, *, single: bool = True) -> None
 
 
 def reading_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Keyword arguments of `open_recording`, of the options of `add_reading` that were given."""
-    names = ("columns", "topic", "between_us", "strict")
-    return {name: value for name in names if (value := getattr(args, name, None))}
+    """The options of `add_reading` that were given, as keyword arguments of `open_recording`."""
+    reading = {}
+    for name in ("columns", "topic", "between_us", "strict"):
+        value = getattr(args, name, None)
+        if value:
+            reading[name] = value
+    return reading
 
 
 def check_reading(args: argparse.Namespace) -> None:
     """Refuse the options of `add_reading` for a camera or the network."""
-    given = [f"--{name.replace('_', '-')}" for name in reading_of(args)]
-    if given and (live := [path for path in paths_of(args) if isinstance(path, str)]):
+    given = [args.written[name] for name in reading_of(args)]
+    live = [path for path in paths_of(args) if isinstance(path, str)]
+    if given and live:
         raise ValueError(f"{', '.join(given)} must come with recordings, got {live[0]}")
 
 
+def _times(text: str) -> tuple[int, int]:
+    """Read `1000,2000` as two times, the first before the second. An argparse type."""
+    start, _, end = text.partition(",")
+    are_numbers = start.isdecimal() and end.isdecimal() and len(text) < 40
+    if not are_numbers or int(start) >= int(end):
+        raise argparse.ArgumentTypeError(
+            f"must be START,END in whole microseconds, START before END, such as 0,500000, got "
+            f"{short(text)}"
+        )
+    return int(start), int(end)
+
+
+# -- when decisions are due ------------------------------------------------------------------------
+
+
 def add_start(parser: argparse.ArgumentParser) -> None:
+    """Add --start-us."""
     parser.add_argument(
         "--start-us",
         type=int,
@@ -117,6 +207,8 @@ def add_start(parser: argparse.ArgumentParser) -> None:
 
 
 def add_triggers(parser: argparse.ArgumentParser) -> None:
+    """Add the options that make a decision due before the end of a window; `triggers_of` reads
+    them."""
     parser.add_argument(
         "--every-us", type=positive_int, metavar="US", help="decide also every US microseconds"
     )
@@ -127,85 +219,27 @@ def add_triggers(parser: argparse.ArgumentParser) -> None:
         "--confidence",
         type=_probability,
         metavar="P",
-        help="decide and close the window early once the likeliest class has probability P; checked at the "
-        "decisions of the other triggers, or else after every event",
+        help="decide and close the window early once the likeliest class has probability P; "
+        "checked at the decisions of the other triggers, or else after every event",
     )
 
 
 def triggers_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Keyword arguments of `Processor`."""
+    """The options of `add_triggers` as keyword arguments of `Processor`."""
     return {name: getattr(args, name) for name in ("every_us", "every_events", "confidence")}
 
 
-def paths_of(args: argparse.Namespace) -> list[Any]:
-    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file
-    exists.
-
-    A digit names its bundled recording, see `sample_or_path`.
-    """
-    bundled = list(sample_recordings().values())
-    if not args.files:
-        return bundled
-    given = args.files if isinstance(args.files, list) else [args.files]
-    paths: list[Any] = []
-    for file in given:
-        if file == SAMPLES and not SAMPLES.exists():
-            paths += bundled
-        else:
-            paths.append(sample_or_path(file) if isinstance(file, Path) else file)
-    return paths
-
-
-def sample_or_path(name: str | Path) -> Path:
-    """The bundled recording of a digit, such as "3", unless a file has this name; else the path
-    itself."""
-    path = Path(name)
-    if path.exists() or str(path) not in (
-        samples := {str(digit): file for digit, file in sample_recordings().items()}
-    ):
-        return path
-    return samples[str(path)]
-
-
-def of_windows(model: Model, name: str | Path) -> Model:
-    """The model, if it has one answer for a window; a ValueError for a map model, whose answers are
-    objects."""
-    if model.places is not None:
-        raise ValueError(
-            f"{name} finds objects, not the class of a window; run, view, plot, evaluate, check, "
-            "bench, export take it"
-        )
-    return model
-
-
-def model_of(name: str) -> Model:
-    if Path(name).suffix.lower() == ".onnx":
-        raise ValueError(
-            f"{name}: an .onnx file is for run and view (--model) alone; here {MODELS} is needed"
-        )
-    return load_model(name)
-
-
-def _times(text: str) -> tuple[int, int]:
-    """An argparse type: `1000,2000` as two times, the first before the second."""
-    start, _, end = text.partition(",")
-    if not (start.isdecimal() and end.isdecimal() and len(text) < 40 and int(start) < int(end)):
-        raise argparse.ArgumentTypeError(
-            f"must be START,END in whole microseconds, START before END, such as 0,500000, got "
-            f"{short(text)}"
-        )
-    return int(start), int(end)
+# -- numbers and sizes: argparse types ------------------------------------------------------------
 
 
 def positive_int(text: str) -> int:
-    """An argparse type: a whole number of at least 1."""
+    """Read a whole number of at least 1."""
     return whole_number(text, 1)
 
 
 def whole_number(text: str, least: int = 0) -> int:
-    """An argparse type: a whole number of at least `least`."""
-    # Python does not read longer ones
-    if not text.isdecimal() or len(text) > 4300 or int(text) < least:
+    """Read a whole number of at least `least`."""
+    if not text.isdecimal() or len(text) > MOST_DIGITS or int(text) < least:
         raise argparse.ArgumentTypeError(
             f"must be a whole number of at least {least}, got {short(text)}"
         )
@@ -213,24 +247,26 @@ def whole_number(text: str, least: int = 0) -> int:
 
 
 def number(text: str, holds: Callable[[float], bool], rule: str) -> float:
-    """For an argparse type: the number, which must fulfil the rule."""
+    """Read a number; `holds` says whether it is as the `rule`, in words, wants it."""
     with contextlib.suppress(ValueError):
-        if holds(value := float(text)):
+        value = float(text)
+        if holds(value):
             return value
     raise argparse.ArgumentTypeError(f"must be {rule}, got {short(text)}")
 
 
 def positive_number(text: str) -> float:
-    """An argparse type: a number above 0."""
+    """Read a number above 0."""
     return number(text, lambda value: value > 0, "a positive number")
 
 
 def _probability(text: str) -> float:
+    """Read a probability above 0."""
     return number(text, lambda value: 0 < value <= 1, "a probability in (0, 1]")
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """An argparse type: `346x260` as two numbers."""
+    """Read `346x260` as two numbers."""
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
         raise argparse.ArgumentTypeError(
@@ -244,41 +280,73 @@ def size_of(text: str) -> tuple[int, int]:
     return size
 
 
+# -- the volume ------------------------------------------------------------------------------------
+
+
+def _yes_or_no(text: str) -> bool:
+    """Read "yes" or "no"; a ValueError for anything else."""
+    if text not in ("yes", "no"):
+        raise ValueError
+    return text == "yes"
+
+
+FIELDS: dict[str, tuple[Callable[[str], Any], str]] = {
+    "representation": (str, "a name"),
+    "transform": (str, "a name"),
+    "landmark": (str, "a name"),
+    "polarity": (str, "a name"),
+    "bins": (int, "a whole number"),
+    "t_max": (float, "a number"),
+    "remove_flow": (_yes_or_no, "yes or no"),
+}
+"""The fields of `TNTConfig` that --volume may give: how their values are read, and the rule."""
+
+
 def add_volume(parser: argparse._ActionsContainer, default: str) -> None:
-    """--volume, the fields of `TNTConfig` that no other option gives; read it with `volume_of`."""
+    """Add --volume, the fields of `TNTConfig` that no other option gives; `volume_of` reads it.
+
+    Parameters
+    ----------
+    default : what the volume is without the option, for help.
+    """
     parser.add_argument(
         "--volume",
         type=_volume_text,
         metavar="NAME=VALUE,...",
-        help=f"representation ({', '.join(REPRESENTATIONS)}), transform ({', '.join(TRANSFORMS)}), landmark "
-        f"({', '.join(LANDMARKS)}), polarity ({', '.join(POLARITIES)}), bins, t_max, "
-        "remove_flow=yes; landmark and "
-        f"t_max need transform=tnt (default: {default})",
+        help=f"representation ({', '.join(REPRESENTATIONS)}), transform "
+        f"({', '.join(TRANSFORMS)}), landmark ({', '.join(LANDMARKS)}), polarity "
+        f"({', '.join(POLARITIES)}), bins, t_max, remove_flow=yes; landmark and t_max need "
+        f"transform=tnt (default: {default})",
     )
 
 
 def volume_of(text: str | None) -> dict[str, Any]:
-    """`bins=5,polarity=split` as fields of `TNTConfig`; none where the option is not given."""
-    volume = {}
-    for part in () if text is None else text.split(","):
+    """Read `bins=5,polarity=split` as fields of `TNTConfig`; no field where the option is not
+    given."""
+    volume: dict[str, Any] = {}
+    parts = [] if text is None else text.split(",")
+    for part in parts:
         name, _, value = part.partition("=")
         if name not in FIELDS or name in volume:
             raise argparse.ArgumentTypeError(
                 f"must be NAME=VALUE,... with each of {', '.join(FIELDS)} at most once, got "
                 f"{short(part)}"
             )
+        read, rule = FIELDS[name]
         try:
-            volume[name] = FIELDS[name](value)
-        except (ValueError, KeyError):
-            kind = {"bins": "a whole number", "t_max": "a number"}.get(name, "yes or no")
-            raise argparse.ArgumentTypeError(f"{name} must be {kind}, got {short(value)}") from None
+            volume[name] = read(value)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{name} must be {rule}, got {short(value)}") from None
     return volume
 
 
 def _volume_text(text: str) -> str:
-    """The fields as text, checked, so that a command keeps them as they were given."""
+    """Check the fields, and keep them as text. An argparse type."""
     volume_of(text)
     return text
+
+
+# -- the command as words --------------------------------------------------------------------------
 
 
 def command_words(
@@ -292,24 +360,32 @@ def command_words(
 
     Parameters
     ----------
-    program : such as "async-tnt train".
+    program : the words before the options, such as "async-tnt train".
     args, add_arguments : the parsed options, and the function that adds them to a parser.
-    leave_out : options that do not change the result, by their name in `args`.
+    leave_out : options that do not change the result, by their names in `args`.
     """
     parser = argparse.ArgumentParser(add_help=False)
     add_arguments(parser)
     words = [program]
     for action in parser._actions:
         value = getattr(args, action.dest)
-        if action.type in (Path, user_path) or value == action.default or action.dest in leave_out:
+        is_path = action.type in (Path, user_path)
+        if is_path or value == action.default or action.dest in leave_out:
             continue
-        if isinstance(value, tuple):  # a region, a range, or a size
-            separator = {"roi": ",", "size": "-"}.get(action.dest, "x")
-            value = separator.join(f"{number:g}" for number in value)
-        values = value if isinstance(value, list) else [value]
-        if action.dest in ("network", "teacher"):
-            values = [Path(one).name for one in values]
-        text = shlex.join(map(str, values))
-        name = action.option_strings[0]
-        words.append(name if isinstance(value, bool) else f"{name} {text}")
+        option = action.option_strings[0]
+        if isinstance(value, bool):
+            words.append(option)
+        else:
+            words.append(f"{option} {_value_words(action.dest, value)}")
     return " ".join(words)
+
+
+def _value_words(name: str, value: Any) -> str:
+    """The value of an option as it is typed; of a file only its name."""
+    if isinstance(value, tuple):  # a region, a range, or a size
+        separator = {"roi": ",", "size": "-"}.get(name, "x")
+        value = separator.join(f"{part:g}" for part in value)
+    values = value if isinstance(value, list) else [value]
+    if name in ("network", "teacher"):
+        values = [Path(one).name for one in values]
+    return shlex.join(map(str, values))

@@ -4,56 +4,32 @@ from __future__ import annotations
 
 import errno
 import json
-import re
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from async_tnt.base.checks import printable
+from async_tnt.base.checks import ParameterError, printable
 from async_tnt.streaming.decision import Decision
 
 if TYPE_CHECKING:
     from async_tnt.sources.queues.background_reader import BackgroundReader
 
-Line = Callable[..., str]  # `text_line` or `json_line`
-HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"
+
+# -- text ------------------------------------------------------------------------------------------
+# All that a command prints passes through these two functions: names of files and of classes are
+# data, and may contain line breaks and what a terminal obeys.
 
 
-OPTIONS: set[str] = set()
-"""Names of the options of the command that runs."""
+def say(*lines: str) -> None:
+    """Print lines on stdout, at once."""
+    print("\n".join(map(printable, lines)), flush=True)
 
 
-def complain(error: BaseException | str) -> None:
-    """One line on stderr. The package names `parameters`: options of the command are printed as
-    such."""
-    if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC):
-        # what we write to files has their name
-        error = f"{error.filename or 'stdout'}: {error.strerror}"
-    if isinstance(error, MemoryError):  # NumPy's says of what, Python's is empty
-        error = f"not enough memory. {error}".strip()
-    note(f"async-tnt: {with_options(str(error), OPTIONS)}")
-
-
-def with_options(text: str, names: Collection[str]) -> str:
-    """An error of the package, in the words of the program.
-
-    Examples
-    --------
-    >>> with_options("`every_us` must be at least 1, `t` too", {"every_us"})
-    '--every-us must be at least 1, `t` too'
-    """
-    return re.sub(
-        r"`(\w+)`",
-        lambda name: f"--{name[1].replace('_', '-')}" if name[1] in names else name[0],
-        text,
-    )
-
-
-def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
-    """Report events that were dropped because they were too late, if there are any."""
-    if n_late:
-        complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
+def note(*lines: str) -> None:
+    """Print lines on stderr, at once."""
+    print("\n".join(map(printable, lines)), file=sys.stderr, flush=True)
 
 
 def can_print(text: str, stream: TextIO) -> bool:
@@ -66,42 +42,122 @@ def can_print(text: str, stream: TextIO) -> bool:
     return True
 
 
-def say(*lines: str) -> None:
-    """Print lines on stdout, at once. All that a command prints passes through here or `note`:
-    names of files and of classes are data, and may contain line breaks and what a terminal
-    obeys."""
-    print("\n".join(map(printable, lines)), flush=True)
+# -- errors ----------------------------------------------------------------------------------------
 
 
-def note(*lines: str) -> None:
-    """`say` on stderr."""
-    print("\n".join(map(printable, lines)), file=sys.stderr, flush=True)
+def complain(
+    error: BaseException | str, written: Mapping[str, str] | None = None, *, before: str = ""
+) -> None:
+    """Print an error, a warning or a remark on stderr, as one line.
+
+    Parameters
+    ----------
+    error, written : see `message_of`.
+    before : text that comes before the message.
+    """
+    note(f"async-tnt: {before}{message_of(error, written)}")
 
 
-def text_line(
-    name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None = None
-) -> str:
-    start_ms = decision.window_start_us / 1e3
-    window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
-    objects = "".join(f"  {o.id}: {o.label} ({o.x:.0f}, {o.y:.0f})" for o in decision.objects or ())
-    return (
-        f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  "
-        f"{decision.label or '-':<8} "
-        f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  "
-        f"{decision.trigger}{objects}"
-    )
+def message_of(error: BaseException | str, written: Mapping[str, str] | None = None) -> str:
+    """The message of an error, in the words of the program.
+
+    Parameters
+    ----------
+    written : name of a parameter -> the option of the command that gives it: `args.written`.
+
+    Examples
+    --------
+    >>> from async_tnt.base.checks import ParameterValueError
+    >>> error = ParameterValueError("every_us", "must be at least 1")
+    >>> message_of(error, {"every_us": "--every-us"})
+    '--every-us must be at least 1'
+    """
+    if isinstance(error, ParameterError):
+        return error.text(written)
+    if isinstance(error, MemoryError):
+        # NumPy says what the memory was for, Python says nothing
+        return f"not enough memory. {error}".strip()
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        # a file that we write would be named
+        return f"stdout: {error.strerror}"
+    return str(error)
 
 
-def json_line(
-    name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None = None
-) -> str:
-    queued = {}
-    if queue is not None:
-        queued = {
-            "delay_us": queue.delay_us,
-            "backlog": queue.backlog,
-            "n_skipped": queue.n_skipped,
-        }
-    return json.dumps(
-        {"recording": name, **decision.to_dict(), "latency_us": round(latency_us, 3), **queued}
-    )
+def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
+    """Report events that were dropped because they were too late, if there are any."""
+    if n_late:
+        complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
+
+
+# -- decisions -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DecisionLines:
+    """Prints decisions on stdout, one a line, for people or for programs.
+
+    Parameters
+    ----------
+    as_json : whether each line is a JSON object.
+    with_latency : whether each line says its latency.
+    """
+
+    as_json: bool
+    with_latency: bool
+
+    def print_header(self) -> None:
+        """Print the names of the columns; nothing with `as_json`."""
+        if not self.as_json:
+            latency = f" {'us':>7}" if self.with_latency else ""
+            say(
+                f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} "
+                f"{'events':>7}{latency}  why"
+            )
+
+    def print(
+        self,
+        name: str,
+        decision: Decision,
+        latency_us: float,
+        queue: BackgroundReader | None = None,
+    ) -> None:
+        """Print a decision.
+
+        Parameters
+        ----------
+        name : name of the recording or of another source.
+        latency_us : microseconds from the event, or the packet, to the decision.
+        queue : the queue in which the packets waited, if there is one.
+        """
+        if self.as_json:
+            say(self._json(name, decision, latency_us, queue))
+        else:
+            say(self._text(name, decision, latency_us))
+
+    def _text(self, name: str, decision: Decision, latency_us: float) -> str:
+        start_ms = decision.window_start_us / 1e3
+        length_ms = (decision.time_us - decision.window_start_us) / 1e3
+        window = f"{start_ms:.3f}+{length_ms:.3f}"
+        latency = f" {latency_us:>7.1f}" if self.with_latency else ""
+        objects = "".join(
+            f"  {one.id}: {one.label} ({one.x:.0f}, {one.y:.0f})" for one in decision.objects or ()
+        )
+        return (
+            f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  "
+            f"{decision.label or '-':<8} {decision.probability:>5.3f} {decision.events:>7}"
+            f"{latency}  {decision.trigger}{objects}"
+        )
+
+    def _json(
+        self, name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None
+    ) -> str:
+        about = {"recording": name, **decision.to_dict()}
+        if self.with_latency:
+            about["latency_us"] = round(latency_us, 3)
+        if queue is not None:
+            about["delay_us"] = queue.delay_us
+            about["backlog"] = queue.backlog
+            about["n_skipped"] = queue.n_skipped
+        return json.dumps(about)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 
 
 def add_keep_up(parser: argparse.ArgumentParser) -> None:
+    """Add --keep-up."""
     parser.add_argument(
         "--keep-up",
         type=positive_int,
         metavar="MS",
-        help="camera or network: where decisions are slower than events, decide less often (--every-us, "
-        "--every-events), then skip and count packets, so that none but the newest is more than MS "
-        "milliseconds old",
+        help="camera or network: where decisions are slower than events, decide less often "
+        "(--every-us, --every-events), then skip and count packets, so that only the newest packet "
+        "may be more than MS milliseconds old",
     )
 
 
@@ -37,13 +38,20 @@ def check_keep_up(args: argparse.Namespace) -> None:
         )
 
 
-def find_sources(paths: Sequence[Path | str], pixels: ModelPixels) -> None:
+def find_sources(
+    paths: Sequence[Path | str], pixels: ModelPixels, written: Mapping[str, str] | None = None
+) -> None:
     """Return as soon as one of these sources can be opened; all are closed again.
+
+    Parameters
+    ----------
+    paths : paths of recordings, and names of cameras and network streams.
+    written : parameter -> option, for the errors that are printed.
 
     Raises
     ------
-    ValueError, OSError, ImportError : none can be opened. The error is that of the last one; those
-        of the others are printed.
+    ValueError, OSError, ImportError : none can be opened. The error is that of the last source;
+        those of the others are printed.
     """
     problems: list[Exception] = []
     for path in paths:
@@ -58,7 +66,7 @@ def find_sources(paths: Sequence[Path | str], pixels: ModelPixels) -> None:
         else:
             return
     for problem in problems[:-1]:
-        complain(problem)
+        complain(problem, written)
     raise problems[-1]
 
 
@@ -70,46 +78,55 @@ def follow(
     take: Callable[[Iterable[Any], KeepUp | None], object],
     end: Callable[[KeepUp | None], str] = lambda reader: "",
 ) -> bool:
-    """Let `take` read a source until that ends or Ctrl-C; then print its counts. Returns whether
-    Ctrl-C ended it.
+    """Let `take` read a source until that ends or Ctrl-C; then print its counts.
+
+    Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
-    name : of the source, as `open_source` knows it.
-    processor : gets the packets.
-    keep_up_ms : as --keep-up has it; None: nothing is skipped here, but the source's own buffer may
-        overflow.
-    take : gets the packets without the pixels to leave out, and the queue in which they wait, if
-        they do.
-    end : gets that queue, too; what it returns is printed behind the counts.
+    name : name of the source, as `open_source` takes it.
+    processor : the stream that `take` gives the packets to.
+    keep_up_ms : the value of --keep-up. None: no packet is skipped here, but the source's own
+        buffer may overflow.
+    take : called with the packets, without the events of pixels to leave out, and with the queue in
+        which they wait; None for no queue.
+    end : called with that queue at the end. The text that it returns is printed behind the counts.
     """
     with contextlib.ExitStack() as stack:
         source = open_source(name, pixels.expected)
         stack.callback(source.close)
         packets: Iterable[Any] = map(pixels.filter_of(name, source.sensor), source)
-        reader = None
+        queue = None
         if keep_up_ms is not None:
             from async_tnt.sources.queues.keep_up import KeepUp  # imports asyncio
 
-            # copy=False: cameras and the network put each packet in new memory
-            us = 1_000 * keep_up_ms
-            reader = KeepUp(packets, processor, max_delay_us=us, copy=False, on_close=source.close)
-            packets = stack.enter_context(reader)
+            queue = KeepUp(
+                packets,
+                processor,
+                max_delay_us=1_000 * keep_up_ms,
+                copy=False,  # cameras and the network put each packet in new memory
+                on_close=source.close,
+            )
+            packets = stack.enter_context(queue)
         try:
             complain(f"listening at {source.name}; Ctrl-C stops")
-            take(packets, reader)
+            take(packets, queue)
         except KeyboardInterrupt:
             return True
         finally:  # also if a camera was unplugged
             counts = source.summary()
-            if reader is not None:
-                reader.close()  # what still waits is skipped
-                found = reader.counters
-                waited_ms = found.longest_wait_us / 1e3
-                counts += (
-                    f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
-                )
-                if reader.slowest > 1:
-                    counts += f", decisions up to {reader.slowest} times rarer"
-            complain(f"{source.name}: {counts}{end(reader)}")
+            if queue is not None:
+                queue.close()  # what still waits is skipped
+                counts += _kept_up(queue)
+            complain(f"{source.name}: {counts}{end(queue)}")
     return False
+
+
+def _kept_up(queue: KeepUp) -> str:
+    """What a queue has done so that decisions keep up with the events, behind other counts."""
+    found = queue.counters
+    waited_ms = found.longest_wait_us / 1e3
+    text = f"; {found.skipped:,} skipped to stay fresh, at most {waited_ms:,.1f} ms waited"
+    if queue.slowest > 1:
+        text += f", decisions up to {queue.slowest} times rarer"
+    return text

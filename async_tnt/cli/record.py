@@ -25,40 +25,51 @@ from async_tnt.base.files import check_folder, user_path, write_text
 from async_tnt.base.package import __version__
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import can_print, complain, say
-from async_tnt.cli.program import handled_by
+from async_tnt.cli.signals import handled_by
 from async_tnt.sources.files.dat_writer import DatFile, DatWriter
 from async_tnt.sources.files.prophesee import DAT_SIDE
 from async_tnt.sources.opening import is_live, open_source
 from async_tnt.volume.events import EVENT_DTYPE, as_events
 from async_tnt.volume.sensor import format_size
 
-DESCRIPTION = """Record a camera or a network stream, a file of its class at a time, to train on.
+DESCRIPTION = """\
+Record a camera or a network stream, a file of its class at a time, to train on.
 
   async-tnt record camera --class wave --seconds 20 --out gestures
   async-tnt record camera --class clap --seconds 20 --out gestures
-  async-tnt record udp://127.0.0.1:3333 --sensor 346x260 --class wave --out gestures     until Ctrl-C
+  async-tnt record udp://127.0.0.1:3333 --sensor 346x260 --class wave --out gestures
+                                                         until Ctrl-C
   async-tnt train gestures --out gestures.safetensors
 
-Each run writes a new file, gestures/wave/DATE_TIME.dat, in Prophesee's DAT format, which faery and Metavision read,
-too; what is there is never replaced. Times count from its first event. Beside it, DATE_TIME.json says what recorded it,
-with a camera's settings. The format's times end after 71.6 minutes: then, and after 35.8 minutes without an event, the
-recording goes on in a new file.
+Each run writes a new file, gestures/wave/DATE_TIME.dat, in Prophesee's DAT format, which faery and
+Metavision read, too; what is there is never replaced. Times count from its first event. Beside it,
+DATE_TIME.json says what recorded it, with a camera's settings. The format's times end after 71.6
+minutes: then, and after 35.8 minutes without an event, the recording goes on in a new file.
 
-After Ctrl-C (exit code 130) the recording is complete up to then. In a terminal the last events are shown meanwhile.
-Exit code 2 if no event came, the camera was unplugged, or the disk is full: what came before is kept. An event is in
-the file as soon as it has come, even if the program is killed.
+After Ctrl-C (exit code 130) the recording is complete up to then. In a terminal the last events are
+shown meanwhile. Exit code 2 if no event came, the camera was unplugged, or the disk is full: what
+came before is kept. An event is in the file as soon as it has come, even if the program is killed.
 """
 LONGEST_NAME = 255
-"""Bytes of a name, on most file systems."""
+"""Bytes of the longest name, on most file systems."""
 EVERY_S = 0.1
-COLUMNS, ROWS = 64, 20
-"""Of the picture, at most; a character is two pixels high."""
+"""Seconds between two pictures of the last events."""
+COLUMNS = 64
+"""Characters in a row of the picture, at most."""
+ROWS = 20
+"""Rows of characters in the picture, at most. A character is two pixels high."""
+LEAST_COLUMNS = 9
+"""A picture with fewer characters in a row is not shown."""
+LEAST_ROWS = 5
+"""A picture with fewer rows is not shown."""
 BLOCKS = " ▀▄█"
+"""Characters whose upper pixel, lower pixel or both are lit: neither, upper, lower, both."""
 ASCII_BLOCKS = " '.#"
-"""Where the terminal's encoding has no others."""
+"""The same, where the terminal's encoding does not have `BLOCKS`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "source", metavar="SOURCE", help="camera[:KIND[:SERIAL]] or udp://HOST:PORT"
     )
@@ -82,12 +93,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt record`. Returns the exit code."""
     if not is_live(args.source):
         raise ValueError(f"SOURCE must be a camera or udp://HOST:PORT, got {args.source}")
     if args.sensor and args.source.startswith("camera"):
         raise ValueError("--sensor belongs to a network stream; a camera states its own")
     if args.seconds is not None and not 0 < args.seconds < threading.TIMEOUT_MAX:
         raise ValueError(f"--seconds must be a positive number, got {args.seconds}")
+
     folder = args.out / args.label
     check_folder(folder)
     source = open_source(args.source, args.sensor)
@@ -109,18 +122,22 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _class_name(text: str) -> str:
-    """A class: the name of a folder that `train` reads, which leaves out those with a dot first."""
-    is_name = Path(text).name == text == text.strip() and not text.startswith(".")
-    if not text or not is_name or not text.isprintable() or len(text.encode()) > LONGEST_NAME:
+    """Read the name of a class: of a folder that `train` reads. An argparse type.
+
+    `train` leaves out folders whose names begin with a dot.
+    """
+    is_plain = text != "" and Path(text).name == text and text.isprintable()
+    is_seen = text == text.strip() and not text.startswith(".")
+    if not is_plain or not is_seen or len(text.encode()) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
             f"must be the name of a folder: printable, of at most {LONGEST_NAME} bytes, without "
-            "slashes, and with no "
-            f"dot or blank before it; got {short(text)}"
+            f"slashes, and with no dot or blank before it; got {short(text)}"
         )
     return text
 
 
 def _folder(text: str) -> Path:
+    """Read the path of a folder. An argparse type."""
     if not text.strip() or "\0" in text:
         raise argparse.ArgumentTypeError(f"must be a folder, got {text!r}")
     return user_path(text)
@@ -137,6 +154,7 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
     problems: list[OSError] = []
 
     def completed(file: DatFile) -> None:
+        """Write what recorded this file beside it, and keep the line that is printed about it."""
         about = {
             "source": source.name,
             "class": label,
@@ -148,14 +166,11 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
             "settings": getattr(source, "settings", {}),
             "async_tnt": __version__,
         }
-        lines.append(
-            f"{file.path}: {file.events:,} events, {file.on / file.events:.0%} ON; "
-            f"{source.summary()}"
-        )
+        share_on = file.on / file.events
+        lines.append(f"{file.path}: {file.events:,} events, {share_on:.0%} ON; {source.summary()}")
+        text = json.dumps(about, indent=1, default=str) + "\n"
         try:
-            write_text(
-                file.path.with_suffix(".json"), json.dumps(about, indent=1, default=str) + "\n"
-            )
+            write_text(file.path.with_suffix(".json"), text)
         except OSError as error:  # the recording goes on
             problems.append(error)
 
@@ -171,8 +186,9 @@ def _record(source: Any, label: str, folder: Path, seconds: float | None) -> int
         except OSError as error:  # unplugged, or the disk is full: what came before is kept
             problems.append(error)
         finally:
+            # not before: a terminal that is gone must not end the recording
             if lines:
-                say(*lines)  # only now: a terminal that is gone must not end the recording
+                say(*lines)
         for problem in problems:
             complain(problem)
         if not writer.n_events and not problems:
@@ -199,8 +215,8 @@ def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
         signals.append(number)
         asked.put(number)
 
-    # a thread closes it: a signal handler might run in the middle of a read, which `close` waits
-    # for
+    # A thread closes the source, as `close` waits for a read to end, and a signal handler might run
+    # in the middle of one.
     closing = threading.Thread(target=close_when_asked, name="async_tnt.record", daemon=True)
     closing.start()
     try:
@@ -216,32 +232,44 @@ def _ended_in_time(source: Any, seconds: float | None) -> Iterator[None]:
 
 
 def _new_file(folder: Path) -> io.FileIO:
-    """A file that was not there, named by the time; no other process gets the same."""
+    """Open a file that was not there, named by the time. No other process gets the same file."""
     now = time.strftime("%Y%m%d_%H%M%S")
     for n in itertools.count(1):
         stem = now if n == 1 else f"{now}_{n}"
-        if not any(folder.glob(f"{stem}.*")):
+        is_free = not any(folder.glob(f"{stem}.*"))
+        if is_free:
+            # another process may have made it meanwhile
             with contextlib.suppress(FileExistsError):
                 return (folder / f"{stem}.dat").open("xb", buffering=0)
     raise AssertionError("unreachable")
 
 
 class _Picture:
-    """The last events and their rate, drawn over and over on a terminal; nothing elsewhere."""
+    """The last events and their rate, drawn over and over on a terminal; nothing elsewhere.
+
+    Parameters
+    ----------
+    sensor : (width, height) in pixels.
+    label : the class that is recorded.
+    """
 
     def __init__(self, sensor: tuple[int, int], label: str) -> None:
-        self._sensor, self._label = sensor, label
+        self._sensor = sensor
+        self._label = label
         self._blocks = BLOCKS if can_print(BLOCKS, sys.stderr) else ASCII_BLOCKS
+
         size = shutil.get_terminal_size()
-        self._columns, self._rows = (
-            min(COLUMNS, size.columns - 1),
-            max(0, min(ROWS, size.lines - 2)),
-        )
+        self._columns = max(0, min(COLUMNS, size.columns - 1))
+        self._rows = max(0, min(ROWS, size.lines - 2))
+        has_room = self._columns >= LEAST_COLUMNS and self._rows >= LEAST_ROWS
+        self._is_shown = has_room and sys.stderr.isatty()
+
+        # events of each place since the last picture; two places a character, one above the other
         self._counts = np.zeros((2 * self._rows, self._columns), np.int64)
-        self._is_shown = sys.stderr.isatty() and self._columns > 8 and self._rows > 4
-        self._drawn = False
-        self._n_events, self._before = 0, time.monotonic()
-        self._started = self._before
+        self._n_events = 0
+        self._is_drawn = False
+        self._started_s = time.monotonic()
+        self._drawn_s = self._started_s
 
     def show(self, events: np.ndarray) -> None:
         """Count these events, and draw if it is time."""
@@ -249,23 +277,33 @@ class _Picture:
             return
         width, height = self._sensor
         rows = events["y"].astype(np.int64) * 2 * self._rows // height
-        np.add.at(self._counts, (rows, events["x"].astype(np.int64) * self._columns // width), 1)
+        columns = events["x"].astype(np.int64) * self._columns // width
+        np.add.at(self._counts, (rows, columns), 1)
         self._n_events += len(events)
-        if (now := time.monotonic()) < self._before + EVERY_S:
-            return
+
+        now_s = time.monotonic()
+        if now_s >= self._drawn_s + EVERY_S:
+            self._draw(now_s)
+            self._is_drawn = True
+            self._drawn_s = now_s
+            self._n_events = 0
+            self._counts[:] = 0
+
+    def _draw(self, now_s: float) -> None:
+        """Write the picture over the one before."""
         lit = self._counts > max(1.0, self._counts.mean())
-        blocks = lit[::2] + 2 * lit[1::2]  # the upper and the lower pixel of a character
-        lines = ["".join(self._blocks[block] for block in row) for row in blocks.tolist()]
-        rate = self._n_events / (now - self._before)
-        lines.append(
-            f"{self._label}: {now - self._started:.1f} s, {rate:,.0f} events a second".ljust(
-                self._columns
-            )
-        )
+        upper = lit[::2]
+        lower = lit[1::2]
+        blocks = (upper + 2 * lower).tolist()
+        lines = ["".join(self._blocks[block] for block in row) for row in blocks]
+
+        rate = self._n_events / (now_s - self._drawn_s)
+        seconds = now_s - self._started_s
+        caption = f"{self._label}: {seconds:.1f} s, {rate:,.0f} events a second"
+        lines.append(caption.ljust(self._columns))
+
+        up = f"\x1b[{len(lines)}A" if self._is_drawn else ""
         # the recording goes on if the terminal is gone
         with contextlib.suppress(OSError, ValueError):
-            up = f"\x1b[{len(lines)}A" if self._drawn else ""
             sys.stderr.write(up + "".join(f"\r{line}\n" for line in lines))
             sys.stderr.flush()
-        self._drawn, self._n_events, self._before = True, 0, now
-        self._counts[:] = 0

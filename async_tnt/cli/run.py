@@ -1,4 +1,4 @@
-"""async-tnt run: stream recordings event by event through a model."""
+"""async-tnt run: stream recordings through a model."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import argparse
 import errno
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,15 +19,13 @@ from async_tnt.cli.options import (
     add_triggers,
     check_reading,
     paths_of,
-    positive_int,
     reading_of,
     triggers_of,
 )
-from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
+from async_tnt.cli.output import DecisionLines, complain, complain_late, message_of, say
 from async_tnt.cli.packets import add_keep_up, check_keep_up, find_sources, follow
 from async_tnt.cli.pixel_options import add_pixels, model_pixels_of, pixels_of, sensor_to_read
 from async_tnt.networks.engines import Engine, choose_engine
-from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixels.model_pixels import ModelPixels
 from async_tnt.streaming.compile_ahead import fill_cache
 from async_tnt.streaming.decision import Decision, class_of_recording
@@ -35,177 +35,230 @@ from async_tnt.streaming.windows import TimeUnitCheck
 if TYPE_CHECKING:
     from async_tnt.sources.queues.background_reader import BackgroundReader
 
-DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
-label and its probability, and the microseconds from the last event to the decision. After each recording a line names
-the class of the highest mean probability over its closed windows.
+DESCRIPTION = """\
+Stream recordings through a model and print each decision: its time and window, the label and its
+probability, and the number of events. After each recording a line names the class of the highest
+mean probability over its closed windows.
 
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
   async-tnt run --confidence 0.95            decide each window as soon as the class is certain
   async-tnt run udp://127.0.0.1:3333         events from the network, until Ctrl-C
-  async-tnt run camera --every-us 2000 --keep-up 20    a camera, at most 20 ms behind (extra `cameras`)
-  async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
+  async-tnt run camera --every-us 2000 --keep-up 20
+                                             a camera, at most 20 ms behind (extra `cameras`)
+  async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy
+                                             a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
-  async-tnt run --model digits.onnx          a file of `async-tnt export`, run by onnxruntime (extra `onnx`)
-  async-tnt run a.npz --model net.onnx --config net.json    any other ONNX network, compiled if it can be
+  async-tnt run --latency                    say also how long each decision took
+  async-tnt run --model digits.onnx          a file of `async-tnt export`, run by onnxruntime
+                                             (extra `onnx`)
+  async-tnt run a.npz --model net.onnx --config net.json
+                                             any other ONNX network, compiled if it can be
 
-An .onnx file differs in the last digits of the probabilities and in latency, not in windows or counted events.
+An .onnx file differs in the last digits of the probabilities and in latency, not in windows or
+counted events.
 """
+REMOVED = {
+    "--late": "late events are used; in Python, Processor(model, late=...) drops or refuses them",
+    "--hop-us": "in Python, Processor(model, hop_us=...) has overlapping windows",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     add_files(parser, live=True)
     add_start(parser)
     add_triggers(parser)
-    parser.add_argument(
-        "--hop-us",
-        type=positive_int,
-        metavar="US",
-        help="time between the starts of windows; they overlap if it is shorter than a window",
-    )
-    parser.add_argument(
-        "--late",
-        choices=("accept", "drop", "raise"),
-        default="accept",
-        help="what to do with an event older than the newest one (default: %(default)s)",
-    )
     add_pixels(parser)
     add_reading(parser)
     add_keep_up(parser)
+    parser.add_argument(
+        "--latency",
+        action="store_true",
+        help="print also the microseconds from the call with an event to its decision; recordings "
+        "are then pushed event by event, which takes ten times as long, a camera or the network "
+        "packet by packet",
+    )
     parser.add_argument(
         "--json", action="store_true", help="one JSON object a line for each decision"
     )
 
 
+@dataclass(frozen=True)
+class _Run:
+    """What the events of all sources pass through.
+
+    Attributes
+    ----------
+    engine : the model, and what computes it.
+    processor : the stream; `reset` before each source.
+    pixels : the pixels whose events count.
+    lines : how decisions are printed.
+    """
+
+    engine: Engine
+    processor: Processor
+    pixels: ModelPixels
+    lines: DecisionLines
+
+
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt run`. Returns the exit code."""
     check_keep_up(args)
     check_reading(args)
-    selection = pixels_of(args)
-    engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
-    pixels = model_pixels_of(selection, engine.model)
-    fill_cache(model=engine.model, first=lambda: find_sources(paths_of(args), pixels))
-    settings = {
-        "start_us": args.start_us,
-        "hop_us": args.hop_us,
-        "late": args.late,
-        **triggers_of(args),
-    }
-    processor = Processor(
-        engine.model, classes=engine.classes, classifier=engine.classifier, **settings
-    )
-    processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
-    line = json_line if args.json else text_line
-    failed = stopped = False
-    headers = [] if args.json else [HEADER]
+    run = _prepared(args)
+
+    stopped = False
+    failed = False
+    has_header = False
     for path in paths_of(args):
         try:
             if isinstance(path, str):
-                stopped = run_source(path, processor, pixels, line, args.keep_up)
+                stopped = _run_live(run, path, args.keep_up)
                 if stopped:
                     break
-                continue
-            recording, select = pixels.open(path, **reading_of(args))
-            if headers:
-                say(headers.pop())
-            print_decisions(
-                recording,
-                map(select, recording),
-                processor,
-                engine,
-                pixels,
-                line,
-                summary=not args.json,
-            )
+            else:
+                recording, select = run.pixels.open(path, **reading_of(args))
+                if not has_header:
+                    run.lines.print_header()
+                    has_header = True
+                _run_recording(run, path, map(select, recording))
         except BrokenPipeError:
             raise
         except (OSError, ValueError, ImportError) as error:
-            # of our output, not of a recording
             if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+                # the disk of our output is full, the recording is not at fault
                 raise
-            complain(error if str(path) in str(error) else f"{path}: {error}")
+            message = message_of(error, args.written)
+            complain(message if str(path) in message else f"{path}: {message}")
             failed = True
-    if pixels.summary():
-        complain(f"left out: {pixels.summary()}")
-    return 130 if stopped else 2 if failed else 0
+
+    if run.pixels.summary():
+        complain(f"left out: {run.pixels.summary()}")
+    if stopped:
+        return 130
+    return 2 if failed else 0
 
 
-def print_decisions(
-    recording: Recording,
-    packets: Iterable[np.ndarray],
-    processor: Processor,
-    engine: Engine,
-    pixels: ModelPixels,
-    line: Line,
-    *,
-    summary: bool,
-) -> None:
-    """A line for each decision and, with `summary`, one for the recording: the best mean
-    probability of its windows.
+def _prepared(args: argparse.Namespace) -> _Run:
+    """The model and the stream that the options name. One source at least can be opened.
+
+    Raises
+    ------
+    ValueError, OSError, ImportError : the model cannot be read, or does not suit the options; no
+        source can be opened.
+    """
+    selection = pixels_of(args)
+    engine = choose_engine(args.model, sensor_to_read(selection, args), args.config)
+    pixels = model_pixels_of(selection, engine.model)
+    fill_cache(model=engine.model, first=lambda: find_sources(paths_of(args), pixels, args.written))
+    processor = Processor(
+        engine.model,
+        classes=engine.classes,
+        classifier=engine.classifier,
+        start_us=args.start_us,
+        **triggers_of(args),
+    )
+    # The first call of an engine takes longer. The empty window changes nothing.
+    processor.fire()
+    return _Run(engine, processor, pixels, DecisionLines(args.json, args.latency))
+
+
+# -- recordings ------------------------------------------------------------------------------------
+
+
+def _run_recording(run: _Run, path: Path, packets: Iterable[np.ndarray]) -> None:
+    """Print the decisions of a recording, and its class: the best mean probability of its windows.
 
     Raises
     ------
     ValueError : no window had an event.
     """
-    processor.reset()
+    run.processor.reset()
+    push = _pushed_events if run.lines.with_latency else _pushed_packets
     closed = []
-    for decision, latency_us in timed_decisions(packets, processor):
-        say(line(str(recording.path), decision, latency_us))
+    has_objects = False
+    for decision, latency_us in _with_end(push(packets, run.processor), run.processor):
+        run.lines.print(str(path), decision, latency_us)
+        has_objects = decision.objects is not None
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
-    if closed and summary and decision.objects is None:
-        label, words = class_of_recording(engine.classes, closed)
-        say(f"{recording.path.name}: {label} ({words})")
-    counts = processor.counts
-    complain_late(str(recording.path), counts.dropped_late, counts.received, "--late, --start-us")
+
+    if closed and not run.lines.as_json and not has_objects:
+        label, words = class_of_recording(run.engine.classes, closed)
+        say(f"{path.name}: {label} ({words})")
+    counts = run.processor.counts
+    complain_late(str(path), counts.dropped_late, counts.received, "--start-us")
     if not closed:
-        why = "no event in any window" if counts.received else pixels.nothing
-        raise ValueError(f"{recording.path}: {why}")
+        why = "no event in any window" if counts.received else run.pixels.nothing
+        raise ValueError(f"{path}: {why}")
 
 
-def timed_decisions(
-    packets: Iterable[Any], processor: Processor
+def _pushed_packets(
+    packets: Iterable[np.ndarray], processor: Processor
 ) -> Iterator[tuple[Decision, float]]:
-    """Each decision, and its latency in microseconds, from the call with the event that caused
-    it."""
-    clock, time_unit = time.perf_counter_ns, TimeUnitCheck(processor.config)
+    """Each decision, and the microseconds of the call with its packet."""
+    time_unit = TimeUnitCheck(processor.config)
     for packet in packets:
-        for t, x, y, p in zip(
-            *(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True
-        ):
-            handed_over = clock()
+        handed_over_ns = time.perf_counter_ns()
+        decisions = processor.push(packet)
+        latency_us = (time.perf_counter_ns() - handed_over_ns) / 1e3
+        for decision in time_unit.watch(decisions):
+            yield decision, latency_us
+
+
+def _pushed_events(
+    packets: Iterable[np.ndarray], processor: Processor
+) -> Iterator[tuple[Decision, float]]:
+    """Each decision, and the microseconds of the call with the event that caused it."""
+    clock_ns = time.perf_counter_ns
+    time_unit = TimeUnitCheck(processor.config)
+    for packet in packets:
+        columns = [packet[field].tolist() for field in ("t", "x", "y", "p")]
+        for t, x, y, p in zip(*columns, strict=True):
+            handed_over_ns = clock_ns()
             decisions = processor.push_one(t, x, y, p)
             if decisions:
-                latency_us = (clock() - handed_over) / 1e3
+                latency_us = (clock_ns() - handed_over_ns) / 1e3
                 for decision in time_unit.watch(decisions):
                     yield decision, latency_us
-    handed_over = clock()
+
+
+def _with_end(
+    decided: Iterable[tuple[Decision, float]], processor: Processor
+) -> Iterator[tuple[Decision, float]]:
+    """These decisions, then those at the end of the stream, and the microseconds of that call."""
+    yield from decided
+    handed_over_ns = time.perf_counter_ns()
     decisions = processor.finish()
-    latency_us = (clock() - handed_over) / 1e3
+    latency_us = (time.perf_counter_ns() - handed_over_ns) / 1e3
     for decision in decisions:
         yield decision, latency_us
 
 
-def run_source(
-    name: str, processor: Processor, pixels: ModelPixels, line: Line, keep_up_ms: int | None
-) -> bool:
-    """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether
-    Ctrl-C ended it.
+# -- a camera or the network -----------------------------------------------------------------------
+
+
+def _run_live(run: _Run, name: str, keep_up_ms: int | None) -> bool:
+    """Print decisions until the source ends or Ctrl-C; then print the counts.
+
+    Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
-    name : of the source, as `open_source` takes it.
+    name : name of the source, as `open_source` takes it.
     keep_up_ms : see `follow`.
     """
-    processor.reset()
+    run.processor.reset()
 
     def print_all(packets: Iterable[Any], reader: BackgroundReader | None) -> None:
-        for decision, latency_us in _timed_packets(packets, processor):
-            say(line(name, decision, latency_us, reader))
+        for decision, latency_us in _pushed_packets(packets, run.processor):
+            run.lines.print(name, decision, latency_us, reader)
 
-    def end(reader: BackgroundReader | None) -> str:
-        for decision in processor.finish():
-            say(line(name, decision, 0.0, reader))
-        counts = processor.counts
+    def print_end(reader: BackgroundReader | None) -> str:
+        for decision, latency_us in _with_end((), run.processor):
+            run.lines.print(name, decision, latency_us, reader)
+        counts = run.processor.counts
         moved_off = counts.dropped_outside + counts.dropped_tau_zero
         return (
             f"; {counts.kept:,} kept, {moved_off:,} moved off the grid by the transform, "
@@ -213,17 +266,4 @@ def run_source(
             "it was decided"
         )
 
-    return follow(name, pixels, processor, keep_up_ms, print_all, end)
-
-
-def _timed_packets(
-    packets: Iterable[np.ndarray], processor: Processor
-) -> Iterator[tuple[Decision, float]]:
-    """Each decision, and the microseconds that the decisions of its packet took."""
-    time_unit = TimeUnitCheck(processor.config)
-    for packet in packets:
-        handed_over = time.perf_counter_ns()
-        decisions = processor.push(packet)
-        latency_us = (time.perf_counter_ns() - handed_over) / 1e3
-        for decision in time_unit.watch(decisions):
-            yield decision, latency_us
+    return follow(name, run.pixels, run.processor, keep_up_ms, print_all, print_end)

@@ -10,7 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.base.checks import ParameterValueError, positive_int, real_number, short
+from async_tnt.base.checks import (
+    ParameterValueError,
+    ParameterWarning,
+    positive_int,
+    real_number,
+    short,
+)
 from async_tnt.kernels.decisions import trigger as T
 from async_tnt.kernels.volume.state import NEVER_US
 from async_tnt.volume.config import TNTConfig
@@ -61,15 +67,15 @@ def warn_if_never_due(settings: TriggerSettings, config: TNTConfig, stacklevel: 
     every_events = settings.every_events
 
     if window_events is None and every_us is not None and every_us > window_us:
-        what = f"`every_us` = {every_us} is longer than a window, {window_us} us"
+        name = "every_us"
+        what = f"= {every_us} is longer than a window, {window_us} us"
     elif window_events is not None and every_events is not None and every_events > window_events:
-        what = f"`every_events` = {every_events} is more than a window has, {window_events}"
+        name = "every_events"
+        what = f"= {every_events} is more than a window has, {window_events}"
     else:
         return
-    warnings.warn(
-        f"{what}: it never makes a decision due, windows are decided at their ends",
-        stacklevel=stacklevel,
-    )
+    rule = f"{what}: it never makes a decision due, windows are decided at their ends"
+    warnings.warn(ParameterWarning(name, rule), stacklevel=stacklevel)
 
 
 class Triggers:

@@ -22,7 +22,8 @@ CONFIGS = {"center", "running", "line", "window", "line, flow removed", "no tran
 
 
 def test_it_holds_stream_and_batch_equal(program, tmp_path):
-    path, events = tmp_path / "short.npy", random_events(150, duration_us=200_000)
+    path = tmp_path / "short.npy"
+    events = random_events(150, duration_us=200_000)
     events["t"][30:140:7] = events["t"][29:139:7] - 20_000  # times may run backwards
     np.save(path, events)
     code, printed, _ = program("check", path, "--prefixes", "all")
@@ -59,8 +60,9 @@ def loses_events_of_long_packets(monkeypatch):
 
 
 def finds_no_end_of_long_streams(monkeypatch):
-    """All at once, the last window is lost."""
-    push, finish = Processor.push, Processor.finish
+    """The last window is lost where all events come at once."""
+    push = Processor.push
+    finish = Processor.finish
     longest = []
 
     def noting(self, events):
@@ -95,7 +97,7 @@ def finds_other_landmarks(monkeypatch):
 
 
 def decides_otherwise_than_the_whole_network(monkeypatch):
-    """By the last bit."""
+    """The logits differ by the last bit."""
     whole = CompiledClassifier.__call__
     monkeypatch.setattr(
         CompiledClassifier, "__call__", lambda self, v: np.nextafter(whole(self, v), np.float32(9))
@@ -103,7 +105,7 @@ def decides_otherwise_than_the_whole_network(monkeypatch):
 
 
 def decides_otherwise_than_the_reference(monkeypatch):
-    """In the stream and as a whole alike: of another model."""
+    """The logits are those of another model, in the stream and as a whole alike."""
     init = CompiledClassifier.__init__
 
     def other(self, model):
@@ -130,11 +132,8 @@ def test_it_says_no_to_each_promise_that_is_broken_and_to_no_other(broken, monke
     events = random_events(150, duration_us=200_000, start_us=7)
 
     def what_fails():
-        return {
-            one.what
-            for one in check_recording(events, model, prefixes=3, start_us=0)
-            if not one.holds
-        }
+        comparisons = check_recording(events, model, prefixes=3, start_us=0)
+        return {c.what for c in comparisons if not c.holds}
 
     assert what_fails() == set()
     broken(monkeypatch)
@@ -145,26 +144,26 @@ def test_it_says_no_to_each_promise_that_is_broken_and_to_no_other(broken, monke
     "read", [lambda module, _: module, lambda *given: LayerNetwork(*layers_from_torch(*given))]
 )
 def test_a_landmark_network_of_any_layers_holds(read):
-    """Batch norm among them, which takes the second of four axes for channels."""
+    """One of the layers is a batch norm, which takes the second of four axes for channels."""
     torch.manual_seed(0)
-    config, batch_norm = TNTConfig(bins=3, landmark="regressor", t_max=2.0), nn.BatchNorm2d(6)
+    config = TNTConfig(bins=3, landmark="regressor", t_max=2.0)
+    batch_norm = nn.BatchNorm2d(6)
     batch_norm.running_mean.normal_()
     finds = nn.Sequential(
         nn.Conv2d(3, 6, 3, padding=1), batch_norm, nn.ReLU(), nn.Conv2d(6, 1, 1), HeatmapCentroid()
     )
     decides = nn.Sequential(nn.Conv2d(3, 2, 3), nn.AdaptiveAvgPool2d(1))  # logits (2, 1, 1)
-    decides, finds = (read(module.eval(), config.shape) for module in (decides, finds))
+    decides = read(decides.eval(), config.shape)
+    finds = read(finds.eval(), config.shape)
     model = Model.from_torch(decides, config, ["a", "b"], regressor=finds)
-    assert all(
-        one.holds
-        for one in check_recording(random_events(150, duration_us=90_000), model, prefixes=2)
-    )
+    comparisons = check_recording(random_events(150, duration_us=90_000), model, prefixes=2)
+    assert [c for c in comparisons if not c.holds] == []
 
 
 @pytest.mark.parametrize("start_us", [None, 5_000])
 def test_windows_without_events_and_events_of_closed_ones_hold_too(start_us):
-    """Windows 0, 2 and 5 of 20 ms hold events, and among those of the last are some of the one
-    before."""
+    """Windows last 20 ms, and numbers 0, 2 and 5 hold events. Among the last events are late ones,
+    of the window before."""
     times = [np.linspace(20_000 * k, 20_000 * k + 19_000, 30).astype(int) for k in (0, 2, 5)]
     times[2][3:20:5] -= 60_000
     events = random_events(90, sensor=(20, 16))
@@ -182,9 +181,8 @@ def test_windows_of_events_hold_too(window_us):
     events = random_events(150, duration_us=100_000, sensor=(20, 16))
     events["t"][30:140:7] = events["t"][29:139:7] - 5_000
     for landmark in ("running", "regressor"):
-        comparisons = check_recording(
-            events, random_model(config.replace(landmark=landmark)), prefixes=5
-        )
+        model = random_model(config.replace(landmark=landmark))
+        comparisons = check_recording(events, model, prefixes=5)
         assert [c for c in comparisons if not c.holds] == []
 
 

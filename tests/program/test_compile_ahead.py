@@ -21,9 +21,13 @@ from made import random_model
 
 def compiled():
     # also what was loaded from the cache: on a new machine it would be compiled
-    modules = [module for name, module in sys.modules.items() if name.startswith("async_tnt.kernels.")]
-    kernels = [kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
-    return {(kernel.py_func.__name__, types) for kernel in kernels for types in kernel.signatures}
+    found = set()
+    for name, module in list(sys.modules.items()):
+        if name.startswith("async_tnt.kernels."):
+            for kernel in vars(module).values():
+                if isinstance(kernel, Dispatcher):
+                    found |= {(kernel.py_func.__name__, types) for types in kernel.signatures}
+    return found
 
 records = np.zeros(4, EVENT_DTYPE)
 records["t"] = [0, 3, 50_000, 250_000]
@@ -37,8 +41,10 @@ def stream_all(model, **networks):
             processor.push(packet)
         processor.fire(), processor.finish()
 
-MODELS = {kind: random_model(TNTConfig(landmark=kind), widths=(2, 2, 2)) for kind in ("running", "window", "regressor")}
-
+MODELS = {
+    kind: random_model(TNTConfig(landmark=kind), widths=(2, 2, 2))
+    for kind in ("running", "window", "regressor")
+}
 """
 PUSH = """
 before = compiled()
@@ -69,8 +75,13 @@ stream_all(TNTConfig(landmark="window"), classifier=lambda volume: [0.0])
 """,
     "a_processor_is_made": """
 other = {"classifier": lambda volume: [0.0], "classes": ("a",)}
-streams = [*((model, {}) for model in MODELS.values()), (TNTConfig(), other), (MODELS["regressor"], other)]
-processors = [Processor(model, **networks, **settings) for model, networks in streams for settings in TRIGGERS]
+streams = [(model, {}) for model in MODELS.values()]
+streams += [(TNTConfig(), other), (MODELS["regressor"], other)]
+processors = [
+    Processor(model, **networks, **settings)
+    for model, networks in streams
+    for settings in TRIGGERS
+]
 """
     + PUSH,
     "a_trigger_or_a_classifier_is_set": """
@@ -104,8 +115,8 @@ def test_nothing_is_compiled_after(case, pytestconfig):
 
 @pytest.fixture
 def cold(monkeypatch):
-    """As on a machine with two cores where nothing has been compiled yet; collects what is then
-    compiled here."""
+    """A machine with two cores where nothing has been compiled yet; gives what is then compiled
+    here."""
     here: list[str] = []
 
     def note(kernels):
@@ -127,11 +138,13 @@ def test_a_processor_starts_no_process_and_prints_nothing(cold, monkeypatch, cap
 def test_a_second_process_compiles_the_network(cold, capsys, monkeypatch):
     children = []
     start = compile_ahead._start_child
-    monkeypatch.setattr(
-        compile_ahead,
-        "_start_child",
-        lambda names: children.append((names, start(names))) or children[0][1],
-    )
+
+    def start_noted(names):
+        child = start(names)
+        children.append((names, child))
+        return child
+
+    monkeypatch.setattr(compile_ahead, "_start_child", start_noted)
     compile_ahead.fill_cache()
     [(names, child)] = children
     assert names == ["forward", "classify_cells"] and child.returncode == 0
@@ -188,16 +201,13 @@ def test_a_source_that_does_not_suit_is_told_before_the_network_is_compiled(
 ):
     monkeypatch.setattr(compile_ahead, "_start_child", cold.append)
     code, _, err = program("run", "udp://127.0.0.1:0", "--roi", "0,0,34,34", "--crop")
-    assert (code, err.count("\n"), cold) == (2, 1, []) and "does not say the camera's pixels" in err
+    assert (code, err.count("\n"), cold) == (2, 1, [])
+    assert "does not say the camera's pixels" in err
 
 
 def test_one_source_that_is_there_is_enough(program, cold, monkeypatch):
     monkeypatch.setattr(compile_ahead, "_start_child", lambda names: None)
     code, out, err = program("run", "nowhere.bin", sample_recordings()[3])
     first, second = err.splitlines()
-    assert (
-        code == 2
-        and "3.bin: 3 " in out
-        and "compiling kernels" in first
-        and "nowhere.bin" in second
-    )
+    assert code == 2 and "3.bin: 3 " in out
+    assert "compiling kernels" in first and "nowhere.bin" in second

@@ -1,5 +1,7 @@
-"""Whatever is damaged in a file from outside, the error has one line and names the file; what is
-read can be used."""
+"""Whatever is damaged in a file from outside, the error has one line and names the file.
+
+What can be read can be used.
+"""
 
 import functools
 import json
@@ -40,8 +42,10 @@ WORDS_OF_PYTHON = (
 
 @contextmanager
 def refused_in_one_line(path, count):
-    """Nothing but a ValueError or OSError of one line that names the file may come out; `count`
-    gets each."""
+    """Allow only a ValueError or an OSError of one line that names the file.
+
+    count : a list that gets the message.
+    """
     try:
         yield
     except (ValueError, OSError) as error:
@@ -97,8 +101,10 @@ def test_json_is_read_or_refused_in_our_words():
 
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory):
-    """Tasks, their records, and what fits the file: a few windows of samples, and one that could
-    not be read."""
+    """The path of a file of results, the model, the tasks, and their records by recording.
+
+    Three recordings have a few windows, and one cannot be read.
+    """
     folder = tmp_path_factory.mktemp("results")
     model = load_model("digits")
     job = job_of("digits", model, Pixels())
@@ -146,6 +152,11 @@ def test_damaged_results(evaluation):
 def test_a_record_that_a_model_cannot_have_made_is_named(evaluation):
     out, model, tasks, records = evaluation
     check = functools.partial(check_record, classes=model.classes, config=model.config)
+    run = functools.partial(run_all, workers=1)
+
+    def evaluate(task):
+        return records[task.recording]
+
     good = records["0.bin"]
     check(good)
     n = len(good["window_start_us"])
@@ -178,21 +189,13 @@ def test_a_record_that_a_model_cannot_have_made_is_named(evaluation):
         ("late", -1, "`late` must be numbers of type int in .*, got -1"),
     ):
         out.unlink(missing_ok=True)
-        collect(
-            lambda task: records[task.recording], tasks, functools.partial(run_all, workers=1), out
-        )
+        collect(evaluate, tasks, run, out)
         lines = [json.loads(line) for line in out.read_bytes().splitlines()]
         lines[0][name] = value
         content = "".join(json.dumps(line) + "\n" for line in lines)
         out.write_text(content)
         with pytest.raises(ValueError, match=f"{out} is damaged: the record of '0.bin': {message}"):
-            collect(
-                lambda task: records[task.recording],
-                tasks,
-                functools.partial(run_all, workers=1),
-                out,
-                check=check,
-            )
+            collect(evaluate, tasks, run, out, check=check)
         assert out.read_text() == content  # it may be worth more to its owner than to us
 
 
@@ -295,11 +298,9 @@ BOX = [("t", "<i8"), ("x", "<f4"), ("y", "<f4"), ("w", "<f4"), ("h", "<f4"), ("c
 
 
 def test_damaged_tables_of_objects(tmp_path):
-    names, boxes, points = (
-        tmp_path / "label_map_dictionary.json",
-        tmp_path / "a_bbox.npy",
-        tmp_path / "a_objects.csv",
-    )
+    names = tmp_path / "label_map_dictionary.json"
+    boxes = tmp_path / "a_bbox.npy"
+    points = tmp_path / "a_objects.csv"
     read = functools.partial(read_table, classes=("on", "off"))
 
     def use(table):
@@ -335,21 +336,20 @@ def test_damaged_tables_of_objects(tmp_path):
     value = {"0": "on", "1": "off"}
     for text in damaged_json(value, 150, seed=7):
         names.write_text(text)
-        found = []
-        with refused_in_one_line(
-            boxes if "no object of the model" in _error_of(read, boxes) else names, found
-        ):
+        is_empty = "no object of the model" in _error_of(read, boxes)
+        with refused_in_one_line(boxes if is_empty else names, []):
             use(read(boxes))
     names.unlink()
     text = "t,class,x,y,w,h\n5,on,1,2,3,4\n9,off,2,2,3,4.5\n"
     assert try_all(points, damaged_bytes(text.encode(), 200, seed=8), read, use)
     cells = ("9" * 5_000, "9" * 25, "", "nan", "1e999", "1.5", "0x5", "\0")
-    for column, cell in ((column, cell) for column in range(6) for cell in cells):
-        row = ["5", "on", "1", "2", "3", "4"]
-        row[column] = cell
-        points.write_text(f"t,class,x,y,w,h\n{','.join(row)}\n")
-        with refused_in_one_line(points, []):
-            use(read(points))
+    for column in range(6):
+        for cell in cells:
+            row = ["5", "on", "1", "2", "3", "4"]
+            row[column] = cell
+            points.write_text(f"t,class,x,y,w,h\n{','.join(row)}\n")
+            with refused_in_one_line(points, []):
+                use(read(points))
 
 
 def _with(rows, name, dtype, value):
@@ -393,17 +393,8 @@ def test_damaged_tables_of_labels(tmp_path):
     use(read(path))
     assert try_all(path, damaged_bytes(text.encode(), 200, seed=9), read, use)
     for number in ("9" * 5_000, "9" * 25, "1e9", "0x9", "-5"):
-        assert (
-            len(
-                try_all(
-                    path,
-                    [f"class,start,end\nwave,{number},9\n", f"class,start,end\nwave,{number}"],
-                    read,
-                    use,
-                )
-            )
-            == 2
-        )
+        tables = [f"class,start,end\nwave,{number},9\n", f"class,start,end\nwave,{number}"]
+        assert len(try_all(path, tables, read, use)) == 2
 
 
 def test_damaged_masks(tmp_path):

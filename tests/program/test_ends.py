@@ -21,7 +21,7 @@ has_full = pytest.mark.skipif(
     not os.path.exists("/dev/full"), reason="no device that is always full"
 )
 
-# Python runs it first of all where it is on PYTHONPATH.
+# Python runs this module first of all where it is on PYTHONPATH.
 SITECUSTOMIZE = """
 import os, sys
 point, number = os.environ["POINT"], int(os.environ["NUMBER"])
@@ -37,8 +37,12 @@ sys.meta_path.insert(0, Finder())
 
 
 def interrupted(folder, *words, point, number, ignored=None):
-    """Exit code and output of the program, which gets a signal when it begins to import a
-    module."""
+    """The exit code and output of the program, which gets a signal when it imports a module.
+
+    point : name of the module.
+    number : number of the signal.
+    ignored : a signal that the program ignores from its start.
+    """
     (folder / "sitecustomize.py").write_text(SITECUSTOMIZE)
     env = os.environ | {"POINT": point, "NUMBER": str(int(number))}
     env["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
@@ -71,7 +75,8 @@ JITCodeLibrary._object_getbuffer_hook = answer_late
 WHILE_WORKERS_START = """
 from subprocess import Popen
 start = Popen._execute_child
-def started(process, words, *how):  # a process waits for its calls; if none ever came, it might complain
+def started(process, words, *how):
+    # after the start: a process waits for its calls; if none ever came, it might complain
     start(process, words, *how)
     if "async_tnt.base.worker" in str(words):
         os.kill(os.getpid(), NUMBER)
@@ -96,7 +101,10 @@ def test_a_signal_at_a_delicate_moment(patch, number, words, line, tmp_path):
     (tmp_path / "set" / "3").mkdir(parents=True)
     for name in ("a.bin", "b.bin"):
         (tmp_path / "set" / "3" / name).symlink_to(SAMPLE)
-    code = f"import os, sys\nNUMBER = {int(number)}\n{patch}\nfrom async_tnt.cli import main; sys.exit(main())"
+    code = (
+        f"import os, sys\nNUMBER = {int(number)}\n{patch}\n"
+        "from async_tnt.cli import main; sys.exit(main())"
+    )
     with started("-c", code, *words, cwd=tmp_path) as process:
         assert process.communicate() == ("", f"async-tnt: {line}\n")
     assert process.returncode == 128 + number
@@ -110,11 +118,13 @@ def test_an_ignored_signal_stays_ignored(tmp_path):
 
 
 def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts():
-    port, events = free_port(), open_recording(sample_recordings()[7]).read()
+    port = free_port()
+    events = open_recording(sample_recordings()[7]).read()
     with started(*PROGRAM, "run", f"udp://127.0.0.1:{port}") as process:
-        # a cold cache says that it compiles
-        while "listening" not in (line := process.stderr.readline()):
+        line = process.stderr.readline()
+        while "listening" not in line:  # a cold cache says that it compiles
             assert line
+            line = process.stderr.readline()
         send_in_parts(port, events)
         assert process.stdout.readline()  # a decision
         process.send_signal(signal.SIGTERM)
@@ -171,11 +181,8 @@ def test_output_in_another_encoding_has_bars_of_it_and_escapes_names(encoding, t
         [sys.executable, *PROGRAM, "info", name], env=env, cwd=tmp_path, capture_output=True
     )
     first, *lines = done.stdout.decode(encoding).splitlines()
-    (bars,) = (
-        line.removeprefix("  rate       ").partition(" up to ")[0]
-        for line in lines
-        if "  rate  " in line
-    )
+    (rate,) = [line for line in lines if "  rate  " in line]
+    bars = rate.removeprefix("  rate       ").partition(" up to ")[0]
     assert done.returncode == 0 and len(bars) > 40 and "\\" not in bars
     assert first.startswith(name if encoding == "utf-8" else r"\u03c9.bin")
     assert max(bars) == ("\N{FULL BLOCK}" if encoding == "utf-8" else "@")
@@ -186,11 +193,11 @@ def test_a_second_signal_at_once_does_not_end_the_cleaning_up(
     later_s, cleaned_up, program, monkeypatch
 ):
     """Closing a terminal sends two; somebody who presses Ctrl-C again later means it."""
-    from async_tnt.cli import program as module
-    from async_tnt.cli import run
+    from async_tnt.cli import run, signals
 
-    now_s, done = [100.0], []
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    now_s = [100.0]
+    done = []
+    monkeypatch.setattr(signals, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
 
     def clean_up(args):
         try:
@@ -217,8 +224,5 @@ def test_without_a_stderr_the_exit_code_is_the_same(stderr):
     """Where the program would report on stderr what was dropped."""
     command = f'"{sys.executable}" -m async_tnt run --start-us 200000 --json {SAMPLE} {stderr}'
     done = subprocess.run(command, shell=True, stdout=subprocess.PIPE, text=True)
-    assert (
-        done.returncode == 0
-        and done.stdout
-        and all(line.startswith("{") for line in done.stdout.splitlines())
-    )
+    assert done.returncode == 0 and done.stdout
+    assert all(line.startswith("{") for line in done.stdout.splitlines())

@@ -17,9 +17,13 @@ from numba.core.dispatcher import Dispatcher
 
 def compiled():
     # also what was loaded from the cache: on a new machine it would be compiled
-    modules = [module for name, module in sys.modules.items() if name.startswith("async_tnt.kernels.")]
-    kernels = [kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
-    return {(kernel.py_func.__name__, types) for kernel in kernels for types in kernel.signatures}
+    found = set()
+    for name, module in list(sys.modules.items()):
+        if name.startswith("async_tnt.kernels."):
+            for kernel in vars(module).values():
+                if isinstance(kernel, Dispatcher):
+                    found |= {(kernel.py_func.__name__, types) for types in kernel.signatures}
+    return found
 
 made = pickle.load(open(sys.argv[1], "rb"))
 events = pickle.load(open(sys.argv[2], "rb"))

@@ -64,7 +64,7 @@ def test_import_brings_only_what_is_used():
 
 
 def test_public_names_are_there_in_every_way():
-    """Whatever has been imported before: a module's import sets its name in the package."""
+    """The import of a module sets its name in the package; so all of them are imported before."""
     for path in Path(async_tnt.__file__).parent.glob("*.py"):
         if path.stem not in ("__init__", "__main__"):
             importlib.import_module(f"async_tnt.{path.stem}")
@@ -73,11 +73,8 @@ def test_public_names_are_there_in_every_way():
     for name in async_tnt.__all__:
         value = getattr(async_tnt, name)
         assert starred[name] is value and name in dir(async_tnt)
-        assert (
-            value is async_tnt.sources.files
-            or value is async_tnt.EVENT_DTYPE
-            or value.__name__ == name
-        )
+        is_unnamed = value is async_tnt.sources.files or value is async_tnt.EVENT_DTYPE
+        assert is_unnamed or value.__name__ == name
         if isinstance(value, type) or inspect.isfunction(value):
             assert pickle.loads(pickle.dumps(value)) is value
     helped = pydoc.plain(pydoc.render_doc(async_tnt))
@@ -103,8 +100,7 @@ def test_a_renamed_name_says_the_new_one():
 
 @pytest.mark.parametrize("package", [async_tnt, async_tnt.sources, async_tnt.training])
 def test_type_checkers_see_the_same_names(package):
-    """In `__all__`, a literal, and in the imports for type checkers, as in the table of lazy
-    names."""
+    """The table of lazy names, the literal `__all__` and the imports for type checkers agree."""
     nodes = list(ast.walk(ast.parse(Path(package.__file__).read_text())))
     imports = [n for n in nodes if isinstance(n, ast.ImportFrom)]
     own = {"lazy_names", "__version__"}
@@ -133,8 +129,8 @@ def test_works_where_nothing_can_be_cached(tmp_path):
 
 
 def test_without_numbas_compiler_commands_and_imports_say_so_in_one_line():
-    """Kernels do what plain Python cannot: they read records at any address, and release its
-    lock."""
+    """Plain Python cannot do what kernels do: read records at any address, and release the
+    GIL."""
     code = (
         "import async_tnt\n"
         "from async_tnt.cli import main\n"
@@ -145,7 +141,10 @@ def test_without_numbas_compiler_commands_and_imports_say_so_in_one_line():
     )
     env = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
-    line = "async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset it\n"
+    line = (
+        "async_tnt cannot run with NUMBA_DISABLE_JIT=1, which switches Numba's compiler off: unset "
+        "it\n"
+    )
     assert done.stdout == f"{{2}} {len(COMMANDS)} {line}"
     assert done.stderr == f"async-tnt: {line}" * len(COMMANDS)
 

@@ -12,8 +12,8 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 @pytest.fixture
 def stray(tmp_path):
-    """A recording of a digit in the middle of which one event has row 33,014; it does not state its
-    sensor."""
+    """The path of a recording of a digit in a data set. It does not state its sensor, and one event
+    in its middle has row 33,014."""
     events = open_recording(sample_recordings()[3]).read()
     middle = len(events) // 2
     strayed = np.insert(events, middle, events[middle])
@@ -52,16 +52,12 @@ def test_commands_leave_it_out_and_say_so_in_one_line(program, stray, tmp_path, 
 
 def test_info_shows_it_with_a_sensor_and_without(program, stray):
     code, out, err = program("info", stray, "--sensor", "34x34")
-    assert (code, err) == (
-        0,
-        "",
-    ) and "off sensor 1 more events lie off the sensor and are left out" in out
+    assert (code, err) == (0, "")
+    assert "off sensor 1 more events lie off the sensor and are left out" in out
     assert json.loads(program("info", stray, "--sensor", "34x34", "--json")[1])["off_sensor"] == 1
     code, out, err = program("info", stray)
-    assert (code, err) == (
-        0,
-        "",
-    ) and "not stated; events reach 34x34, and strays 34x33015; for hot pixels" in out
+    assert (code, err) == (0, "")
+    assert "not stated; events reach 34x34, and strays 34x33015; for hot pixels" in out
 
 
 def test_evaluate_and_its_records_count_it(program, stray, tmp_path):
@@ -69,11 +65,8 @@ def test_evaluate_and_its_records_count_it(program, stray, tmp_path):
         "evaluate", "digits", stray.parents[1], "--out", tmp_path / "r.jsonl", "--json"
     )
     report = json.loads(out)
-    assert code == 0 and (report["recordings"], report["off_sensor"], report["skipped"]) == (
-        1,
-        1,
-        [],
-    )
+    assert code == 0 and report["skipped"] == []
+    assert (report["recordings"], report["off_sensor"]) == (1, 1)
     assert "1 events lie off the sensor and were left out" in err
     record = json.loads((tmp_path / "r.jsonl").read_text())
     assert (record["error"], record["off_sensor"], record["events"]) == (None, 1, 4_952)

@@ -64,19 +64,20 @@ COMMANDS = {  # nothing that they would read is there: to name it in an error, w
 
 
 def obstacles(path):
-    """Put what must not be replaced at `path`, one after the other; gives what must be as it was,
-    None at the end."""
+    """Put what must not be replaced at `path` and at its `.part`, one after the other.
+
+    Yields the path of each, which must be as it was.
+    """
     path.mkdir()
     yield path
     path.rmdir()
     for place in (path, path.with_name(f"{path.name}.part")):
-        target = path.name if place == path else "precious"
-        for make in (
-            os.mkfifo,
-            lambda place, to=target: place.symlink_to(to),
-            lambda place: place.symlink_to("/dev"),
-        ):
-            make(place)
+        os.mkfifo(place)
+        yield place
+        place.unlink()
+        # a link to itself, and one from .part to a file of somebody
+        for target in (path.name if place == path else "precious", "/dev"):
+            place.symlink_to(target)
             yield place
             place.unlink()
 
@@ -105,7 +106,8 @@ def test_a_writer_replaces_only_files(name, folder):
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_link_stays_and_its_file_is_replaced_with_its_permissions(name, folder):
-    link, real = folder / name, folder / "far" / f"real_{name}"
+    link = folder / name
+    real = folder / "far" / f"real_{name}"
     real.parent.mkdir()
     link.symlink_to(real)  # to nothing yet
     WRITERS[name](link)
@@ -114,11 +116,8 @@ def test_a_link_stays_and_its_file_is_replaced_with_its_permissions(name, folder
     if name != "results.jsonl":  # which goes on with what is there
         real.write_text("before")
     WRITERS[name](link)
-    assert (
-        link.is_symlink()
-        and real.read_bytes() != b"before"
-        and stat.S_IMODE(real.stat().st_mode) == 0o640
-    )
+    assert link.is_symlink() and real.read_bytes() != b"before"
+    assert stat.S_IMODE(real.stat().st_mode) == 0o640
     assert os.listdir(real.parent) == [real.name]
 
 
@@ -140,11 +139,9 @@ def test_a_command_refuses_its_output_before_any_work(name, folder, capsys):
     for obstacle in obstacles(path):
         before = identity(obstacle)
         assert main([str(path) if word == "OUT" else word for word in COMMANDS[name]]) == 2
-        captured = capsys.readouterr()
-        assert (
-            captured.err.count("\n") == 1 and name in captured.err and "nowhere" not in captured.err
-        )
-        assert captured.out == "" and identity(obstacle) == before
+        out, err = capsys.readouterr()
+        assert err.count("\n") == 1 and name in err and "nowhere" not in err
+        assert out == "" and identity(obstacle) == before
     assert [path.name for path in folder.rglob("*") if path.is_file()] == ["precious"]
 
 

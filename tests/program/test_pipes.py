@@ -18,15 +18,19 @@ from async_tnt.sources.files.recording import READERS
 from async_tnt.training.simulated_pictures import check_pictures, find_pictures
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-NOT_REGULAR = "a pipe or a device|no model file|must be a file that can be read|no recordings NAME|no class folders"
+NOT_REGULAR = (
+    "a pipe or a device|no model file|must be a file that can be read|no recordings NAME|"
+    "no class folders"
+)
 
 
 @pytest.fixture
 def pipe(tmp_path):
-    """A named pipe, which must not be opened: whoever does is let go, and found out."""
+    """A named pipe, which must not be opened: a reader is let go, and the test fails."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
-    is_over, opened = threading.Event(), []
+    is_over = threading.Event()
+    opened = []
 
     def let_go():
         while not is_over.wait(0.01):
@@ -45,7 +49,7 @@ def pipe(tmp_path):
 
 
 def readers(folder):
-    """Name of a file -> what reads it."""
+    """Yields the name of a file, and what reads it."""
     yield from ((f"a{suffix}", open_recording) for suffix in READERS)
     yield from ((f"a{suffix}", read_picture) for suffix in SUFFIXES)
     yield from ((f"a{suffix}", load_model) for suffix in (".safetensors", ".onnx", ""))
@@ -64,7 +68,10 @@ def test_pipes_and_devices_are_refused(pipe, link, tmp_path):
     for name, read in readers(tmp_path):
         folder = tmp_path / f"{n}"
         folder.mkdir()
-        (folder / name).symlink_to(pipe) if link else os.link(pipe, folder / name)
+        if link:
+            (folder / name).symlink_to(pipe)
+        else:
+            os.link(pipe, folder / name)
         if name.startswith("a_"):
             np.save(folder / "a.npy", np.zeros((1, 4), np.int64))
         with pytest.raises((OSError, ValueError), match=NOT_REGULAR) as caught:
@@ -87,8 +94,5 @@ def test_training_leaves_a_link_to_a_pipe_out(pipe, tmp_path):
     found = find_pictures(folder.parent)
     good, left_out = check_pictures(found, ["disc"], np.zeros(0, np.int64))
     assert [picture.path.name for picture in good] == ["a.pgm"]
-    assert (
-        len(left_out) == 1
-        and left_out[0].startswith("disc/b.pgm: ")
-        and "a pipe or a device" in left_out[0]
-    )
+    (line,) = left_out
+    assert line.startswith("disc/b.pgm: ") and "a pipe or a device" in line

@@ -19,7 +19,10 @@ from async_tnt.training.simulated_pictures import measure_camera
 EVENTS = open_recording(sample_recordings()[3]).read()
 SENSOR = (34, 34)
 PIXELS = Pixels(sensor=SENSOR)
-START, END = 50_000, 200_000
+START = 50_000
+"""The first microsecond of a part of the events."""
+END = 200_000
+"""The first microsecond behind that part."""
 PART = EVENTS[(EVENTS["t"] >= START) & (EVENTS["t"] < END)]
 SINGLE = ("run", "info", "plot", "view", "check", "mask")
 
@@ -40,29 +43,19 @@ def words_for(command, path, tmp_path):
 
 def answer(program, command, path, tmp_path, *options):
     """Exit code, stderr, and what the command found, without names and times."""
-    code, out, err = program(*words_for(command, path, tmp_path), *options)
-    lines = (
-        [json.loads(line) for line in out.splitlines()]
-        if "--json" in words_for(command, path, tmp_path)
-        else []
-    )
-    for line in lines:
-        for name in (
-            "recording",
-            "format",
-            "bytes",
-            "sensor_stated",
-            "latency_us",
-            "topics",
-            "out",
-        ):
-            line.pop(name, None)
-        line["recordings"] = (
-            list(line["recordings"].values()) if command == "check" else line.get("recordings")
-        )
+    words = words_for(command, path, tmp_path)
+    code, out, err = program(*words, *options)
     if command == "plot" and code == 0:
         return code, err, pixels_below_the_title(tmp_path / "a.png")
-    return code, err, lines or out
+    if "--json" not in words:
+        return code, err, out
+    reports = [json.loads(line) for line in out.splitlines()]
+    for report in reports:
+        for name in ("recording", "format", "bytes", "sensor_stated", "topics", "out"):
+            report.pop(name, None)
+        if command == "check":
+            report["recordings"] = list(report["recordings"].values())
+    return code, err, reports
 
 
 def pixels_below_the_title(path):
@@ -94,7 +87,9 @@ def test_the_topic_of_a_bag_is_chosen_and_several_are_listed(
     program, tmp_path, two_topics, command
 ):
     code, err, _ = answer(program, command, two_topics, tmp_path)
-    assert code == 2 and "several topics have events, choose one by --topic: /left, /right" in err
+    option = "`topic`" if command == "evaluate" else "--topic"
+    assert code == 2
+    assert f"several topics have events, choose one by {option}: /left, /right" in err
     expected = answer(program, command, saved(tmp_path / "all" / "3" / "a.npz", EVENTS), tmp_path)
     assert expected[0] == 0
     assert answer(program, command, two_topics, tmp_path, "--topic", "/left") == expected
@@ -106,13 +101,13 @@ def test_the_order_of_columns_is_stated(program, tmp_path, command):
     path.parent.mkdir(parents=True)
     path.write_bytes(metavision_csv(EVENTS).split(b"\n", 1)[1])
     code, err, _ = answer(program, command, path, tmp_path)
-    assert code == 2 and "look like 'xypt': state their order with --columns" in err
+    option = "`columns`" if command == "evaluate" else "--columns"
+    assert code == 2 and f"look like 'xypt': state their order with {option}" in err
     expected = answer(program, command, saved(tmp_path / "all" / "3" / "a.npz", EVENTS), tmp_path)
     assert answer(program, command, path, tmp_path, "--columns", "xypt") == expected
     code, err, _ = answer(program, command, path, tmp_path, "--columns", "xyz")
-    assert (
-        code == 2 and "--columns must have the letters t, x, y and p, each once, got 'xyz'" in err
-    )
+    assert code == 2
+    assert "--columns must have the letters t, x, y and p, each once, got 'xyz'" in err
 
 
 @pytest.mark.parametrize("command", SINGLE)

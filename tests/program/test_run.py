@@ -15,13 +15,11 @@ SAMPLES = sample_recordings()
 
 def test_it_classifies_the_bundled_samples(program, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    expected = [f"{digit}.bin: {digit}" for digit in range(10)]
     for words in ((), ("samples",)):
-        lines = [
-            line for line in program("run", *words)[1].splitlines() if "mean probability" in line
-        ]
-        assert [line.split(" (")[0] for line in lines] == [
-            f"{digit}.bin: {digit}" for digit in range(10)
-        ]
+        _, printed, _ = program("run", *words)
+        found = [line for line in printed.splitlines() if "mean probability" in line]
+        assert [line.split(" (")[0] for line in found] == expected
     (tmp_path / "samples").mkdir()  # a file or folder of that name comes first
     assert "samples is a folder, expected a recording" in program("run", "samples")[2]
 
@@ -30,20 +28,64 @@ def test_it_classifies_the_bundled_samples(program, tmp_path, monkeypatch):
     ("options", "settings"),
     [
         ("--every-us 20000", {"every_us": 20_000}),
-        ("--start-us 0 --hop-us 52500", {"start_us": 0, "hop_us": 52_500}),
+        ("--start-us 0", {"start_us": 0}),
         ("--every-events 100 --confidence .95", {"every_events": 100, "confidence": 0.95}),
     ],
 )
-def test_options_are_the_settings_of_the_processor(program, options, settings):
-    code, lines, message = program("run", "--json", *options.split(), SAMPLES[7])
+@pytest.mark.parametrize("latency", [[], ["--latency"]], ids=["packets", "single events"])
+def test_options_are_the_settings_of_the_processor(program, options, settings, latency):
+    code, lines, message = program("run", "--json", *options.split(), *latency, SAMPLES[7])
     assert code == 0, message
-    got = [json.loads(line) for line in lines.splitlines()]
     processor = Processor(load_model("digits"), **settings)
     expected = processor.push(open_recording(SAMPLES[7]).read()) + processor.finish()
-    for printed, decision in zip(got, expected, strict=True):
-        assert printed.pop("latency_us") > 0 and printed.pop("recording") == str(SAMPLES[7])
+    triggers = set()
+    assert expected
+    for line, decision in zip(lines.splitlines(), expected, strict=True):
+        printed = json.loads(line)
+        triggers.add(printed["trigger"])
+        assert printed.pop("recording") == str(SAMPLES[7])
+        if latency:
+            assert printed.pop("latency_us") > 0
         assert printed == decision.to_dict()
-    assert expected and ("hop_us" in settings or {d["trigger"] for d in got} - {"window", "end"})
+    assert "start_us" in settings or triggers - {"window", "end"}
+
+
+def test_the_latency_is_a_column(program):
+    _, plain, _ = program("run", SAMPLES[7])
+    _, timed, _ = program("run", SAMPLES[7], "--latency")
+    header, *rows, summary = timed.splitlines()
+    plain_header, *plain_rows, plain_summary = plain.splitlines()
+    assert header.split()[-3:] == ["events", "us", "why"]
+    assert plain_header.split()[-2:] == ["events", "why"]
+    assert summary == plain_summary and len(rows) == len(plain_rows) > 1
+    for row, plain_row in zip(rows, plain_rows, strict=True):
+        *words, latency, why = row.split()
+        assert float(latency) > 0 and [*words, why] == plain_row.split()
+
+
+def test_an_option_is_named_where_its_parameter_is_at_fault(program):
+    """Both a parameter of the stream and one of the decisions."""
+    code, _, err = program("run", SAMPLES[7], "--start-us", -1)
+    assert code == 2 and err.startswith("async-tnt: --start-us must be in [0, 2**62), got -1")
+    code, _, err = program("run", SAMPLES[7], "--model", "digits-everywhere", "--confidence", 0.5)
+    assert code == 2 and err.startswith("async-tnt: --confidence needs one answer for the window")
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_warning_names_its_option(program):
+    code, _, err = program("run", SAMPLES[7], "--every-us", 300_000)
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith("async-tnt: warning: --every-us = 300000 is longer than a window, ")
+
+
+def test_a_field_of_a_file_is_not_taken_for_an_option(program, tmp_path):
+    """The option of that name may be right."""
+    events = open_recording(SAMPLES[7]).read()
+    np.savez(tmp_path / "bad.npz", events=events, sensor=(0, 34))
+    code, _, err = program("run", tmp_path / "bad.npz", "--sensor", "34x34")
+    assert code == 2 and err.count("\n") == 1
+    assert "bad.npz: " in err and " must be two integers (width, height) in " in err
+    assert "--sensor" not in err
 
 
 @pytest.mark.filterwarnings("default")
@@ -90,22 +132,13 @@ def test_the_next_recording_follows_one_whose_library_is_missing(tmp_path, progr
 def test_late_events_are_reported(program):
     n = len(open_recording(SAMPLES[5]).read())
     message = program("run", "--start-us", "200000", SAMPLES[5])[2]
-    assert f" of {n} events were too late and dropped (see --late, --start-us)\n" in message
+    assert f" of {n} events were too late and dropped (see --start-us)\n" in message
 
 
-@pytest.mark.parametrize(
-    ("late", "expected", "message"),
-    [
-        ("accept", 0, ""),
-        ("drop", 0, "1 of 1000 events were too late and dropped"),
-        ("raise", 2, "`t` must not run backwards"),
-    ],
-)
-def test_late_decides_what_happens_to_events_older_than_the_newest_one(
-    late, expected, message, program, tmp_path
-):
+def test_events_older_than_the_newest_one_are_used(program, tmp_path):
     events = open_recording(SAMPLES[5]).read()[:1000]
     events["t"][500] = events["t"][499] - 1
     np.savez(tmp_path / "a.npz", sensor=(34, 34), events=events)
-    code, _, err = program("run", "--late", late, tmp_path / "a.npz")
-    assert code == expected and (message in err if message else err == "")
+    code, out, err = program("run", "--json", tmp_path / "a.npz")
+    assert code == 0 and err == ""
+    assert [json.loads(line)["events"] for line in out.splitlines()] == [1000]

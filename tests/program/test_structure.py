@@ -46,6 +46,20 @@ def imports_of(path, root=PACKAGE.parent):
 IMPORTS = {module: set(imports_of(path)) for module, path in SOURCES.items()}
 
 
+def in_circles(imports):
+    """The names that are in a circle, or import one that is.
+
+    imports : name -> the names that it imports.
+    """
+    left = dict(imports)
+    while True:
+        ends = {name for name, others in left.items() if not others & left.keys()}
+        if not ends:
+            return set(left)
+        for name in ends:
+            del left[name]
+
+
 def test_imports_point_downwards():
     pairs = [
         (module, other) for module, names in IMPORTS.items() for other in names & SOURCES.keys()
@@ -75,10 +89,7 @@ def test_sources_know_nothing_of_what_is_done_with_their_events():
 
 def test_there_is_no_circle():
     plain = {module for module, path in SOURCES.items() if path.name != "__init__.py"}
-    left = {module: IMPORTS[module] & plain for module in plain}
-    while ends := {module for module, others in left.items() if not others & left.keys()}:
-        left = {module: others for module, others in left.items() if module not in ends}
-    assert left == {}
+    assert in_circles({module: IMPORTS[module] & plain for module in plain}) == set()
 
 
 def test_no_folders_import_each_other():
@@ -88,12 +99,11 @@ def test_no_folders_import_each_other():
         for module, path in SOURCES.items()
         if path.name != "__init__.py"
     }
-    left = {folder: set() for folder in folder_of.values()}
+    imports = {folder: set() for folder in folder_of.values()}
     for module, folder in folder_of.items():
-        left[folder] |= {folder_of[name] for name in IMPORTS[module] & folder_of.keys()} - {folder}
-    while ends := {folder for folder, others in left.items() if not others & left.keys()}:
-        left = {folder: others for folder, others in left.items() if folder not in ends}
-    assert left == {}
+        imported = {folder_of[name] for name in IMPORTS[module] & folder_of.keys()}
+        imports[folder] |= imported - {folder}
+    assert in_circles(imports) == set()
 
 
 def test_what_is_installed_does_not_know_the_laboratory():
@@ -142,8 +152,7 @@ def test_messages_tell_how_to_install_extras_that_exist():
 
 def test_the_pages_name_the_release():
     """The newest entry of the changelog, and what a citation names."""
-    changes, citation = (
-        (ROOT / name).read_text(encoding="utf-8") for name in ("CHANGELOG.md", "CITATION.cff")
-    )
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search("^## (.+)$", changes, re.MULTILINE)[1] == async_tnt.__version__
     assert f"\nversion: {async_tnt.__version__}\n" in citation

@@ -1,0 +1,132 @@
+"""The parser of the command line, and the mistakes that it explains in one line."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NoReturn
+
+from async_tnt.base.checks import printable
+
+OPTION_LIKENESS = 0.7
+"""How alike a mistyped option and the one that was meant must be, from 0 to 1, see `difflib`."""
+COMMAND_LIKENESS = 0.6
+"""The same for commands. Options must be more alike, as all begin with two dashes."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports a mistake in one line, as all commands do; `--help` says the rest.
+
+    Attributes
+    ----------
+    commands : name of a command -> the parser of its options.
+    mistyped : a word of the command line, and what it was probably meant to be; None if no word is
+        mistyped. An error says it, too.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.commands: dict[str, Parser] = {}
+        self.mistyped: tuple[str, str] | None = None
+
+    @property
+    def options(self) -> list[str]:
+        """All options, such as "--out"."""
+        return [option for action in self._actions for option in action.option_strings]
+
+    @property
+    def written(self) -> dict[str, str]:
+        """Name of a parameter -> the option that gives it, such as "every_us": "--every-us"."""
+        return {
+            action.dest: action.option_strings[-1]
+            for action in self._actions
+            if action.option_strings
+        }
+
+    def error(self, message: str) -> NoReturn:
+        if self.mistyped is not None:
+            word, meant = self.mistyped
+            if word in message:
+                message = f"{message}; did you mean {meant}?"
+            else:
+                message = f"{message}; {word}: did you mean {meant}?"
+        self.exit(2, f"{self.prog}: {printable(message)} ({self.prog} --help)\n")
+
+
+def refuse_dashes(parser: Parser, argv: Sequence[str]) -> None:
+    """Refuse --option=--, for which argparse gives a command an empty list instead of text."""
+    for word in _before_files(argv):
+        if word.startswith("-") and word.endswith("=--"):
+            option = word.removesuffix("=--")
+            parser.error(f"argument {option}: expected a value, got '--'")
+
+
+def refuse_removed(parser: Parser, argv: Sequence[str], removed: Mapping[str, str]) -> None:
+    """Refuse an option that the version before had, in one line that says what to write instead.
+
+    Parameters
+    ----------
+    removed : option -> what to write instead, such as {"--bins": "write --volume bins=N"}.
+    """
+    for word in _before_files(argv):
+        name = word.partition("=")[0]
+        if name in removed:
+            parser.error(f"{name} is no longer an option: {removed[name]}")
+
+
+def mistyped(
+    words: Sequence[str], options: Sequence[str], commands: Sequence[str] = ()
+) -> tuple[str, str] | None:
+    """Find the first mistyped word: no option, or no command, but nearly one.
+
+    Parameters
+    ----------
+    words : the words of the command line, as they were typed. With `commands`, they may hold a
+        command, and only they and the words before it are looked at.
+    options, commands : the words that are right.
+
+    Returns
+    -------
+    The word, and what it was probably meant to be; None if no word is nearly right.
+
+    Examples
+    --------
+    >>> mistyped(["a.npz", "--modle", "x"], ["--model", "--out"])
+    ('--modle', '--model')
+
+    argparse takes the beginning of an option for the option:
+
+    >>> mistyped(["a.npz", "--mod", "x"], ["--model", "--out"]) is None
+    True
+    """
+    for word in _before_files(words):
+        if _is_option(word):
+            name = word.partition("=")[0]
+            if any(option.startswith(name) for option in options):
+                continue
+            meant = _nearest(name, options, OPTION_LIKENESS)
+            if meant is not None:
+                return name, meant
+        elif commands:
+            # the first such word is the command, and what follows belongs to it
+            meant = None if word in commands else _nearest(word, commands, COMMAND_LIKENESS)
+            return None if meant is None else (word, meant)
+    return None
+
+
+def _before_files(words: Iterable[str]) -> Iterator[str]:
+    """The words up to `--`, which only files follow."""
+    return itertools.takewhile(lambda word: word != "--", words)
+
+
+def _is_option(word: str) -> bool:
+    """Whether a word has the form of an option. A negative number has not."""
+    return len(word) > 1 and word.startswith("-") and not word[1].isdigit()
+
+
+def _nearest(word: str, known: Sequence[str], likeness: float) -> str | None:
+    """The known word that is most like this one; None if none is so alike."""
+    found = difflib.get_close_matches(word.lower(), known, n=1, cutoff=likeness)
+    return found[0] if found else None
