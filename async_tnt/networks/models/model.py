@@ -160,8 +160,10 @@ class Model:
 
     @property
     def logits_shape(self) -> Shape:
-        """The shape of the output: (n_classes,) or (n_classes, 1, 1), or (n_classes + 1, R, C) for a
-        map model."""
+        """The shape of the output.
+
+        It is (n_classes,) or (n_classes, 1, 1); (n_classes + 1, R, C) for a map model.
+        """
         return self._shapes[self.network[CLASSIFIER][-1]["name"]]
 
     @property
