@@ -254,10 +254,10 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def _recover(self) -> None:
-        """Make the state that of a stream which ends at some event of the packet.
+        """Bring the state to that of a stream that ends at some event of the packet.
 
-        Called after any exception, also after Ctrl-C in the middle of a step. After an error of a
-        classifier nothing has to be done.
+        Called after any exception, also after Ctrl-C in the middle of a step. An error of a
+        classifier leaves nothing to be done.
         """
         windows = self._windows
         windows.recover()

@@ -211,6 +211,8 @@ class WindowClassifier:
                 "Model.from_torch(module, config, classes): it failed with "
                 f"{one_line(error)!r}"
             ) from error
+        if logits.ndim == 1:
+            return logits
         if not logits.size:
             return logits.reshape(-1)
         shape = logits_shape(logits.shape)
