@@ -4,7 +4,7 @@ From the events of a window follow the path on which an image moved, and this im
 `moving_image`). The image is moved on another path, and its events are simulated
 (`reconstruction`), by pixels that are found with `calibration`.
 
-`async-tnt train --motions resynthesized` uses it; none of its names is public.
+`async-tnt train` uses it, if its motions are to be re-synthesized. No name of it is public.
 """
 
 TYPE_CHECKING = False
@@ -23,7 +23,7 @@ if not TYPE_CHECKING:  # type checkers would let every name pass
         if name in _INTERNAL:
             raise AttributeError(
                 f"async_tnt.resynthesis.{name} is no longer public: "
-                "`async-tnt train --motions resynthesized` trains with it, and "
+                "`async-tnt train` trains with it, and "
                 f"async_tnt.resynthesis.{_INTERNAL[name]} has it"
             )
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
