@@ -55,7 +55,7 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "streaming.streams": "WindowVolume astream stream volumes",
             "volume.volume": "TNTVolume",
         },
-        renamed={"config": "async_tnt.volume.config"},
+        instead={"config": "it is `async_tnt.volume.config`"},
     )
 
 __all__ = [

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def lazy_names(
-    package: "dict[str, Any]", modules: "dict[str, str]", renamed: "dict[str, str] | None" = None
+    package: "dict[str, Any]", modules: "dict[str, str]", instead: "dict[str, str] | None" = None
 ) -> "tuple[Callable, Callable]":
     """`__getattr__` and `__dir__` of a package.
 
@@ -25,18 +25,18 @@ def lazy_names(
     ----------
     package : the package's `globals()`.
     modules : submodule -> its public names, separated by spaces.
-    renamed : name of an earlier release -> what to write instead. The old name is an
+    instead : public name of the release before -> what to write instead of it. The old name is an
         AttributeError that says so.
     """
     own_name = package["__name__"]
     module_of = {name: module for module, names in modules.items() for name in names.split()}
-    new_name_of = renamed or {}
+    advice = instead or {}
 
     def get(name: str) -> "Any":
         import importlib
 
-        if name in new_name_of:
-            raise AttributeError(f"{own_name}.{name} is now {new_name_of[name]}")
+        if name in advice:
+            raise AttributeError(f"{own_name} has no {name!r} any more: {advice[name]}")
 
         # a name that is not in the table may be a submodule
         module = module_of.get(name, name)

@@ -9,21 +9,17 @@ From the events of a window follow the path on which an image moved, and this im
 
 TYPE_CHECKING = False
 if not TYPE_CHECKING:  # type checkers would let every name pass
-    # public names of version 0.2 -> their modules
-    _INTERNAL = {
-        "Calibration": "calibration",
-        "calibrate": "calibration",
-        "MotionPath": "paths",
-        "MovedImage": "reconstruction",
-        "Reconstruction": "reconstruction",
-        "SimulatedPixels": "reconstruction",
-    }
+    from async_tnt.base.package import lazy_names
 
-    def __getattr__(name):
-        if name in _INTERNAL:
-            raise AttributeError(
-                f"async_tnt.resynthesis.{name} is no longer public: "
-                "`async-tnt train` trains with it, and "
-                f"async_tnt.resynthesis.{_INTERNAL[name]} has it"
-            )
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    __getattr__, __dir__ = lazy_names(
+        globals(),
+        {},
+        instead={
+            "Calibration": "it is in `async_tnt.resynthesis.calibration`",
+            "MotionPath": "it is in `async_tnt.resynthesis.paths`",
+            "MovedImage": "it is in `async_tnt.resynthesis.reconstruction`",
+            "Reconstruction": "it is in `async_tnt.resynthesis.reconstruction`",
+            "SimulatedPixels": "it is in `async_tnt.resynthesis.reconstruction`",
+            "calibrate": "it is in `async_tnt.resynthesis.calibration`",
+        },
+    )

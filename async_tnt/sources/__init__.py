@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 else:
     from async_tnt.base.package import lazy_names
 
-    _public_name, __dir__ = lazy_names(
+    __getattr__, __dir__ = lazy_names(
         globals(),
         {
             "files.off_sensor": "EventsOffSensor",
@@ -66,30 +66,22 @@ else:
             "queues.keep_up": "KeepUp",
             "queues.queue": "PacketQueue",
         },
+        instead={
+            "PackedMask": "give the mask, or the name of its file, to `Pixels(mask=...)`",
+            "PixelSelection": "it is `Pixels`, with the same parameters",
+            "PixelSelector": "`Pixels.filter_of(camera)` gives the filter of a camera",
+            "PixelCounts": "it is in `async_tnt.sources.pixels.pixel_filter`",
+            "count_pixels": "it is in `async_tnt.sources.pixels.hot_pixels`; or use `learn_mask`",
+            "hot_pixels": "it is in `async_tnt.sources.pixels.hot_pixels`; or use `learn_mask`",
+            "QueueCounters": "it is in `async_tnt.sources.queues.queue`",
+            "CameraCounts": "it is in `async_tnt.sources.live.camera_drivers`",
+            "DRIVERS": "it is in `async_tnt.sources.live.camera_drivers`",
+            "NetworkCounts": "it is in `async_tnt.sources.live.udp`",
+            "Decoder": "it is in `async_tnt.sources.live.datagrams`; `open_udp` decodes",
+            "EVENT_BYTES": "it is in `async_tnt.sources.live.datagrams`",
+            "read_nmnist": "`open_recording(path).read()`, or `async_tnt.sources.files.nmnist`",
+        },
     )
-
-    def __getattr__(name):
-        if name in _REMOVED:
-            raise AttributeError(f"async_tnt.sources has no {name!r} any more: {_REMOVED[name]}")
-        return _public_name(name)
-
-
-# Public names of version 0.2, with what to write instead in 0.3. Version 0.4 will not know them.
-_REMOVED = {
-    "PackedMask": "give the mask, or the name of its file, to `Pixels(mask=...)`",
-    "PixelSelection": "it is `Pixels`, with the same parameters",
-    "PixelSelector": "`Pixels.filter_of(camera)` gives the filter of a camera",
-    "PixelCounts": "it is in `async_tnt.sources.pixels.pixel_filter`",
-    "count_pixels": "it is in `async_tnt.sources.pixels.hot_pixels`; `learn_mask` is public",
-    "hot_pixels": "it is in `async_tnt.sources.pixels.hot_pixels`; `learn_mask` is public",
-    "QueueCounters": "it is in `async_tnt.sources.queues.queue`",
-    "CameraCounts": "it is in `async_tnt.sources.live.camera_drivers`",
-    "DRIVERS": "it is in `async_tnt.sources.live.camera_drivers`",
-    "NetworkCounts": "it is in `async_tnt.sources.live.udp`",
-    "Decoder": "it is in `async_tnt.sources.live.datagrams`; `open_udp` decodes",
-    "EVENT_BYTES": "it is in `async_tnt.sources.live.datagrams`",
-    "read_nmnist": "`open_recording(path).read()`, or `async_tnt.sources.files.nmnist`",
-}
 
 __all__ = [
     "READERS",

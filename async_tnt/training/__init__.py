@@ -47,6 +47,13 @@ else:
             "windows": "Windows make_windows",
             "work": "Work",
         },
+        instead={
+            "Dataset": "`dataset_data` returns `TrainingData`",
+            "Evaluation": "it is in `async_tnt.training.evaluation`",
+            "TrainResult": "`fit` returns `Fitted`",
+            "read_dataset": "use `dataset_data`",
+            "train": "use `fit`, which also calibrates the model",
+        },
     )
 
 __all__ = [

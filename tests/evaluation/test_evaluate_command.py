@@ -299,7 +299,7 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     assert code == 0 and report["recordings"] == 4 and report["per_class"]["slanted"] is None
     assert err.count("\n") == 4
     assert err.count("async-tnt: skipped: ") == 4
-    assert "--roi X,Y,128,128 --crop" in err
+    assert "`roi` X,Y,128,128" in err
     for name, why in (
         ("torn.npz", "not a readable NumPy file"),
         ("silent.npz", "no events"),

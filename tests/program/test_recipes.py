@@ -11,7 +11,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
 
-RECIPE = re.compile(r"^(\*\*An? .*?\*\*, such as `\w+`)(.*?)(?=^\*\*|\Z)", re.MULTILINE | re.DOTALL)
+RECIPE = re.compile(
+    r"^(\*\*An? [^*]+\*\*, such as `\w+`)(.*?)(?=^\*\*|\Z)", re.MULTILINE | re.DOTALL
+)
 RECIPES = dict(RECIPE.findall(PAGE))
 """Title of a recipe, with its example -> its text."""
 
