@@ -31,6 +31,7 @@ PARAMETERS = {
     "batch_norm": {"epsilon": 0.5},
     "leaky_relu": {"slope": 0.3},
     "clip": {"low": -0.5, "high": None},
+    "softshrink": {"lambda": 0.3},
     "max_pool": WINDOW,
     "average_pool": WINDOW,
     "sum_pool": WINDOW,

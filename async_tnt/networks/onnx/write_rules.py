@@ -94,6 +94,11 @@ def write_clip(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> N
     made.add("Clip", [*inputs, *limits], name)
 
 
+def write_softshrink(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
+    limit = float(layer["lambda"])
+    made.add("Shrink", inputs, name, lambd=limit, bias=limit)
+
+
 def write_log1p(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
     """log(x + 1)"""
     made.add("Log", [made.add_number(inputs[0], 1.0, f"{name}.sum")], name)
