@@ -109,6 +109,10 @@ def _clip(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     return x.clamp(low, high)
 
 
+def _softshrink(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
+    return F.softshrink(x, layer["lambda"])
+
+
 def _gelu_tanh(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
     return F.gelu(x, approximate="tanh")
 
@@ -203,6 +207,7 @@ OPERATIONS: dict[str, Operation] = {
     "leaky_relu": _leaky_relu,
     "prelu": _prelu,
     "clip": _clip,
+    "softshrink": _softshrink,
     "log1p": _function(torch.log1p),
     "sigmoid": _function(torch.sigmoid),
     "tanh": _function(torch.tanh),

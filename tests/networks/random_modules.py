@@ -141,6 +141,8 @@ class _Builder:
             lambda: lambda m, x: x.clamp(max=high),
             lambda: lambda m, x: x.relu(),
             lambda: self.part(self.pick(*SMOOTH)()),
+            lambda: self.part(nn.Softshrink(self.pick(0.5, 0.0))),
+            lambda: lambda m, x: F.softshrink(x, slope),
             lambda: self.part(nn.GELU(self.pick("none", "tanh"))),
             lambda: lambda m, x: function(x),
             lambda: lambda m, x: torch.log1p(x.clamp(min=0)),

@@ -140,6 +140,10 @@ def _clip(make, source, shape):
     return make.add("clip", [source], low=low, high=make.pick([None, 6, 0.25]))
 
 
+def _softshrink(make, source, shape):
+    return make.add("softshrink", [source], **{"lambda": make.pick([0, 0.25, 1.5])})
+
+
 def _pool(op):
     return lambda make, source, shape: make.add(op, [source], **make.window(shape))
 
@@ -176,6 +180,7 @@ ACTIVATIONS = {
     "leaky_relu": _leaky_relu,
     "prelu": _prelu,
     "clip": _clip,
+    "softshrink": _softshrink,
 }
 """Operation -> how it is drawn."""
 

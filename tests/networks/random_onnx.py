@@ -154,7 +154,9 @@ class _Builder:
 
     def function(self) -> None:
         before = self.value
-        op = self.pick("Sigmoid", "Tanh", "HardSigmoid", "HardSwish", "Gelu", "SiLU", "Log1p")
+        op = self.pick(
+            "Sigmoid", "Tanh", "HardSigmoid", "HardSwish", "Gelu", "SiLU", "Log1p", "Shrink"
+        )
         if op == "SiLU":
             self.node("Sigmoid")
             factor = self.value
@@ -166,6 +168,9 @@ class _Builder:
             self.node("Log")
         elif op == "HardSigmoid":
             self.node(op, **({} if self.chance(0.5) else {"alpha": 1 / 6, "beta": 0.5}))
+        elif op == "Shrink":
+            limit = self.pick(0.5, 0.3, 0.0)
+            self.node(op, lambd=limit, **({} if self.chance(0.5) else {"bias": limit}))
         elif op == "Gelu":
             self.node(op, **({"approximate": "tanh"} if self.pick(True, False) else {}))
         else:
@@ -338,6 +343,7 @@ GAPS = {
     "Flatten": lambda of: of.get("axis", 1) != 1,
     "Reshape": _reshapes_otherwise,
     "HardSigmoid": lambda of: "alpha" not in of.attributes,
+    "Shrink": lambda of: of.get("lambd", 0.5) != of.get("bias", 0.0),
     "Gemm": lambda of: of.get("alpha", 1.0) != 1.0 or of.get("beta", 1.0) != 1.0,
     "BatchNormalization": _trains,
     "Clip": lambda of: any(limit.shape != () for limit in of.constants),

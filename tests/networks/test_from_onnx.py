@@ -83,6 +83,12 @@ REFUSED = [  # nodes, constants, message, opset
         13,
     ),
     (
+        [node("Shrink", lambd=0.25)],
+        {},
+        "(Shrink): lambd 0.25 and bias 0.0, not one number from 0 on, has no compiled form",
+        13,
+    ),
+    (
         [node("BatchNormalization", "x w w w w", training_mode=1)],
         {"w": ONES},
         "(BatchNormalization): a batch",

@@ -31,6 +31,7 @@ PARAMETERS = {
     "batch_norm": {"epsilon": 0.5},
     "leaky_relu": {"slope": 0.3},
     "clip": {"low": -0.5, "high": None},
+    "softshrink": {"lambda": 0.3},
     "max_pool": WINDOW,
     "average_pool": WINDOW,
     "sum_pool": WINDOW,
@@ -39,6 +40,8 @@ PARAMETERS = {
     "depth_to_space": {"block": 2},
 }
 """Operation -> the parameters of its example."""
+WHOLE = {"batch_norm": {"epsilon": 1}, "leaky_relu": {"slope": 2}, "softshrink": {"lambda": 0}}
+"""Operation -> a parameter that is a number, and here a whole one."""
 WEIGHTS = {
     "conv": {"weight": (6, 2, 3, 2), "bias": (6,)},
     "dense": {"weight": (3, 4), "bias": (3,)},
@@ -54,13 +57,16 @@ def layer(op, name, *inputs, **parameters):
     return {"op": op, "name": name, "inputs": list(inputs), **parameters}
 
 
-def example(op):
-    """A network of the operation, between layers that make its input and logits of its output."""
+def example(op, changed=None):
+    """A network of the operation, between layers that make its input and logits of its output.
+
+    `changed` are parameters other than those of `PARAMETERS`.
+    """
     weights = {
         role: np.random.default_rng(0).uniform(0.1, 1.0, shape).astype(np.float32)
         for role, shape in WEIGHTS.get(op, {}).items()
     }
-    parameters = dict(PARAMETERS.get(op, {}))
+    parameters = PARAMETERS.get(op, {}) | (changed or {})
     if weights:
         parameters["weights"] = {role: role for role in weights}
     # the logarithm has numbers above -1 only
@@ -122,10 +128,12 @@ def test_a_name_of_torch_or_onnx_has_one_meaning():
     assert set(onnx_operations.RULES) <= known
 
 
-@pytest.mark.parametrize("op", [op for op in OPERATIONS if op != LANDMARK_ONLY])
-def test_all_forms_of_an_operation_compute_the_same(op):
+@pytest.mark.parametrize(
+    "op, changed", [*((op, {}) for op in OPERATIONS if op != LANDMARK_ONLY), *WHOLE.items()]
+)
+def test_all_forms_of_an_operation_compute_the_same(op, changed):
     """Compiled, in ONNX, and in the reference, whose layers come back as they are."""
-    layers, weights = example(op)
+    layers, weights = example(op, changed)
     reference = tnt_reference.layers.LayerNetwork(layers, weights).double().eval()
     volume = np.random.default_rng(2).normal(size=SHAPE).astype(np.float32)
     with torch.no_grad():

@@ -18,7 +18,7 @@ RECIPES = dict(RECIPE.findall(PAGE))
 """Title of a recipe, with its example -> its text."""
 
 FOUND_BY = {
-    "gelu": r"_?gelu(_tanh)?|\"gelu\"",
+    "gelu": r"(_|write_)?gelu(_tanh)?|\"gelu\"",
     "every_events": r"every_events|\"every_events\"|EVERY_EVENTS|BY_EVENTS",
     "count_time": r"\"count_time\"|COMBINE_NEWEST|count_timestamp_image",
     "aedat": r"Aedat[23]Source",
@@ -42,7 +42,6 @@ USERS = {
 
 ALTERNATIVES = {
     "gelu": {
-        "networks/onnx/write_rules.py",
         "networks/layers/linear.py",
         "networks/layers/pooling.py",
         "networks/layers/joining.py",

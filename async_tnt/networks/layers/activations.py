@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.kernels.network.functions import FUNCTIONS
-from async_tnt.kernels.network.program import FUNCTION
-from async_tnt.networks.layers.layer import FINITE, LIMIT, Layer, Shape
+from async_tnt.kernels.network.program import FUNCTION, SUM
+from async_tnt.networks.layers.layer import FINITE, LIMIT, NOT_NEGATIVE, Layer, Shape
 from async_tnt.networks.layers.operation import (
     Operation,
     StepsRule,
@@ -53,6 +53,17 @@ def _clip_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
     step.low = -np.inf if layer["low"] is None else layer["low"]
     step.high = np.inf if layer["high"] is None else layer["high"]
     return step.output
+
+
+def _softshrink_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
+    """x - clip(x, -lambda, lambda): exactly 0 between the two."""
+    (source,) = inputs
+    limited = made.copy(source, source.like())
+    step = limited.writers[0]
+    step.low = -layer["lambda"]
+    step.high = layer["lambda"]
+    signs = np.outer([1, -1], np.ones(source.channels))
+    return made.add(SUM, [source, limited], source.like(), signs, np.zeros(source.channels))
 
 
 def _function_steps(name: str) -> StepsRule:
@@ -116,6 +127,14 @@ ACTIVATIONS = (
         parameters={"low": LIMIT, "high": LIMIT},
         shape=_clip_shape,
         steps=_clip_steps,
+        flat_maps="kept",
+    ),
+    Operation(
+        name="softshrink",
+        description="x moved towards 0 by lambda, and 0 where |x| is at most lambda.",
+        parameters={"lambda": NOT_NEGATIVE},
+        shape=same_shape,
+        steps=_softshrink_steps,
         flat_maps="kept",
     ),
     _function("log1p", "log(1 + x)."),

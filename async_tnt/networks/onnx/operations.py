@@ -50,6 +50,7 @@ FORMS: dict[str, OnnxForm] = {
     "leaky_relu": OnnxForm({"LeakyRelu": read.leaky_relu}, write.write_leaky_relu),
     "prelu": OnnxForm({"PRelu": read.prelu}, write.write_prelu),
     "clip": OnnxForm({"Clip": read.clip}, write.write_clip),
+    "softshrink": OnnxForm({"Shrink": read.shrink}, write.write_softshrink),
     "log1p": OnnxForm({"Log": read.log}, write.write_log1p),
     "sigmoid": OnnxForm({"Sigmoid": plain_layer("sigmoid")}, plain_node("Sigmoid")),
     "tanh": OnnxForm({"Tanh": plain_layer("tanh")}, plain_node("Tanh")),

@@ -69,14 +69,14 @@ def write_batch_norm(made: OnnxNodes, layer: Layer, inputs: list[str], name: str
     weight = given.get("weight") or made.constant(f"{name}.ones", np.ones(n))
     bias = given.get("bias") or made.constant(f"{name}.zeros", np.zeros(n))
     constants = [weight, bias, given["mean"], given["variance"]]
-    made.add("BatchNormalization", [*inputs, *constants], name, epsilon=layer["epsilon"])
+    made.add("BatchNormalization", [*inputs, *constants], name, epsilon=float(layer["epsilon"]))
 
 
 # -- activations -----------------------------------------------------------------------------------
 
 
 def write_leaky_relu(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
-    made.add("LeakyRelu", inputs, name, alpha=layer["slope"])
+    made.add("LeakyRelu", inputs, name, alpha=float(layer["slope"]))
 
 
 def write_prelu(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
@@ -92,6 +92,11 @@ def write_clip(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> N
         has_limit = layer[side] is not None
         limits.append(made.constant(f"{name}.{side}", layer[side]) if has_limit else "")
     made.add("Clip", [*inputs, *limits], name)
+
+
+def write_softshrink(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
+    limit = float(layer["lambda"])
+    made.add("Shrink", inputs, name, lambd=limit, bias=limit)
 
 
 def write_log1p(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:

@@ -126,6 +126,14 @@ FORMS: dict[str, tuple[TorchForm, ...]] = {
             parameters={**INPLACE, "min_val": 0.0, "max_val": 6.0},
         ),
     ),
+    "softshrink": (
+        TorchForm(
+            rules.softshrink,
+            modules=(nn.Softshrink,),
+            functions=(F.softshrink,),
+            parameters={"lambd": 0.5},
+        ),
+    ),
     "log1p": (
         TorchForm(
             plain_layer("log1p"),

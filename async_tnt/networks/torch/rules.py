@@ -89,6 +89,10 @@ def _clip(made: LayerList, call: Call, low: Any, high: Any) -> str:
     return made.add("clip", call, low=low, high=high)
 
 
+def softshrink(made: LayerList, call: Call) -> str:
+    return made.add("softshrink", call, [call["input"]], **{"lambda": float(call["lambd"])})
+
+
 def gelu(made: LayerList, call: Call) -> str:
     approximate = call["approximate"]
     expect_form(approximate in ("none", "tanh"), f"approximate {approximate!r}")
