@@ -110,7 +110,7 @@ def _clip(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
 
 
 def _softshrink(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:
-    return F.softshrink(x, layer["lambda"])
+    return F.softshrink(x, layer["lambd"])
 
 
 def _gelu_tanh(layer: Layer, weights: Weights, x: torch.Tensor) -> torch.Tensor:

@@ -141,7 +141,7 @@ def _clip(make, source, shape):
 
 
 def _softshrink(make, source, shape):
-    return make.add("softshrink", [source], **{"lambda": make.pick([0, 0.25, 1.5])})
+    return make.add("softshrink", [source], lambd=make.pick([0, 0.25, 1.5]))
 
 
 def _pool(op):

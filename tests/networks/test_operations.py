@@ -31,7 +31,7 @@ PARAMETERS = {
     "batch_norm": {"epsilon": 0.5},
     "leaky_relu": {"slope": 0.3},
     "clip": {"low": -0.5, "high": None},
-    "softshrink": {"lambda": 0.3},
+    "softshrink": {"lambd": 0.3},
     "max_pool": WINDOW,
     "average_pool": WINDOW,
     "sum_pool": WINDOW,
@@ -40,7 +40,7 @@ PARAMETERS = {
     "depth_to_space": {"block": 2},
 }
 """Operation -> the parameters of its example."""
-WHOLE = {"batch_norm": {"epsilon": 1}, "leaky_relu": {"slope": 2}, "softshrink": {"lambda": 0}}
+WHOLE = {"batch_norm": {"epsilon": 1}, "leaky_relu": {"slope": 2}, "softshrink": {"lambd": 0}}
 """Operation -> a parameter that is a number, and here a whole one."""
 WEIGHTS = {
     "conv": {"weight": (6, 2, 3, 2), "bias": (6,)},

@@ -60,8 +60,8 @@ def _softshrink_steps(made: StepList, layer: Layer, inputs: list[Map]) -> Map:
     (source,) = inputs
     limited = made.copy(source, source.like())
     step = limited.writers[0]
-    step.low = -layer["lambda"]
-    step.high = layer["lambda"]
+    step.low = -layer["lambd"]
+    step.high = layer["lambd"]
     signs = np.outer([1, -1], np.ones(source.channels))
     return made.add(SUM, [source, limited], source.like(), signs, np.zeros(source.channels))
 
@@ -132,7 +132,7 @@ ACTIVATIONS = (
     Operation(
         name="softshrink",
         description="x moved towards 0 by lambda, and 0 where |x| is at most lambda.",
-        parameters={"lambda": NOT_NEGATIVE},
+        parameters={"lambd": NOT_NEGATIVE},
         shape=same_shape,
         steps=_softshrink_steps,
         flat_maps="kept",

@@ -195,7 +195,7 @@ def shrink(made: OnnxLayers, node: Node) -> None:
     limit = node.get("lambd", 0.5)
     bias = node.get("bias", 0.0)
     expect_form(limit == bias >= 0, f"lambd {limit} and bias {bias}, not one number from 0 on,")
-    made.add(node, "softshrink", node.inputs[:1], **{"lambda": float(limit)})
+    made.add(node, "softshrink", node.inputs[:1], lambd=float(limit))
 
 
 def log(made: OnnxLayers, node: Node) -> None:

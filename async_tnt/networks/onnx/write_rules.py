@@ -95,7 +95,7 @@ def write_clip(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> N
 
 
 def write_softshrink(made: OnnxNodes, layer: Layer, inputs: list[str], name: str) -> None:
-    limit = float(layer["lambda"])
+    limit = float(layer["lambd"])
     made.add("Shrink", inputs, name, lambd=limit, bias=limit)
 
 

@@ -90,7 +90,7 @@ def _clip(made: LayerList, call: Call, low: Any, high: Any) -> str:
 
 
 def softshrink(made: LayerList, call: Call) -> str:
-    return made.add("softshrink", call, [call["input"]], **{"lambda": float(call["lambd"])})
+    return made.add("softshrink", call, [call["input"]], lambd=float(call["lambd"]))
 
 
 def gelu(made: LayerList, call: Call) -> str:
