@@ -46,6 +46,7 @@ ALTERNATIVES = {
         "networks/layers/pooling.py",
         "networks/layers/joining.py",
     },
+    "aedat": {"sources/files/library_readers.py", "sources/files/worker_source.py"},
 }
 """Example -> files that the recipe names for other ones of its kind."""
 

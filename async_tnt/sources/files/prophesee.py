@@ -30,6 +30,7 @@ from async_tnt.kernels.sources.evt import (
 )
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
+    MAX_SIDE,
     CorruptData,
     ReadOptions,
     Source,
@@ -41,9 +42,6 @@ from async_tnt.volume.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
 """Bytes at the beginning of a file in which its header is looked for."""
-
-MAX_SIDE = 1 << 16
-"""Pixels of the longest side that a header may state."""
 
 CHUNK_BYTES = 1 << 18
 """Bytes of a RAW file that are read together."""

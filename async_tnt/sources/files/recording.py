@@ -2,7 +2,8 @@
 
 Its reader is found by its suffix, and by its first bytes where a suffix can mean several formats. A
 further format is one more entry in `READERS`: its suffix, and a function of a path and
-`ReadOptions` that returns a `Source`.
+`ReadOptions` that returns a `Source`. One whose suffix is there for others has its first bytes in
+`BY_FIRST_BYTES`, and its name in the message of `_open_by_content`.
 """
 
 from __future__ import annotations

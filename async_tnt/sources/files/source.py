@@ -21,6 +21,9 @@ from async_tnt.volume.sensor import Sensor, checked_sensor
 BLOCK_EVENTS = 1 << 16
 """Number of events that are read together."""
 
+MAX_SIDE = 1 << 16
+"""Pixels of the longest side that a file may state."""
+
 ONLY_ASCII = bytes(range(128)) + b"?" * 128
 """Table for `bytes.translate` that replaces what is not ASCII."""
 
@@ -86,6 +89,12 @@ class Topic:
 
 class Source(ABC):
     """The events of one file, block by block. Holds no more than one block in memory.
+
+    What opens a file, mostly the class itself called with (path, options), reads its header alone.
+    A file that cannot be understood is a ValueError of one line, `path: what is wrong`: one that
+    does not begin as the format does, a header that is missing or cut off, a sensor that has not 1
+    to `MAX_SIDE` pixels a side. It is never a `ParameterError`, which is about what the caller
+    says. Damage behind the header is a `CorruptData`, from `blocks`.
 
     Attributes
     ----------

@@ -37,7 +37,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.sources.files.source import CorruptData, ReadOptions, Source, valid_blocks
+from async_tnt.sources.files.source import (
+    MAX_SIDE,
+    CorruptData,
+    ReadOptions,
+    Source,
+    valid_blocks,
+)
 from async_tnt.sources.files.source_error import SourceError
 from async_tnt.volume.event_forms import NAMES, Four, likely_order, the_name
 from async_tnt.volume.sensor import Sensor
@@ -69,9 +75,6 @@ CSV_ORDER = "txyp"
 
 METAVISION_ORDER = "xypt"
 """Order of the columns in a CSV file with a line `%geometry:WIDTH,HEIGHT`."""
-
-MAX_SIDE = 1 << 16
-"""Pixels of the longest side that a file may state."""
 
 MAX_WHOLE = 1 << 53
 """Every whole number below this one is exact in float64."""

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from sources.files.written import (
     FORMATS,
-    IN_WORKER,
     aedat2,
     aedat3,
     dat,
@@ -31,8 +30,6 @@ CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))  # of each format
 SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
 SMALL = (34, 34)
 EVENTS = made_events(12, step_us=300, sensor=SMALL)
-# a file that is cut between two events is a whole one, and nothing can tell
-WHOLE_AGAIN = (".raw", ".dat", ".aedat", ".es", ".txt", ".csv", ".bin")
 # AEDAT 3.1, a time before 0
 NEGATIVE = struct.pack("<hhiiiiiiII", 1, 1, 8, 4, 0, 1, 1, 1, 1, 1 << 31)
 every_format = pytest.mark.parametrize("name", sorted(FORMATS))
@@ -73,7 +70,7 @@ def test_a_file_cut_at_any_byte_gives_its_first_events(tmp_path, name):
     path = written(tmp_path / name, EVENTS, SMALL)
     data = path.read_bytes()
     step = 1
-    if name.endswith(IN_WORKER):
+    if FORMATS[name].in_worker:
         step = len(data) // 3
     elif name.endswith(".npz"):
         step = 7
@@ -91,7 +88,7 @@ def test_a_file_cut_at_any_byte_gives_its_first_events(tmp_path, name):
             assert read(path, strict=True)[0] is None
         else:
             n_silent += 1
-            assert name.endswith(WHOLE_AGAIN) or len(got) == len(EVENTS), (
+            assert FORMATS[name].whole_when_cut or len(got) == len(EVENTS), (
                 f"cut to {size} bytes in silence"
             )
     assert n_silent < len(sizes)
@@ -127,7 +124,7 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
     path = written(tmp_path / name, events, SMALL)
     data = path.read_bytes()
     rng = np.random.default_rng((SEED, *name.encode()))
-    n_cases = max(3, CASES // 100) if name.endswith(IN_WORKER) else CASES
+    n_cases = max(3, CASES // 100) if FORMATS[name].in_worker else CASES
     n_noticed = 0
     for _ in range(n_cases):
         path.write_bytes(damaged(data, rng))

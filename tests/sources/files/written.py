@@ -247,13 +247,19 @@ class Format(NamedTuple):
     """The largest sensor, (width, height)."""
     states_sensor: bool = True
     """Whether a file states its sensor."""
+    whole_when_cut: bool = False
+    """Whether a file that is cut between two events is a whole one, and nothing can tell."""
+    in_worker: bool = False
+    """Whether a file is read in a worker process, which takes a while."""
 
 
-def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True):
+def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True, in_worker=False):
+    """A format whose events end where the file does, wherever that is."""
+
     def write(path, events, sensor=SENSOR):
         path.write_bytes(make(events, sensor))
 
-    return Format(write, largest, states_sensor)
+    return Format(write, largest, states_sensor, whole_when_cut=True, in_worker=in_worker)
 
 
 FORMATS = {
@@ -265,7 +271,7 @@ FORMATS = {
     "legacy.raw": _bytes(lambda events, sensor: evt21(events, sensor, "legacy"), (2048, 2048)),
     "evt3.raw": _bytes(evt3, (2048, 2048)),
     "v2.dat": _bytes(dat, (1 << 14, 1 << 14)),
-    "dvs.es": _bytes(es, (65535, 65535)),
+    "dvs.es": _bytes(es, (65535, 65535), in_worker=True),
     "dvs128.aedat": _bytes(
         lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False
     ),
@@ -282,19 +288,19 @@ FORMATS = {
     "plain.npz": Format(
         lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False
     ),
-    "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
-    "dsec.h5": Format(dsec, states_sensor=False),
-    "rvt.h5": Format(rvt),
-    "metavision.hdf5": Format(metavision),
-    "packets.bag": Format(packets_bag, (2048, 2048)),
-    "packets.db3": Format(packets_bag, (2048, 2048)),
-    "caer.mcap": Format(libcaer_bag, (2048, 2048)),
-    "arrays.bag": Format(array_bag),
-    "arrays.mcap": Format(array_bag),
+    # its pixels have 16 bits, signed
+    "dv.aedat4": Format(by_faery, (32767, 32767), in_worker=True),
+    "dsec.h5": Format(dsec, states_sensor=False, in_worker=True),
+    "rvt.h5": Format(rvt, in_worker=True),
+    "metavision.hdf5": Format(metavision, in_worker=True),
+    "packets.bag": Format(packets_bag, (2048, 2048), in_worker=True),
+    "packets.db3": Format(packets_bag, (2048, 2048), in_worker=True),
+    "caer.mcap": Format(libcaer_bag, (2048, 2048), in_worker=True),
+    "arrays.bag": Format(array_bag, in_worker=True),
+    "arrays.mcap": Format(array_bag, in_worker=True),
 }
-"""File name -> `Format`."""
-IN_WORKER = (".aedat4", ".es", ".h5", ".hdf5", ".bag", ".db3", ".mcap")
-"""Suffixes that are read in a worker process, which takes a while."""
+"""File name -> `Format`. The tests of all formats take a new entry as it is, unless its sensor is
+that of one camera: exceptions stand at the head of test_off_sensor.py and test_stated_sensor.py."""
 
 
 def written(path, events, sensor=SENSOR):
