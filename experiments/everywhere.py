@@ -172,8 +172,10 @@ def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
 def measure(
     model: Model, files: list[Path], n_objects: int, kind: Kind, seed: int = 0
 ) -> dict[str, float]:
-    """F1 at the end and early, over scenes of `n_objects` together. Each recording is shown once,
-    or again when all have been."""
+    """F1 at the end and early, over scenes of `n_objects` together.
+
+    Each recording is shown once, or again when all have been.
+    """
     rng = np.random.default_rng(seed)
     n_scenes = n_objects // kind.n_objects
     n_rounds = -(-n_objects // len(files))

@@ -1,5 +1,6 @@
-"""How many real recordings does a classifier need beside pictures, and without? N-MNIST's Test
-against those of Train.
+"""How many real recordings does a classifier need beside pictures, and without?
+
+N-MNIST's Test against those of Train.
 
     python -m experiments.few_recordings [--nmnist N-MNIST] [--mnist MNIST] [--seeds N]
                                          [--out FOLDER] [--json FILE] [--picture FILE]
@@ -45,8 +46,10 @@ WAYS = {"pictures and recordings": ON, "recordings alone": OFF}
 
 
 def write_set(folder: Path, pictures: Path | None, nmnist: Path, n: int) -> int:
-    """Links to pictures and to the first `n` recordings of each class. Returns how many recordings
-    a class has."""
+    """Links to pictures and to the first `n` recordings of each class.
+
+    Returns how many recordings a class has.
+    """
     counts = []
     for source in sorted(path for path in (nmnist / "Train").iterdir() if path.is_dir()):
         recordings = sorted(source.glob("*.bin"))[:n]

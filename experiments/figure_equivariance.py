@@ -135,8 +135,10 @@ def measure(quick: bool = False) -> dict[str, Any]:
 def _error(
     moved: torch.Tensor, still: torch.Tensor, empty: torch.Tensor, pixels: int, flow: int
 ) -> float:
-    """The error by the best translation of 0 to `flow` pixels. Cells that rolling round the border
-    reaches are left out."""
+    """The error by the best translation of 0 to `flow` pixels.
+
+    Cells that rolling round the border reaches are left out.
+    """
     if not pixels:
         return float((moved - still).norm() / (still - empty).norm())
     most = -(-flow // pixels)

@@ -1,5 +1,6 @@
-"""Does memory grow during a long stream? Resident memory after the first million events and at the
-end.
+"""Does memory grow during a long stream?
+
+Resident memory after the first million events and at the end.
 
     python -m experiments.memory [--events 100000000] [--limit-mb 4]
 

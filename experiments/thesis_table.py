@@ -1,5 +1,7 @@
-"""`python -m experiments.thesis_table`: the thesis' experiment. Train and test its networks, and
-compare them."""
+"""`python -m experiments.thesis_table`: the thesis' experiment.
+
+Train and test its networks, and compare them.
+"""
 
 from __future__ import annotations
 

@@ -111,8 +111,10 @@ def _packets(events: np.ndarray) -> list[np.ndarray]:
 
 
 def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
-    """Nanoseconds an event, over the first windows of all recordings. Opening a window is not
-    timed."""
+    """Nanoseconds an event, over the first windows of all recordings.
+
+    Opening a window is not timed.
+    """
     config = model.config
     regressor = CompiledRegressor(model) if config.needs_regressor else None
     volume = TNTVolume(config, regressor=regressor)

@@ -185,8 +185,9 @@ def _tasks_of(
 def _stream(
     args: argparse.Namespace, tasks: Sequence[Task], run: Run, check: Callable[[Record], object]
 ) -> list[Record]:
-    """All records in order of the recordings' names, with a progress bar. They are written to the
-    file of --out, if that is given.
+    """All records in order of the recordings' names, with a progress bar.
+
+    They are written to the file of --out, if that is given.
 
     Raises
     ------

@@ -121,8 +121,10 @@ def of_windows(model: Model, name: str | Path) -> Model:
 
 
 def _live_or_path(text: str) -> str | Path:
-    """The name of a camera or of a network stream as it is, anything else as a path. An argparse
-    type."""
+    """The name of a camera or of a network stream as it is, anything else as a path.
+
+    An argparse type.
+    """
     return text if is_live(text) else user_path(text)
 
 

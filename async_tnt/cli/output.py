@@ -33,8 +33,10 @@ def note(*lines: str) -> None:
 
 
 def can_print(text: str, stream: TextIO) -> bool:
-    """Whether the encoding of this stream has all these characters. Others are printed as
-    escapes."""
+    """Whether the encoding of this stream has all these characters.
+
+    Others are printed as escapes.
+    """
     try:
         text.encode(getattr(stream, "encoding", None) or "utf-8")
     except UnicodeEncodeError:

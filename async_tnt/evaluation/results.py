@@ -162,8 +162,10 @@ class ResultFile:
         self._add(record)
 
     def finish(self, names: Collection[str]) -> None:
-        """Let the file hold the records of these recordings and no others, in order. It is not
-        written if it holds them already."""
+        """Let the file hold the records of these recordings and no others, in order.
+
+        It is not written if it holds them already.
+        """
         if self._names == sorted(names):
             return
         with replacing(self._out) as part:

@@ -111,8 +111,10 @@ class MovingImage:
 
     @cached_property
     def frequencies(self) -> tuple[np.ndarray, np.ndarray]:
-        """(qx, qy) of all frequencies, in radians per cell. Negative qx are left out, as their
-        values follow from the others."""
+        """(qx, qy) of all frequencies, in radians per cell.
+
+        Negative qx are left out, as their values follow from the others.
+        """
         rows, columns = self.shape
         return 2 * np.pi * np.fft.rfftfreq(columns), 2 * np.pi * np.fft.fftfreq(rows)
 

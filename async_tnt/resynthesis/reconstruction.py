@@ -54,8 +54,10 @@ class SimulatedPixels:
     scale: float = 1.0
 
     def draw(self, rng: np.random.Generator) -> PixelModel:
-        """The pixels of one window. `rng` draws thresholds and refractory time, which vary from
-        window to window."""
+        """The pixels of one window.
+
+        `rng` draws thresholds and refractory time, which vary from window to window.
+        """
         scale = self.scale * np.exp(THRESHOLD_SPREAD * rng.standard_normal())
         spread = rng.uniform(1 - REFRACTORY_SPREAD, 1 + REFRACTORY_SPREAD)
         return PixelModel(

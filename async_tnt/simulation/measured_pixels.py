@@ -47,8 +47,10 @@ class MeasuredPixels:
 
 
 def part_of(window: Columns, window_us: int, span: int = 1) -> Columns:
-    """The events of `span` windows with `window` in their middle. Times are since the start of the
-    first of these windows."""
+    """The events of `span` windows with `window` in their middle.
+
+    Times are since the start of the first of these windows.
+    """
     t, x, y, p = window
     before_us = (span - 1) // 2 * window_us
     first, last = np.searchsorted(t, (-before_us, window_us + before_us))

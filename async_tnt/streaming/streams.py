@@ -103,8 +103,9 @@ def astream(
     finish: bool = True,
     **settings: Unpack[Settings],
 ) -> AsyncIterator[Decision]:
-    """`stream` for an asynchronous `source`. The classifier runs in the event loop, for
-    microseconds at a time.
+    """`stream` for an asynchronous `source`.
+
+    The classifier runs in the event loop, for microseconds at a time.
 
     `model`, `finish` and `settings` are those of `stream`.
 

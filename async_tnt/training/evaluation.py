@@ -62,8 +62,10 @@ class Evaluation:
 
     @property
     def recording_confusion(self) -> np.ndarray:
-        """(n_classes, n_classes): recordings by true class (row) and decided class (column). The
-        mean of its windows' probabilities decides a recording."""
+        """(n_classes, n_classes): recordings by true class (row) and decided class (column).
+
+        The mean of its windows' probabilities decides a recording.
+        """
         return confusion_by_recording(self.complete, self.windows)
 
     @property

@@ -78,8 +78,11 @@ def transform_words(config: TNTConfig) -> str:
 
 
 def _draw_events(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
-    """Draw events as dots. Time goes to the right, x into the depth, y downwards: what the sensor
-    sees, in a row of moments."""
+    """Draw events as dots.
+
+    Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of
+    moments.
+    """
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     size = 3.0 * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)

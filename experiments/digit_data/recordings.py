@@ -105,8 +105,10 @@ def simulate_recordings(
 
 
 def recording_numbers(names: Iterable[str]) -> list[int]:
-    """The numbers in names of N-MNIST's recordings: `3/00001.bin` is number 1. Names without a
-    number are left out."""
+    """The numbers in names of N-MNIST's recordings: `3/00001.bin` is number 1.
+
+    Names without a number are left out.
+    """
     stems = [Path(name).stem for name in names]
     return [int(stem) for stem in stems if stem.isdigit()]
 

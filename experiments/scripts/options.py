@@ -59,8 +59,10 @@ def picture_parser(name: str, description: str | None) -> argparse.ArgumentParse
 def script_parser(
     name: str, description: str | None, quick: str, *, draws: bool = False
 ) -> argparse.ArgumentParser:
-    """`plain_parser` with --quick and --json. If the command draws, it has --picture and --from,
-    too."""
+    """`plain_parser` with --quick and --json.
+
+    If the command draws, it has --picture and --from, too.
+    """
     parser = plain_parser(name, description)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
     add_json(parser)
@@ -148,8 +150,10 @@ def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100)
 
 
 def exit_with(main: Callable[[], int]) -> NoReturn:
-    """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130
-    Ctrl-C."""
+    """Run a command and end the process with its exit code.
+
+    Errors are one line: 2 bad input, 130 Ctrl-C.
+    """
 
     def show(message: Warning | str, *where: Any, **more: Any) -> None:
         _print_line(f"warning: {message}")

@@ -55,8 +55,10 @@ WAYS = {
 
 def draw_decisions(report: dict[str, Any]) -> Figure:
     """Two panels on one logarithmic axis: the network alone, and from a packet to the decision.
+
     Medians and quartiles in blocks, lines named at their ends; medians from call to call are
-    hollow."""
+    hollow.
+    """
     figure = new_figure(4.8)
     left = axes_at(figure, 0.73, 0.82, 3.02, 3.07)
     right = axes_at(figure, 5.67, 0.82, 2.7, 3.07, sharey=left)

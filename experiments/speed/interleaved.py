@@ -35,8 +35,10 @@ class Backend(Protocol):
     """Makes decisions at moments in order of time."""
 
     def prepare(self, moment: Moment) -> None:
-        """Not timed. The previous call was for this moment's `before`, or the moment is that
-        itself."""
+        """Not timed.
+
+        The previous call was for this moment's `before`, or the moment is that itself.
+        """
 
     def decide(self) -> np.ndarray | None:
         """Timed. Returns the logits; None if they cannot be compared."""

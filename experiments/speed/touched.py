@@ -56,8 +56,10 @@ def _count(model: Model, block: list[Any]) -> list[dict[str, int]]:
 
 
 def _counted(network: CompiledClassifier) -> dict[str, int]:
-    """Places computed by the last call, by layer, and multiplications. Of a layer in parts, those
-    of its first."""
+    """Places computed by the last call, by layer, and multiplications.
+
+    Of a layer in parts, those of its first.
+    """
     places: dict[str, int] = {}
     work = work_of(network)
     for step, n in work:

@@ -26,8 +26,10 @@ EFFECT = ("trained_on", "row", "effect")
 
 
 def merged(there: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """The record `there` with the results of `new`; neither is changed. Its settings and machine
-    are those of `new`."""
+    """The record `there` with the results of `new`; neither is changed.
+
+    Its settings and machine are those of `new`.
+    """
     record = {**there, **new}
     record |= {name: {**there[name], **new[name]} for name in BY_NAME}
     for row in there["rows"].keys() & new["rows"].keys():

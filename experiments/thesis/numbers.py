@@ -141,8 +141,9 @@ def differences(right: Right) -> list[dict[str, Any]]:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Adjusted p of several hypotheses (S. Holm 1979): those below a level are rejected together at
-    that level.
+    """Adjusted p of several hypotheses (S.
+
+    Holm 1979): those below a level are rejected together at that level.
 
     Examples
     --------

@@ -1,5 +1,6 @@
-"""The thesis' experiment: which networks are trained, how, and which of them are compared. All was
-set beforehand.
+"""The thesis' experiment: which networks are trained, how, and which of them are compared.
+
+All was set beforehand.
 
 A row is one way from events to a network's input, and what it is trained on. All rows share the
 network and the optimizer. Besides the thesis' own three rows, the comparison crosses

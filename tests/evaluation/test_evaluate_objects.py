@@ -78,8 +78,10 @@ def write_boxes(path, rows=TRUTH):
     "write, name", [(write_points, "a_td_objects.csv"), (write_boxes, "a_bbox.npy")]
 )
 def test_counts_by_hand(folder, saved, program, write, name):
-    """At 6000 three objects are there and three are found, two of them rightly. After .3 of the
-    window one is found. At 9900 one is there and found."""
+    """At 6000 three objects are there and three are found, two of them rightly.
+
+    After .3 of the window one is found. At 9900 one is there and found.
+    """
     write(folder / name)
     code, out, _ = program("evaluate", saved, folder, "--json")
     report = json.loads(out)

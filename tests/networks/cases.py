@@ -1,5 +1,7 @@
-"""The networks that the laws of this folder hold for, each with its configuration. Another network
-is one line more."""
+"""The networks that the laws of this folder hold for, each with its configuration.
+
+Another network is one line more.
+"""
 
 from __future__ import annotations
 

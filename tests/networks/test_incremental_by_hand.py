@@ -141,8 +141,10 @@ def overflowing(**settings) -> list[Processor]:
     ],
 )
 def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size):
-    """Its later events are not: pushed again, the stream continues there. After the next event,
-    which cancels it, the stream is as without both."""
+    """Its later events are not: pushed again, the stream continues there.
+
+    After the next event, which cancels it, the stream is as without both.
+    """
     loud = [4, 9, 700, 1303]
     k = np.arange(1500)
     events = events_of(100 + k, k % 3, (k + 1) % 3, [1] * 1500)  # quiet ones, at the upper left

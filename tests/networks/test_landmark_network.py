@@ -1,5 +1,7 @@
-"""The compiled landmark network by hand. Against the torch reference:
-test_volume_equals_reference.py."""
+"""The compiled landmark network by hand.
+
+Against the torch reference: test_volume_equals_reference.py.
+"""
 
 import numpy as np
 import pytest

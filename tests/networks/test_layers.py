@@ -263,8 +263,10 @@ def test_small_networks_by_hand():
 
 
 def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
-    """Many such maps take more memory than the layers say. A program that is made knows so before
-    it takes any."""
+    """Many such maps take more memory than the layers say.
+
+    A program that is made knows so before it takes any.
+    """
     many = [{**chain(conv())[0], "name": f"map {k}"} for k in range(12)]
     layers = [
         *many,

@@ -142,8 +142,10 @@ def test_objects_by_hand():
 
 
 def test_a_call_with_an_array_changes_no_later_objects():
-    """The array comes before the first volume, and between two. One of the models shows objects
-    without any event."""
+    """The array comes before the first volume, and between two.
+
+    One of the models shows objects without any event.
+    """
     model = map_model()
     seeing = {**model.weights, "nothing.bias": np.float32([-1.0])}
     for tested in (model, replace(model, weights=seeing)):

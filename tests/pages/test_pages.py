@@ -40,8 +40,10 @@ NEEDS = {
 
 
 def sections(page):
-    """(title, text) of each section: what follows a heading of the second level. The text before
-    the first one has the title ""."""
+    """(title, text) of each section: what follows a heading of the second level.
+
+    The text before the first one has the title "".
+    """
     before, *rest = re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return [("", before), *(part.split("\n", 1) for part in rest)]
 

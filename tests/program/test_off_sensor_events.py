@@ -12,8 +12,10 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 @pytest.fixture
 def stray(tmp_path):
-    """The path of a recording of a digit in a data set. It does not state its sensor, and one event
-    in its middle has row 33,014."""
+    """The path of a recording of a digit in a data set.
+
+    It does not state its sensor, and one event in its middle has row 33,014.
+    """
     events = open_recording(sample_recordings()[3]).read()
     middle = len(events) // 2
     strayed = np.insert(events, middle, events[middle])

@@ -150,8 +150,11 @@ def test_an_image_of_counts_and_times_leaves_out_what_is_outside_its_window():
 
 
 def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
-    """Cells have 10 x 5 pixels. The upper left one has ON events at (2, 1), twice, then at (4, 2),
-    and an OFF event at (4, 1)."""
+    """Cells have 10 x 5 pixels.
+
+    The upper left one has ON events at (2, 1), twice, then at (4, 2), and an OFF event at (4,
+    1).
+    """
     events = [(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]
     t, x, y, p = np.array(events).T
     at = dict(start_us=0, window_us=100, sensor=(20, 10), grid=(2, 2))

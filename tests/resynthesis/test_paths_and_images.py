@@ -153,8 +153,10 @@ def side_by_side(rng, net, other):
 
 
 def test_two_objects_that_move_oppositely_have_no_path(reconstruction):
-    """One would be explained with the opposite contrast. Two that move together have a path:
-    theirs."""
+    """One would be explained with the opposite contrast.
+
+    Two that move together have a path: theirs.
+    """
     rng = np.random.default_rng(3)
     angle = rng.uniform(0, 2 * np.pi, 40)
     length = rng.uniform(2, 6, 40)

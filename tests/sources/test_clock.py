@@ -1,5 +1,6 @@
-"""The rule for clocks, once: jumps are dropped until eight packets agree, and times continue. UDP
-applies it.
+"""The rule for clocks, once: jumps are dropped until eight packets agree, and times continue.
+
+UDP applies it.
 
 That cameras do, too, is in test_cameras.py.
 """

@@ -153,8 +153,10 @@ def recording(times_us, pixels=None):
 
 
 def test_what_differs_only_outside_of_the_region_or_is_late_is_left_out_by_event(tmp_path):
-    """Events older than their recording's first one are late; the others are sorted. In files or in
-    memory."""
+    """Events older than their recording's first one are late; the others are sorted.
+
+    In files or in memory.
+    """
     folder = tmp_path / "set"
     store = tmp_path / "store"
     store.mkdir()

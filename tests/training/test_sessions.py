@@ -1,5 +1,7 @@
-"""Sessions: long recordings, and tables of which part shows which class. They are cut as if each
-part were a file."""
+"""Sessions: long recordings, and tables of which part shows which class.
+
+They are cut as if each part were a file.
+"""
 
 import json
 

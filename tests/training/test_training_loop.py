@@ -188,8 +188,10 @@ def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_p
 
 @pytest.mark.parametrize("landmark", ["running", "regressor"])
 def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
-    """Bit for bit. 72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the
-    next."""
+    """Bit for bit.
+
+    72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the next.
+    """
     config = CONFIG.replace(landmark=landmark)
     settings = TrainSettings(epochs=50, iterations=8, batch=32, seed=5)
     whole = train(config, windows, windows[:6], settings, tmp_path / "whole")

@@ -61,8 +61,10 @@ def made(windows, tmp_path_factory):
 
 
 def test_a_damaged_description_of_the_motions_is_named(windows, made, tmp_path):
-    """Whatever is in it: a value of another type, or one that nobody writes. What is read can be
-    used."""
+    """Whatever is in it: a value of another type, or one that nobody writes.
+
+    What is read can be used.
+    """
     folder = tmp_path / "motions"
     shutil.copytree(made[1], folder)
     manifest = folder / "motions.json"

@@ -184,8 +184,10 @@ def is_open(port):
 
 @contextlib.contextmanager
 def viewer_that_writes(out):
-    """In place of a window it writes what it receives. Yields the process, which leads a group, and
-    its URL."""
+    """In place of a window it writes what it receives.
+
+    Yields the process, which leads a group, and its URL.
+    """
     rerun = rerun_program()
     if rerun is None:
         pytest.skip("no program `rerun` beside this Python")

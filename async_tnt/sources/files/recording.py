@@ -317,8 +317,10 @@ def open_recording(
     topic: str | None = None,
     off_sensor: OffSensor | None = None,
 ) -> Recording:
-    """Open a recording. Its format is known by its suffix, or by its first bytes where the suffix
-    may mean several (`READERS`).
+    """Open a recording.
+
+    Its format is known by its suffix, or by its first bytes where the suffix may mean several
+    (`READERS`).
 
     Parameters
     ----------

@@ -74,8 +74,9 @@ class BackgroundReader(PacketQueue):
         self._thread.start()
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """Discard waiting packets, end the loop over this reader, and stop the thread. May be
-        called again.
+        """Discard waiting packets, end the loop over this reader, and stop the thread.
+
+        May be called again.
 
         A thread that waits in the source stops at the source's next packet, unless `on_close` wakes
         it.

@@ -141,8 +141,10 @@ DAVIS = [(346, 260), (240, 180), (208, 192), (640, 480)]
 
 @pytest.mark.parametrize("size", DAVIS)
 def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts(tmp_path, size):
-    """As v2e writes them. The addresses are not those of a DVS128, and a DVS128's are taken as they
-    are."""
+    """As v2e writes them.
+
+    The addresses are not those of a DVS128, and a DVS128's are taken as they are.
+    """
     path = tmp_path / "v2e.aedat"
     events = made_events(500, sensor=size)
     path.write_bytes(aedat2(events, size, "", size))

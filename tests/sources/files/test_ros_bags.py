@@ -1,5 +1,7 @@
-"""Bags of ROS: messages by hand, which topic is read, what is refused. The laws of all formats hold
-for them, too."""
+"""Bags of ROS: messages by hand, which topic is read, what is refused.
+
+The laws of all formats hold for them, too.
+"""
 
 import numpy as np
 import pytest

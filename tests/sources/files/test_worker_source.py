@@ -15,8 +15,10 @@ from async_tnt.sources.files.worker_source import WorkerSource
 
 
 def misbehaving(path):
-    """A reader as libraries are with damaged files. The file has two words: what to do to this
-    process before, and what after the sensor and two events.
+    """A reader as libraries are with damaged files.
+
+    The file has two words: what to do to this process before, and what after the sensor and two
+    events.
     """
     with open(path) as file:
         first, later = file.read().split()
