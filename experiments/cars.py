@@ -319,7 +319,8 @@ def main(argv: list[str] | None = None) -> int:
         report: dict[str, Any] = {}
         for name in args.recipes:
             found = measure(args.folder, args.out, name, args.seeds)
-            report = earlier_report(args, report)  # as another run may have left it
+            # Another run may have changed the file in the meantime.
+            report = earlier_report(args, report)
             report = with_earlier(found, report, list(RECIPES)) if report else found
             write_outputs(args, report)  # before the next recipe's hours
         return report

@@ -153,20 +153,22 @@ def noise(kind: Kind, rng: np.random.Generator) -> np.ndarray:
 
 
 def counts(objects: Any, truth: Truth, within: float) -> np.ndarray:
-    """How many objects were found where one of their class is, how many were found, and how many
-    there are."""
-    left = list(truth)
+    """How many objects were found right, how many were found, and how many are there.
+
+    A found object is right if an object of its class is near enough. Each object that is there
+    makes at most one found object right.
+    """
+    not_found = list(truth)
     objects = [found for found in objects if found.label != NO_OBJECT]
     for found in objects:
-        distances = {
-            one: float(np.hypot(one[1] - found.x, one[2] - found.y))
-            for one in left
-            if one[0] == found.label
-        }
-        nearest = min(distances, key=lambda one: distances[one], default=None)
+        distances = {}
+        for label, x, y in not_found:
+            if label == found.label:
+                distances[label, x, y] = float(np.hypot(x - found.x, y - found.y))
+        nearest = min(distances, key=lambda there: distances[there], default=None)
         if nearest is not None and distances[nearest] <= within:
-            left.remove(nearest)
-    return np.array([len(truth) - len(left), len(objects), len(truth)])
+            not_found.remove(nearest)
+    return np.array([len(truth) - len(not_found), len(objects), len(truth)])
 
 
 def measure(

@@ -166,7 +166,7 @@ def times(model: Model, n_moments: int) -> dict[str, Any]:
         for k in range(n_moments):
             of_moment = events[A_WINDOW * k : A_WINDOW * (k + 1)]
             decide(followed)(of_moment[:299])
-            # as in a stream: a dense pass before would have emptied the caches
+            # This decision is not timed. It fills the caches again, which a dense pass has emptied.
             decide(followed)(of_moment[299].item())
             timed("one event", decide(followed), of_moment[300].item())
             timed("1,000 events", decide(followed), of_moment[301:1301])

@@ -95,8 +95,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _recordings_for(sensor: Sensor) -> tuple[list[np.ndarray], str]:
-    """Events of the bundled samples, spread over the sensor if that is another; and words that say
-    which of both."""
+    """The events of the bundled samples, and a description of them.
+
+    If the sensor has another size than the samples, their events are spread over it.
+    """
     recordings = [open_recording(path).read() for path in sample_recordings().values()]
     if sensor == SAMPLE_SENSOR:
         return recordings, "bundled samples"

@@ -155,7 +155,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _how_to_run(args: argparse.Namespace) -> Run:
-    """The function that streams the recordings, by the options.
+    """The function that streams the recordings, as the options ask for it.
 
     Raises
     ------

@@ -48,7 +48,7 @@ def run_all(
         yield from map(function, tasks)
         return
     waiting = list(reversed(tasks))
-    team: dict[Any, tuple[Worker, Task]] = {}  # by pipe
+    team: dict[Any, tuple[Worker, Task]] = {}  # the workers and their tasks, by pipe
 
     def submit(worker: Worker) -> None:
         task = waiting.pop()
@@ -174,7 +174,8 @@ def _connected(address: str) -> Iterator[Any]:
             # first: a client that cannot read it says so once more when Python ends
             get_address_host_port(address)
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
-        except Exception as error:  # of many types, depending on what is wrong with the address
+        # The type of the error depends on what is wrong with the address.
+        except Exception as error:
             raise ConnectionError(
                 f"no Dask scheduler answers at {address!r}; expected the address that "
                 f"`dask scheduler` prints, such as tcp://10.0.0.1:8786 ({one_line(error)})"

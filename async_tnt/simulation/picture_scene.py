@@ -279,7 +279,8 @@ def _posed(
 
     Returns
     -------
-    Light times cover, and cover: float64, (h, w) each.
+    light : float64, (h, w): the object's light times its cover.
+    cover : float64, (h, w): which share of each place the object covers.
     """
     from PIL import Image
 

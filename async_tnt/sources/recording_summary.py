@@ -71,7 +71,7 @@ def summarize(
 
     Parameters
     ----------
-    path : of any format that `open_recording` knows.
+    path : a file of any format that `open_recording` knows.
     sensor : (width, height), where the file does not state it.
     reading : other options of `open_recording`.
 

@@ -571,16 +571,17 @@ class Processor(TriggerAttributes):
         is_direct = not overlap and self._accepts_late
         self._direct_volume: TNTVolume | None = self._windows.oldest if is_direct else None
         self._by_event = settings.by_event
-        # with both, time would have to pass for several windows at once
+        # With both, time would have to pass for several windows at once.
         by_time_and_overlap = overlap and settings.every_us is not None
         self._in_stretches = self._classifier.decides_in_stretches and not by_time_and_overlap
 
     @one_at_a_time
     def save_state(self) -> bytes:
-        """The stream as it is now, without classifier and regressor.
+        """The state of the stream as bytes, without the classifier and the regressor.
 
-        It is much smaller than a pickle of the Processor. `from_state` continues it, bit for bit,
-        in any process of the same release. It is a pickle, too: load none that you do not trust.
+        The state is much smaller than a pickle of the Processor. `from_state` continues the stream,
+        bit for bit, in any process of the same release. The state is a pickle, too: do not load a
+        state that you do not trust.
         """
         networks = named_networks(self.classifier, self._windows.regressor)
         return dump_state(super().__getstate__(), networks)

@@ -34,7 +34,7 @@ class RestartWatch:
 
     Attributes
     ----------
-    on_restart : as given.
+    on_restart : the parameter.
     looks_at_all : whether every packet is to be looked at, not only one that begins with a late
         event.
     waiting : copies of the newest packets while all their events are behind: they may be the first
@@ -62,8 +62,8 @@ class RestartWatch:
 
         Parameters
         ----------
-        columns : at least one event.
-        newest_us : time of the newest event before them, in microseconds; -1: there was none.
+        columns : the packet's events, at least one.
+        newest_us : time of the newest event before the packet, in microseconds; -1: there was none.
         n_events : events in the open window.
 
         Returns

@@ -74,7 +74,7 @@ def stream(
     ['3', '3', '3']
     """
     _check_source(source)
-    # not in the generator: errors come before the first event
+    # Made here and not in the generator, so that errors come before the first event.
     processor = as_processor(model, **settings)
     return _stream(source, processor, finish)
 
@@ -116,7 +116,7 @@ def astream(
     if not hasattr(source, "__aiter__"):
         got = f"{type(source).__name__}; `stream` takes iterables that are not"
         raise ParameterTypeError("source", "must be asynchronous", got)
-    # not in the generator: errors come before the first event
+    # Made here and not in the generator, so that errors come before the first event.
     processor = as_processor(model, **settings)
     return _astream(source, processor, finish)
 
@@ -183,7 +183,7 @@ def volumes(
         return [0.0]
 
     settings["classifier"] = keep
-    # not in the generator: errors come before the first event
+    # Made here and not in the generator, so that errors come before the first event.
     decisions = stream(_pieces(source, decoder), config, **settings)
     return (
         WindowVolume(waiting.pop(0), decision.window_start_us, decision.events)

@@ -103,7 +103,7 @@ class BatchVolumes:
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
-        """The first arguments of both kernels."""
+        """The arguments that `window_volumes` and `landmark_gradients` begin with."""
         recordings = windows.recordings
         first = recordings.offsets[windows.recording]
         end = recordings.offsets[windows.recording + 1]

@@ -312,7 +312,7 @@ def _notes_of_volume(
 ) -> list[str]:
     """What the data set decided of the volume, and how its pictures were recorded.
 
-    events_a_pixel : of an active pixel in a window; None: it decided nothing.
+    events_a_pixel : mean number of events of an active pixel in a window; None: it decided nothing.
     """
     notes = []
     if config.window_us != choice.config.window_us:

@@ -227,8 +227,8 @@ def _read_all(
             try:
                 writer.add(reader.read(file, label), label, file.name)
             except _LeftOut as error:
-                # by name, not by path: the reason goes into the model's record, which may be
-                # published
+                # The reason goes into the model's record, which may be published. So it has the
+                # file's name, but not its path.
                 left_out.append((label, str(error).replace(str(file.path), file.name)))
             bar.update()
         return writer.finish(), left_out

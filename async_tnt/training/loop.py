@@ -335,7 +335,8 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
     shares = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
-    rng.shuffle(shares)  # which class gets one more
+    # Some classes get one more than others; which ones is drawn at random.
+    rng.shuffle(shares)
     chosen = []
     for places, share in zip(members, shares, strict=True):
         n_rounds = -(-int(share) // len(places))
@@ -350,7 +351,7 @@ def _is_fast_at_bfloat16(device: str) -> bool:
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     try:
         words = Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
-    except OSError:  # not Linux
+    except OSError:  # other systems than Linux have no such file
         return False
     return not {"amx_bf16", "avx512_bf16", "bf16"}.isdisjoint(words)
 

@@ -43,9 +43,9 @@ class Pipeline(nn.Module):
     Parameters
     ----------
     config : how events become volumes.
-    classifier : (N, C, H, W), volumes -> (N, n_classes), logits.
-    regressor : with landmark `regressor`: (N, C, H, W), raw volumes -> (N, 2), landmarks in grid
-        pixels.
+    classifier : module from volumes (N, C, H, W) to logits (N, n_classes).
+    regressor : module from raw volumes (N, C, H, W) to landmarks (N, 2) in grid pixels; only with
+        landmark `regressor`.
     scale, raw_scale : factors of the classifier's and of the regressor's input.
     """
 
@@ -182,7 +182,7 @@ def check_network(
     Parameters
     ----------
     name : see `build_network`.
-    config : of the volumes that it takes.
+    config : configuration of the volumes that the network takes.
     n_classes : number of classes.
     everywhere : whether it is to compute a map.
 

@@ -111,9 +111,9 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
 
     Parameters
     ----------
-    folder : for the files of the columns, which are then mapped into memory: 9 bytes an event. The
-        files have no names, so they are gone with the program, however it ends. None: the columns
-        are in memory.
+    folder : the folder where the columns are written to files, 9 bytes an event. The files are
+        mapped into memory. They have no names, so they are gone with the program, however it ends.
+        None: the columns are in memory.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -141,7 +141,7 @@ class RecordingsWriter(contextlib.AbstractContextManager["RecordingsWriter"]):
         ----------
         events : structured array of `EVENT_DTYPE`.
         label : index of its class.
-        name : for messages and reports.
+        name : its name in messages and reports.
 
         Raises
         ------

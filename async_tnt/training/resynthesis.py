@@ -96,7 +96,7 @@ def resynthesize(
     training, held_out : windows as recorded; the latter may be empty.
     config : how events become volumes; only its sensor and the window's length are used.
     settings : how many motions are made.
-    folder : for the files; made if missing.
+    folder : the folder of the files; made if missing.
     masked : bool, (H, W): pixels whose events are left out, as they are of the recordings; None: no
         pixel.
     workers : number of processes.

@@ -41,7 +41,8 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     """
     import torch
 
-    # as an error of writing the file itself, such as a full disk, torch raises a RuntimeError
+    # If torch cannot write a file, as on a full disk, it raises a RuntimeError. So it writes into
+    # memory, and the file is written here.
     content = io.BytesIO()
     torch.save(dict(state), content)
     with replacing(run_folder / CHECKPOINT) as part:
@@ -78,7 +79,8 @@ def load_checkpoint(run_folder: Path, known: Mapping[str, Any]) -> dict[str, Any
             state: dict[str, Any] = torch.load(file, weights_only=True, map_location="cpu")
             written = state["identity"]["format"]
         except Exception as error:  # a damaged archive surfaces as any of a dozen types
-            kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
+            # The error's text is not repeated: torch's advises loading the file unsafely.
+            kind = type(error).__name__
             raise ValueError(
                 f"{path} is not a readable checkpoint ({kind}); remove it to start again"
             ) from error

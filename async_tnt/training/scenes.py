@@ -106,7 +106,7 @@ class SceneMaker:
     def __call__(self, windows: Windows, draws: Draws, rng: np.random.Generator) -> Scenes:
         """Scenes of all these windows, as `rng` draws them."""
         n = len(windows)
-        # on recordings of their own: a window that begins later must not show what came before
+        # A window that begins later must not show what came before: it becomes a recording.
         windows = Windows(windows.recordings, windows.recording, windows.start_us + draws.start_us)
         windows = windows.cut(self.config.window_us)
         scene = rng.integers(max(1, round(n / OBJECTS)), size=n)
@@ -160,8 +160,8 @@ class SceneMaker:
         Parameters
         ----------
         volume, own : the scene's volume, which is updated in place, and the recording's.
-        middle : of the object, (x, y) in pixels of the recording.
-        place : where it should be, (x, y) in pixels of the scene.
+        middle : the middle of the object, (x, y) in pixels of the recording.
+        place : where the middle should be, (x, y) in pixels of the scene.
 
         Returns
         -------

@@ -187,7 +187,7 @@ def _check_left(
 ) -> None:
     """Refuse a class of pictures none of which can be read.
 
-    labels : of the classes of which something is left.
+    labels : the labels of the classes that still have pictures.
     """
     empty = [name for k, name in enumerate(classes) if name in found and k not in labels]
     if not empty:
@@ -214,7 +214,7 @@ def with_pictures(
     split : what is learned and what is held out, as indices of `recordings` and of `pictures` after
         them.
     settings : how pictures are recorded.
-    seed : of their recordings.
+    seed : seed of the simulated recordings.
     work : where events and simulated recordings are kept, and how many processes simulate.
 
     Returns
@@ -271,7 +271,7 @@ def simulate_pictures(
     Parameters
     ----------
     part : a key of `RECORDINGS`.
-    folder : for the files; made if missing.
+    folder : the folder of the files; made if missing.
 
     Returns
     -------
@@ -325,11 +325,11 @@ def _checksum(pictures: Sequence[LabelledPicture]) -> int:
 def _chunks(
     part: str, pictures: Sequence[LabelledPicture], takes: int, folder: Path, size: int
 ) -> list[_Chunk]:
-    """All recordings of a part, `size` of them in a file."""
-    every = [(picture, i, take) for i, picture in enumerate(pictures) for take in range(takes)]
+    """The tasks that record a part: `takes` recordings of a picture, `size` of them in a file."""
+    recordings = [(picture, i, take) for i, picture in enumerate(pictures) for take in range(takes)]
     return [
-        _Chunk(folder / f"{part}_{first:06}.npz", every[first : first + size])
-        for first in range(0, len(every), size)
+        _Chunk(folder / f"{part}_{first:06}.npz", recordings[first : first + size])
+        for first in range(0, len(recordings), size)
     ]
 
 
@@ -340,7 +340,7 @@ class _Chunk:
     Parameters
     ----------
     file : where the recordings go.
-    takes : for each recording its picture, the picture's number, and which of the picture's
+    takes : the recordings. Each is a picture, the picture's number, and which of the picture's
         recordings it is.
     """
 

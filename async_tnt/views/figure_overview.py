@@ -65,7 +65,7 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
     every_us = max(EVERY_US, int(t.max() - t.min()) // MOST_DECISIONS // 500 * 500)
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = processor.push(subject.events) + processor.finish()
-    # of each window
+    # The last decision of each window.
     last = [d for d in decisions if d.trigger in ("window", "end")]
     label, words = class_of_recording(subject.model.classes, [d.probabilities for d in last])
     headline(figure, f"{subject.name}: “{label}”, {words}")

@@ -160,7 +160,7 @@ class ReplayBuffer:
         if self._landmark is None:
             self._landmark = self._estimate(buffer)
         if self._regressor is None:
-            # not back from grid pixels, which are rounded
+            # The landmark's grid pixels are rounded, so they are not converted back.
             x, y = _centroid(buffer)
         else:
             x, y = self._config.to_sensor(*self._landmark)

@@ -90,7 +90,7 @@ class TNTVolume:
         # views of the copied memory, not copies of the views
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
-        # from now on this volume differs from the one that it was copied from
+        # From now on this volume differs from the one that it was copied from.
         self._ints[S.EPOCH] = next_epoch()
 
     def __copy__(self) -> TNTVolume:

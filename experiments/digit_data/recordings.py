@@ -151,14 +151,16 @@ def digits_data(
     seed: int = 0,
     progress: Callable[..., Bar],
 ) -> TrainingData:
-    """N-MNIST's Train, a tenth of its recordings held out, with simulated recordings of MNIST; and
-    its Test.
+    """N-MNIST's Train and Test, and simulated recordings of MNIST to train on.
+
+    A tenth of Train's recordings is held out.
 
     Parameters
     ----------
-    folder, mnist : of N-MNIST and of MNIST.
+    folder : folder of N-MNIST.
+    mnist : folder of MNIST.
     simulated : how many of MNIST's images to simulate.
-    seed : of the split and of the simulation.
+    seed : seed of the split and of the simulation.
     """
     recordings = read_nmnist_folder(folder / "Train", progress=progress)
     n_real = len(recordings)

@@ -36,7 +36,7 @@ def write(
     n : recordings of each digit; each gives one window, of one of `saccades` in turn. None: all
         recordings, and each gives a window of every one of `saccades`.
     source : N-MNIST's Train or Test, with `<digit>/*.bin`.
-    share : of the events that is kept.
+    share : share of the events that is kept.
     """
     rng = np.random.default_rng(seed)
     for digit in CLASSES:

@@ -72,7 +72,7 @@ class Motion:
     name : such as "036deg-5px"; names sort like indices.
     direction_deg, distance_px : direction and length of the displacement; None for "nmnist". Of a
         path that comes back, as far as it goes; of a loop, its first side.
-    shape : of the path: "line", "back" or "loop".
+    shape : shape of the path: "line", "back" or "loop".
     """
 
     kind: str
@@ -151,7 +151,9 @@ def flow_of(trajectory: Trajectory, times_us: np.ndarray) -> np.ndarray:
 
 
 def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
-    """All motions of a kind, by index: one of "nmnist", 30 of the others, direction by direction.
+    """All motions of a kind, in order of their index.
+
+    The kind "nmnist" has one motion. Every other kind has 30: three for each of ten directions.
 
     Raises
     ------
@@ -168,19 +170,13 @@ def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
         )
     if kind == "nmnist":
         return (Motion(kind, 0, "nmnist", None, None),)
-    paths = (
-        list(BEYOND_PX.items())
-        if kind == "beyond"
-        else [("line", distance) for distance in DISTANCES_PX]
-    )
-    return tuple(
-        Motion(
-            kind,
-            i,
-            f"{direction:03}deg-{f'{px}px' if shape == 'line' else shape}",
-            direction,
-            px,
-            shape,
-        )
-        for i, (direction, (shape, px)) in enumerate(itertools.product(DIRECTIONS_DEG, paths))
-    )
+    if kind == "beyond":
+        paths = list(BEYOND_PX.items())
+    else:
+        paths = [("line", distance) for distance in DISTANCES_PX]
+    motions: list[Motion] = []
+    for direction, (shape, px) in itertools.product(DIRECTIONS_DEG, paths):
+        path = f"{px}px" if shape == "line" else shape
+        name = f"{direction:03}deg-{path}"
+        motions.append(Motion(kind, len(motions), name, direction, px, shape))
+    return tuple(motions)

@@ -118,9 +118,9 @@ def describe_motions(
     ----------
     recordings : structured arrays in order of time.
     cuts_us : where saccades begin, and where the last one ends.
-    directions_deg : of the motion in each saccade of a recording, or in each recording of one
-        saccade; 0 to the right, 90 downwards. ON events trail the motion where their centroid is
-        behind that of the OFF events.
+    directions_deg : direction of the motion in each saccade of a recording or, where recordings
+        have one saccade, in each recording; 0 to the right, 90 downwards. ON events trail the
+        motion where their centroid is behind that of the OFF events.
     """
     saccades = [
         events[a:b]

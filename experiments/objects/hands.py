@@ -73,8 +73,8 @@ Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 class HandSession:
     """What differs from one day to the next.
 
-    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the
-        first.
+    threshold : mean threshold of the pixels, in log luminance.
+    mismatch : standard deviation of the logarithm of the pixels' thresholds.
     noise_hz : events of noise a second, of each pixel.
     size : radius of the objects, in pixels.
     place : where they are from the middle of the sensor, in pixels.

@@ -37,8 +37,8 @@ SUBPIXELS = 2
 class Session:
     """What may differ from one day to the next.
 
-    threshold, mismatch : of the pixels, the second as a standard deviation of the logarithm of the
-        first.
+    threshold : mean threshold of the pixels, in log luminance.
+    mismatch : standard deviation of the logarithm of the pixels' thresholds.
     noise_hz : events of noise a second, of each pixel.
     size, place : a factor of the objects' size, and where they are from the middle of the sensor,
         in pixels.

@@ -52,7 +52,7 @@ def accuracies(
 
     Parameters
     ----------
-    images, labels : of MNIST.
+    images, labels : the test images of MNIST and their labels.
     """
     found: dict[str, dict[str, list[float]]] = {}
     with progress(2 * len(motions_of()) + len(SPEEDS), "digits in other motions") as bar:

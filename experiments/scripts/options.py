@@ -150,9 +150,9 @@ def draw_into(path: Path, draw: Callable[..., Any], *given: Any, dpi: int = 100)
 
 
 def exit_with(main: Callable[[], int]) -> NoReturn:
-    """Run a command and end the process with its exit code.
+    """Run a command, and end the process with its exit code.
 
-    Errors are one line: 2 bad input, 130 Ctrl-C.
+    An error is printed in one line. The exit code of bad input is 2, that of Ctrl-C is 130.
     """
 
     def show(message: Warning | str, *where: Any, **more: Any) -> None:

@@ -25,14 +25,15 @@ def bench_every_event(
     rounds: int,
     n_events: int | None = None,
 ) -> dict[str, Any]:
-    """Time `Processor(model, every_events=1)` on recordings in packets, with its own network and
-    with others as its classifier.
+    """Time `Processor(model, every_events=1)` with its own network and with other classifiers.
+
+    The recordings are pushed in packets.
 
     Parameters
     ----------
-    networks : dense ones, by name.
-    recordings : round k uses number k, for all backends.
-    n_events : of each recording, the first ones; None for all.
+    networks : dense networks, by name.
+    recordings : recordings; round k uses number k, for all backends.
+    n_events : number of events that are used, the first ones of each recording; None for all.
 
     Returns
     -------

@@ -35,8 +35,9 @@ class Moment:
 
 
 class Moments:
-    """All moments of some windows, repeated without end: windows follow each other and time
-    continues.
+    """All moments of some windows, repeated without end.
+
+    The windows follow each other, and time continues.
 
     A window's first event precedes its first moment, so that opening a window is never part of a
     decision.
@@ -45,8 +46,8 @@ class Moments:
     ----------
     windows : structured arrays of `EVENT_DTYPE`, in order of time, times counted from the window's
         start.
-    window_us : from one start to the next.
-    n_new : events between two moments.
+    window_us : time from the start of a window to the start of the next, in microseconds.
+    n_new : number of events between two moments.
 
     Raises
     ------

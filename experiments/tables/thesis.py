@@ -92,7 +92,7 @@ def _guessed(column: str) -> float:
 
 
 def unseen_motion() -> str:
-    """The short version for README: networks that saw the first saccade only."""
+    """README's table of the networks that saw the first saccade only, and a sentence on it."""
     accuracies = _accuracies()
     n_seeds = len(accuracies["raw-translated"]["1/all"]["seeds"])
 

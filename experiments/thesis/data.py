@@ -48,7 +48,7 @@ class RealData:
     test : windows of the test recordings.
     seen_images : indices of MNIST's test images that a training recording shows, held out or not.
         Empty with the official split, see `shown_test_images`.
-    description : in words and numbers, for the results.
+    description : description of the data in words and numbers, for the results.
     """
 
     training: Windows
@@ -64,7 +64,7 @@ class RealFolder:
 
     Parameters
     ----------
-    folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
+    folder : the folder that has Train/<digit>/*.bin and Test/<digit>/*.bin.
     validation : share of the training recordings that is held out.
     per_digit : only the first `per_digit` recordings of each digit in each folder; None for all.
     """

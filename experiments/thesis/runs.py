@@ -101,17 +101,16 @@ def run_network(
     settings: TrainSettings,
     folder: Path,
 ) -> dict[str, Any]:
-    """Train and test one network, or return the result that is there already, if its settings are
-    the same.
+    """Train and test one network, or return its earlier result if that has the same settings.
 
     Parameters
     ----------
-    simulated : of `rows.SETS`, by name.
-    settings : without seed and augmentation, which are the run's and its row's; without iterations:
-        its row's.
-    folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its
-        model, its result as JSON, which windows were right and, with matplotlib, its learning
-        curves.
+    simulated : the simulated sets of `rows.SETS`, by name.
+    settings : settings of the training. The run gives the seed and its row the augmentation. The
+        row also gives the iterations if the settings have none.
+    folder : holds a folder for each run. A run's folder has its checkpoint and its history as JSON.
+        When the run is done, it also has its model, its result as JSON, which windows were right
+        and, with matplotlib, its learning curves.
 
     Raises
     ------

@@ -70,8 +70,9 @@ class Classifier(nn.Module):
 
 
 class LandmarkRegressor(nn.Module):
-    """Raw event volume to landmark: the centroid of a heatmap that three 3x3 and one 1x1
-    convolution draw.
+    """A network from a raw event volume to a landmark.
+
+    The landmark is the centroid of a heatmap, which three 3x3 and one 1x1 convolution draw.
 
         h = exp(heatmap(ReLU(conv3(ReLU(conv2(ReLU(conv1(V))))))))   non-negative, (H, W)
         l = sum_{y,x} h[y, x] (x, y) / sum_{y,x} h[y, x]             in pixels of the whole image

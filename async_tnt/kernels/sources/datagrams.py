@@ -56,7 +56,7 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     n_off_sensor = 0
     first = 0
     for k in range(n_datagrams):
-        newest = clock[NEWEST]  # as far as this datagram's events have been read
+        newest = clock[NEWEST]  # time of the newest event read so far, this datagram's included
         start = RECORD_BYTES * n_out
         record = start
         for i in range(first, ends[k]):

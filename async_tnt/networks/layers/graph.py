@@ -65,7 +65,7 @@ def layer_shapes(
 
     Parameters
     ----------
-    layers : of one network.
+    layers : the layers of one network.
     volume : (C, H, W).
     tensors : name -> the shape of weights.
     partial : whether more layers are to come.

@@ -19,8 +19,7 @@ class PackedWeights:
     ----------
     numbers : float32, flat.
     groups : how many groups of filters have blocks of their own.
-    place_weights : numbers from the weights of one place to those of the next; 0 where all places
-        share them.
+    place_weights : stride of the places' weights, in numbers; 0 where all places share them.
     """
 
     numbers: np.ndarray
@@ -100,9 +99,11 @@ def round_up(n: int, multiple: int) -> int:
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:
-    """n zeros that begin where a cache line does: registers across two lines are read half as
-    fast."""
-    n_bytes = 64  # of a cache line
+    """n zeros that begin where a cache line begins.
+
+    A register that lies across two cache lines is read half as fast.
+    """
+    n_bytes = 64  # the size of a cache line
     array: np.ndarray = np.zeros(n + n_bytes // np.dtype(dtype).itemsize, dtype)
     first = -array.ctypes.data % n_bytes // array.itemsize
     return array[first : first + n]

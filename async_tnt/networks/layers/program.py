@@ -44,8 +44,8 @@ class Program:
     ----------
     arrays : what the kernels read and write.
     steps : for each step, in order, the name of the layer that it computes or belongs to.
-    output_layout : where in `maps` the output begins, and numbers from one of its rows, columns and
-        channels to the next.
+    output_layout : where in `maps` the output begins, and the strides of its rows, columns and
+        channels, in numbers.
     output_changes : where in the program the records of the output's changes begin.
     lanes : how many filters lie side by side in `arrays.weights`.
     """
@@ -65,7 +65,8 @@ class Program:
                 "a network was pickled on a processor with other vector registers: load its model "
                 "instead"
             )
-        self.arrays.weights.flags.writeable = False  # which a pickle does not keep
+        # A pickle does not keep this flag.
+        self.arrays.weights.flags.writeable = False
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Program:
         """A network of its own, with the same read-only weights."""
@@ -98,7 +99,7 @@ def make_program(
 
     Parameters
     ----------
-    shape : of the volumes, (C, H, W).
+    shape : shape of the volumes, (C, H, W).
     tensors : name -> weights.
     shared : where programs of the same layers and shape share their packed weights. Those of the
         first program enter it.
@@ -206,9 +207,9 @@ class _ProgramWriter:
     Attributes
     ----------
     program : the header, and a record for each step.
-    tables : what stands behind it.
+    tables : the numbers that stand behind the records of the steps.
     weights : the packed weights of each step.
-    places : what lies in the array `places`.
+    places : the layout of the array `places`.
     records : step -> where its record begins.
     """
 
@@ -358,8 +359,10 @@ def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
 
 
 class VolumeInput:
-    """Passes volumes to a kernel in one form, that of `TNTVolume.array`, so the kernel is compiled
-    only once."""
+    """Passes volumes to a kernel in the form of `TNTVolume.array`.
+
+    The kernel is then compiled for this one form only.
+    """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.shape = shape

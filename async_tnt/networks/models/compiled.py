@@ -97,7 +97,8 @@ class CompiledClassifier:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         vars(self).pop("map", None)  # a view of what was copied
-        self.network.program[EPOCH] = 0  # in another process, another window may have this number
+        # In another process, another window may have the number that was copied.
+        self.network.program[EPOCH] = 0
 
     @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
-"""What stands where on the sensor, read from a map of logits (classes and nothing, rows,
-columns)."""
+"""The objects on the sensor and their places, read from a map of logits.
+
+The map has the shape (classes and nothing, rows, columns).
+"""
 
 from __future__ import annotations
 
@@ -42,10 +44,10 @@ def even_places(shape: Shape, sensor: tuple[int, int]) -> Places:
 
 
 def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
-    """Where the places of a network's last map lie: in the middle of the pixels that a place
-    depends on.
+    """Where on the sensor the places of a network's last map lie.
 
-    Where a layer has several inputs, the first one counts.
+    A place lies in the middle of the pixels that it depends on. Where a layer has several inputs,
+    the first one counts.
     """
     width, height = config.grid
     axes = {VOLUME: (Axis(0.0, 1.0, height), Axis(0.0, 1.0, width))}
@@ -90,9 +92,9 @@ class ObjectReader:
     Parameters
     ----------
     shape : (K + 1, R, C) of the maps: a channel for each class, then nothing.
-    layout : for an incremental network, where its map begins, and numbers from one row, column and
-        channel to the next.
-    sources : for an incremental network, where in its program the records of the map's changes
+    layout : of an incremental network only: where its map begins, and the strides of the map's
+        rows, columns and channels, in numbers.
+    sources : of an incremental network only: where in its program the records of the map's changes
         begin.
 
     Attributes

@@ -98,7 +98,7 @@ class TorchClassifier:
             torch.set_num_threads(positive_int("threads", threads))
         self.module = module
         self.places = places
-        self._like = torch.empty(0)  # on the device and of the type of the module
+        self._like = torch.empty(0)  # a tensor with the device and the type of the module
         if isinstance(module, torch.nn.Module):
             # an exported program has no such mode: it keeps the one that it was exported in
             with suppress(NotImplementedError):

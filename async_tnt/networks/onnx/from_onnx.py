@@ -43,11 +43,12 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
     with needs_extra("onnx", "ONNX networks are read by onnx"):
         import onnx
     try:
-        proto = onnx.load(path)  # and weights in files beside it
+        # This also reads weights that stand in files beside it.
+        proto = onnx.load(path)
         onnx.checker.check_model(proto)
         metadata = {entry.key: entry.value for entry in proto.metadata_props}
         exported = read_metadata(metadata, path.read_bytes())
-    except Exception as error:  # of many types
+    except Exception as error:  # onnx and protobuf raise errors of many types
         raise ValueError(f"{path} is not a readable ONNX network: {one_line(error)}") from None
     if exported is not None:
         if config is not None or classes is not None:

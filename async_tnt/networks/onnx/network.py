@@ -137,7 +137,7 @@ class OnnxClassifier:
             volume = np.zeros((1, *self.shape), np.float32)
             # its size may depend on the input's
             (answer,) = self._session.run([output.name], {input_name: volume})
-        except Exception as error:  # of many types, none of them a ValueError
+        except Exception as error:  # onnxruntime raises errors of many types
             raise ValueError(
                 f"{self._name}: the network fails on an empty volume: {one_line(error)}"
             ) from None
@@ -168,7 +168,7 @@ class OnnxClassifier:
         np.copyto(self._volume, volume)
         try:
             self._session.run_with_iobinding(self._binding)
-        except Exception as error:  # as above
+        except Exception as error:  # onnxruntime raises errors of many types
             raise ValueError(
                 f"{self._name}: the network fails on this volume: {one_line(error)}"
             ) from None
@@ -271,7 +271,7 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
         inputs = session.get_inputs()
         outputs = session.get_outputs()
         metadata = session.get_modelmeta().custom_metadata_map
-    except Exception as error:  # of many types, none of them a ValueError
+    except Exception as error:  # onnxruntime raises errors of many types
         raise ValueError(f"{name} is not a readable ONNX network: {one_line(error)}") from None
     content = Path(source).read_bytes() if isinstance(source, str) else source
     try:

@@ -46,8 +46,8 @@ class LayerList:
 
     Parameters
     ----------
-    shape : of a volume, (C, H, W).
-    prefix : of the weights' names.
+    shape : shape of a volume, (C, H, W).
+    prefix : prefix of the weights' names.
 
     Attributes
     ----------

@@ -132,8 +132,10 @@ class TextSource(Source):
         line = self.line
         for text, ends_with_line in self._chunks(chunk_bytes):
             rows = _NO_EVENT.sub(b"", text).decode("utf-8", "backslashreplace").split("\n")
-            # the last number of the file may have lost its last digits, a polarity has only one
-            is_complete = ends_with_line or self.columns[-1] in ("", "p") or not rows[-2]
+            # Where the file ends in the middle of a row, its last number may have lost digits. A
+            # polarity cannot lose any, as it has one digit.
+            needs_line_end = bool(rows[-2]) and self.columns[-1] not in ("", "p")
+            is_complete = ends_with_line or not needs_line_end
             n_good = len(rows) if is_complete else len(rows) - 2
             columns = self._columns(rows[:n_good])
             if columns is None:
@@ -424,7 +426,7 @@ def _numbers(rows: list[_Row], separator: str) -> np.ndarray | None:
         table = np.array(
             [[_polarity(word.strip(" \r\"'")) for word in words] for words in rows_of_words]
         )
-    except ValueError:  # not a number, or rows of different lengths
+    except ValueError:  # a word is not a number, or the rows have different lengths
         return None
     return table if table.ndim == 2 and table.shape[1] == 4 else None
 

@@ -66,7 +66,7 @@ class ModelPixels:
         Parameters
         ----------
         path, reading : arguments of `open_recording`.
-        name : of the recording, for messages; by default the path.
+        name : name of the recording in messages; by default its path.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class ModelPixels:
 
         Parameters
         ----------
-        name : of the source, for messages; "" for none.
+        name : name of the source in messages; "" for none.
         found : (width, height) of its camera, before any event is left out, if it states them.
 
         Raises

@@ -100,14 +100,13 @@ class Pixels:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Option -> value, short and for JSON, of all that decides which events count; {} for all
-        events.
+        """The options that decide which events count, by name, with short values for JSON.
 
-        Results of an evaluation contain it, so that results of different pixels are not mixed. So
-        does the record of a trained model.
+        The dict is empty if all events count. The results of an evaluation contain it, so that
+        results of different pixels are not mixed. The record of a trained model contains it, too.
 
-        With a mask, `sensor` could only repeat its size. Without one, `sensor` decides which
-        recordings are of this camera, so which ones have results and which have errors.
+        With a mask, `sensor` is left out, as it could only repeat the mask's size. Without one,
+        `sensor` decides which recordings are of this camera: the others have errors, no results.
         """
         options: dict[str, Any] = {}
         if self.roi is not None:
