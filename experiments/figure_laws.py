@@ -188,7 +188,7 @@ def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, An
 
 
 def translation_table() -> None:
-    """Proposition 3 on the bundled samples: how far a translated stream's volume is from the volume.
+    """Proposition 3 on the bundled samples: how much the volume of a translated stream differs.
 
     By 2 px each way, the most that the samples leave room for, in the stream; by 1/3 px in the
     reference.

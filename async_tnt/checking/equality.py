@@ -1,5 +1,4 @@
-"""Compare the stream with the batch reference on one recording: the promise of equality as a
-function.
+"""Compare the stream with the batch reference on one recording, as the promise of equality says.
 
 (a) However the stream was cut into packets, the streamed volume is the same, bit for bit. It is
     made of the events that the reference has in that window.

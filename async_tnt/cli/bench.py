@@ -137,8 +137,10 @@ def _volume_ns(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
 
 
 def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int) -> Iterator[float]:
-    """Microseconds of `fire`, `n_new` events after a decision, at moments spread over each
-    recording."""
+    """Microseconds of `fire`, called `n_new` events after the previous decision.
+
+    The moments are spread over each recording.
+    """
     processor = Processor(model)
     for events in recordings:
         processor.reset()

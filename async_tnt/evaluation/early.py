@@ -28,8 +28,10 @@ NO_DECISION = -1
 
 
 def every_us(config: TNTConfig) -> int | None:
-    """How often to decide, in microseconds; None for windows of a number of events, which have no
-    duration of their own."""
+    """How often to decide, in microseconds.
+
+    None for windows of a number of events, which have no duration of their own.
+    """
     if config.window_events is not None:
         return None
     return max(1, config.window_us // (N_MOMENTS * PER_MOMENT))

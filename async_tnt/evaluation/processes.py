@@ -1,5 +1,4 @@
-"""Run a function over many tasks, in worker processes of this machine or on the machines of a Dask
-cluster."""
+"""Run a function over many tasks, in several processes of this machine or of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -82,8 +81,10 @@ def run_all(
 def run_counted(
     function: Callable[[Task], int], tasks: Sequence[Task], workers: int, bar: Bar
 ) -> None:
-    """Run a function, which returns by how much a progress bar advances, over many tasks as
-    `run_all` does."""
+    """Run a function over many tasks as `run_all` does, and show a progress bar.
+
+    The function returns by how much the bar advances.
+    """
     with bar, contextlib.closing(run_all(function, tasks, workers)) as amounts:
         for n in amounts:
             bar.update(n)

@@ -100,8 +100,7 @@ def evaluate_recording(task: Task) -> Record:
 
 
 def check_record(record: Record, classes: Sequence[str], config: TNTConfig) -> None:
-    """Refuse a record that `evaluate_recording` cannot have made with a model of these classes and
-    this configuration.
+    """Refuse a record that `evaluate_recording` cannot have made with these classes and settings.
 
     Parameters
     ----------

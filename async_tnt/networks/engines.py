@@ -27,8 +27,9 @@ class Engine:
 def choose_engine(
     name_or_path: str | Path, map_sensor: tuple[int, int] | None = None, config: Path | None = None
 ) -> Engine:
-    """A model and the engine that runs its networks: the compiled one, or onnxruntime for an .onnx
-    file.
+    """A model and the engine that runs its networks.
+
+    This is the compiled engine, or onnxruntime for an .onnx file.
 
     Parameters
     ----------

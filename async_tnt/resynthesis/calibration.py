@@ -1,5 +1,6 @@
-"""What events cannot tell directly, found by simulating the recorded motion again: contrast and
-refractory time.
+"""The contrast and the refractory time, which events do not tell directly.
+
+They are found by simulating the recorded motion again.
 
 Events tell contrast in units of the pixels' thresholds, and an image that is found in them is
 smoother than what was seen. So the thresholds are scaled until the recorded motion, re-synthesized,

@@ -1,5 +1,4 @@
-"""From the events of windows to the image that moved and its path, and from there to events under
-another motion.
+"""From the events of windows to a moving image and its path, and to events of other motions.
 
 Other motions are drawn around the recorded ones: half to double their length, see `random_motion`.
 At half time the object's centre lies at random between its recorded place at half time and the

@@ -1,5 +1,6 @@
-"""What recordings tell of their sensor: thresholds of ON against OFF, refractory time, noise,
-after-pulses.
+"""What recordings tell of their sensor's pixels.
+
+These are the thresholds of ON against OFF, the refractory time, noise and after-pulses.
 
 The events do not tell how large the thresholds are: contrast is measured in thresholds.
 """

@@ -155,8 +155,11 @@ def record_picture(
 def _draw_motion(
     settings: SceneSettings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A random motion: shares of the window, (n,), at which frames are made; displacement in pixels
-    and turn there, (n, 2) each."""
+    """A random motion: the times of its frames, and displacement and turn at these times.
+
+    Times are shares of the window, (n,). The displacement is in pixels, (n, 2), and the turn is
+    as `PeriodicImage.frames` takes it, (n, 2).
+    """
     longest = LONGEST_FOLLOWED if settings.follow else LONGEST
     length = min(settings.sensor) * float(np.exp(rng.uniform(*np.log((SHORTEST, longest)))))
     fine = np.linspace(0, 1, FINE)

@@ -22,8 +22,9 @@ def is_live(name: str) -> bool:
 def open_source(
     source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, int] | None = None
 ) -> Any:
-    """Packets of events from a file, a camera, the network or memory, for `stream` and
-    `Processor.push`.
+    """Packets of events from a file, a camera, the network or memory.
+
+    They can be given to `stream` and `Processor.push`.
 
     Parameters
     ----------

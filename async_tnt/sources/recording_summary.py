@@ -126,6 +126,8 @@ def summarize(
 
 
 def _reach(counts: np.ndarray) -> int:
-    """The shortest side, in pixels, that holds all events, from the number of events at each column
-    (or row)."""
+    """The shortest side, in pixels, that holds all events.
+
+    It follows from the number of events at each column (or row).
+    """
     return int(np.flatnonzero(counts).max(initial=-1)) + 1

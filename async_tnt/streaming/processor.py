@@ -219,8 +219,11 @@ class Processor(TriggerAttributes):
             running.now = False
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
-        -1/+1."""
+        """`push` for one event.
+
+        `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
+        or -1 or +1.
+        """
         # the lines of `Running.begin`, a call of which would take another 30 ns
         running = self._running
         if running.now:
@@ -301,8 +304,10 @@ class Processor(TriggerAttributes):
         return max(self._seen_us, self._windows.oldest.newest_us)
 
     def _begin_again(self, columns: Columns, first: int) -> list[Decision]:
-        """End the stream, and begin another one with the packets that waited and the event
-        `first`."""
+        """End the stream, and begin another one.
+
+        The new stream begins with the packets that waited and the event number `first`.
+        """
         waiting = self._restarts.waiting
         decisions = self._absorb(self._decoder.apply_policy(part_of(columns, 0, first)))
         decisions += self._finish()
@@ -534,8 +539,7 @@ class Processor(TriggerAttributes):
 
     @property
     def late(self) -> Late:
-        """What is done with an event older than the newest one seen: `accept`, `drop` or
-        `raise`."""
+        """What is done with an event older than the newest one: `accept`, `drop` or `raise`."""
         return self._decoder.late
 
     @property

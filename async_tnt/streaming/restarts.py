@@ -1,5 +1,6 @@
-"""A clock that begins again: a recording that is read twice, a camera that was plugged in again, a
-counter that wraps.
+"""Restarts: the clock of a source begins again.
+
+This happens if a recording is read twice, if a camera is plugged in again, or if a counter wraps.
 
 All events that follow are older than the open window, and would be dropped as late without a word.
 Such a restart is told from a few events that come late: there are ENOUGH events in a row, and each

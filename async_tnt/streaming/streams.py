@@ -1,5 +1,4 @@
-"""Whole sources of events: `stream` and `astream` yield decisions, `volumes` the windows'
-volumes."""
+"""Streams of whole sources: `stream` and `astream` yield decisions, `volumes` yields volumes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""When a processor decides, apart from the end of each window: settings, and their state in
-kernels."""
+"""Triggers: when a processor decides apart from the end of each window.
+
+Here are their settings, and their state in the kernels.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""Which windows of a stream are open, each with its own volume; and whether its times are likely in
-microseconds.
+"""The open windows of a stream, each with its own volume.
+
+They also tell whether the stream's times are likely in microseconds.
 
 Windows of a duration lie end to end, or overlap with `hop_us`. A window of `window_events` begins
 with the first event after the window before it.

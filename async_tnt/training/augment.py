@@ -92,8 +92,9 @@ class Draws:
 
 
 def fineness(sensor: tuple[int, int]) -> int:
-    """How many times finer the sensor of augmented events is: `FINE`, or less for a sensor with a
-    side of over 1024 pixels.
+    """How many times finer the sensor of augmented events is.
+
+    This is `FINE`, or less for a sensor with a side of over 1024 pixels.
 
     Examples
     --------
@@ -221,8 +222,9 @@ class Augmentation:
 
     @classmethod
     def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
-        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor
-        and window.
+        """The default augmentation for a sensor and a window.
+
+        The numbers are chosen for N-MNIST's 34x34 pixels and 105 ms, and scaled to others.
 
         Parameters
         ----------

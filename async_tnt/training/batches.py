@@ -81,8 +81,9 @@ class BatchVolumes:
     def landmark_gradient(
         self, windows: Windows, draws: Draws | None, landmarks: np.ndarray, gradient: np.ndarray
     ) -> np.ndarray:
-        """dL/dl from dL/dV, where V is what this object makes of `windows`, `draws` and
-        `landmarks`.
+        """The gradient dL/dl of the landmarks from the gradient dL/dV of the volumes.
+
+        V is what this object makes of `windows`, `draws` and `landmarks`.
 
         Parameters
         ----------

@@ -141,8 +141,10 @@ class _Shown:
 
     @property
     def kinds(self) -> np.ndarray:
-        """int64, (n,): the same, but two labels for a class, one for recordings and one for
-        pictures, so that the same share of both is held out."""
+        """int64, (n,): labels that also tell recordings of a class from pictures of it.
+
+        With them, the same share of both is held out.
+        """
         labels = self.labels
         is_picture = np.arange(len(labels)) >= self.n_recordings
         return 2 * labels + is_picture

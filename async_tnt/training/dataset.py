@@ -268,8 +268,9 @@ class _LeftOut(Exception):
 
 
 class _Reader:
-    """Reads recordings of one camera as the network will see them, and counts the events that it
-    removes.
+    """Reads recordings of one camera as the network will see them.
+
+    It counts the events that it removes.
 
     Parameters
     ----------

@@ -1,5 +1,8 @@
-"""How well a network classifies windows: by window, by recording, against time, and whether its
-probabilities are right."""
+"""How well a network classifies windows.
+
+This is measured by window, by recording and against time. Its probabilities are compared with how
+often it is right.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +29,7 @@ SURE = 0.9
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What `evaluate` found: the probabilities of N windows' classes at moments, and what follows
-    from them.
+    """What `evaluate` found: the class probabilities of N windows at moments, and what follows.
 
     Parameters
     ----------
@@ -80,8 +82,10 @@ class Evaluation:
 
     @property
     def calibration_error(self) -> float:
-        """Expected difference between a decision's probability and the share that is right, over
-        all moments together."""
+        """Expected difference between a decision's probability and the share that is right.
+
+        This is over all moments together.
+        """
         probabilities, labels = self._all_moments
         return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 

@@ -1,5 +1,7 @@
-"""A finished model from windows: trained, calibrated on what was held out, with a record of how it
-was made."""
+"""Make a finished model from windows.
+
+It is trained, and calibrated on what was held out. Its record says how it was made.
+"""
 
 from __future__ import annotations
 
@@ -72,8 +74,7 @@ def fit(
     progress: Callable[..., Bar] = Bar,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
-    """Train on `data.training`; choose the temperature and measure the accuracy on
-    `data.validation`.
+    """Train on `data.training`, calibrate and measure the accuracy on `data.validation`.
 
     Parameters
     ----------
@@ -147,6 +148,8 @@ def _scores_in_motions(model: Model, motions: Motions) -> dict[str, Any]:
 
 
 def moments_ms(model: Model) -> tuple[float, ...]:
-    """The moments at which accuracy is reported against time: each tenth of a window but its end,
-    in milliseconds."""
+    """The moments at which accuracy is reported against time, in milliseconds.
+
+    These are the tenths of a window without its end.
+    """
     return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

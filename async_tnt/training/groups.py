@@ -21,8 +21,9 @@ MIN_WINDOWS = 10
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
-    """The text that a regular expression finds in each name, `class/file`: that of its parentheses,
-    if it has any, or else all of it.
+    """The text that a regular expression finds in each name, `class/file`.
+
+    If the expression has parentheses, it is the text in them.
 
     Raises
     ------

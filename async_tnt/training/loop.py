@@ -1,5 +1,7 @@
-"""The training loop: the same settings, data and machine give the same weights, interrupted or
-not."""
+"""The training loop.
+
+The same settings, data and machine give the same weights, whether it was interrupted or not.
+"""
 
 from __future__ import annotations
 

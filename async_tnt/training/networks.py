@@ -49,9 +49,7 @@ def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
 
 
 def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
-    """Four convolutions with batch norm and three max poolings, the mean over all places, a dense
-    layer.
-    """
+    """Four convolutions with batch norm, three max poolings, a mean over places, a dense layer."""
     return nn.Sequential(
         *_conv(channels, 16),
         nn.MaxPool2d(2),

@@ -1,5 +1,6 @@
-"""The pipeline from windows to logits: trainable from end to end, and its way into a model file and
-back.
+"""The pipeline from windows to logits, which is trainable from end to end.
+
+It is written to a model file, and read from one.
 
 Volumes come from the kernels, networks are torch modules.
 
@@ -148,8 +149,9 @@ def new_pipeline(
     logarithm: bool = False,
     grid: tuple[int, int] | None = None,
 ) -> Pipeline:
-    """Networks with PyTorch's initial weights, which depend on the seed alone; input scales
-    measured on `windows`.
+    """A pipeline with PyTorch's initial weights, and with input scales measured on `windows`.
+
+    The weights depend on the seed alone.
 
     Torch's global generator is left as it was.
 

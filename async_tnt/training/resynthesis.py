@@ -1,5 +1,6 @@
-"""Other motions of the windows to train on: made once by several processes, kept in files beside
-the run.
+"""Other motions of the windows to train on.
+
+Several processes make them once, and they are kept in files beside the run.
 
     <folder>/motions.json          how they were made, and how well they match the recordings
     <folder>/training_000000.npz   windows from number 0 on under other motions, see `moved_windows`
@@ -189,8 +190,10 @@ class _Chunk:
     file: Path
 
     def __getstate__(self) -> dict[str, Any]:
-        """The state for another process: with the events of these windows and their neighbours
-        instead of all events."""
+        """The state for another process.
+
+        It holds the events of these windows and their neighbours instead of all events.
+        """
         margin_us = int(self.around_us.max(initial=0))
         return {**self.__dict__, "windows": self.windows.cut(self.window_us, margin_us)}
 

@@ -1,5 +1,7 @@
-"""The run folder of a training: its checkpoint, history and learning curves, and which training may
-resume there."""
+"""The run folder of a training: its checkpoint, its history and its learning curves.
+
+A training resumes there only if it is the same one.
+"""
 
 from __future__ import annotations
 
@@ -102,8 +104,10 @@ def identity_of(
     motions: MotionSettings | None = None,
     teachers: Sequence[Model] = (),
 ) -> dict[str, Any]:
-    """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it
-    is the same."""
+    """A description of everything that decides the weights, for JSON.
+
+    A training resumes from a checkpoint only if its description is the same.
+    """
     own_file = settings.network.rpartition(":")[0]  # "module.py:build"
     return _plain(
         {
@@ -129,8 +133,10 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:
-    """A checksum of windows and of all events of their recordings, which may be larger than the
-    memory."""
+    """A checksum of windows and of all events of their recordings.
+
+    The events may be larger than the memory.
+    """
     checksum = 0
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):

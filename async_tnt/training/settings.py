@@ -165,8 +165,7 @@ class TrainSettings:
 
 
 def default_config(**changes: Any) -> TNTConfig:
-    """The volume that a data set is trained on by default: each pixel's counts of ON and of OFF
-    events.
+    """The default volume for training: each pixel's counts of ON and of OFF events.
 
     changes : values of other fields. For the grid see `default_grid`, for time bins `with_bins`.
     """

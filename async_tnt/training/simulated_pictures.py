@@ -1,5 +1,6 @@
-"""Pictures of a data set as recordings: simulated by several processes, kept in files beside the
-run.
+"""Simulated recordings of a data set's pictures.
+
+Several processes make them, and they are kept in files beside the run.
 
     <folder>/pictures.json          what the recordings are made of
     <folder>/training_000000.npz    recordings from number 0 on, those of a picture one after the
@@ -405,8 +406,10 @@ def _check_manifest(path: Path, made_from: dict[str, Any]) -> None:
 def example_recordings(
     found: Mapping[str, Sequence[Path]], settings: SceneSettings, seed: int
 ) -> list[tuple[str, np.ndarray, list[np.ndarray]]]:
-    """Examples for a figure: class, luminance of its first picture that can be read, and recordings
-    of that picture."""
+    """Examples for a figure: class, luminance and recordings of a picture.
+
+    The picture is the first one of the class that can be read.
+    """
     shown = []
     for row, (name, paths) in enumerate(list(found.items())[:N_EXAMPLES]):
         for path in paths:

@@ -1,5 +1,7 @@
-"""What a map model finds, at some moments: the events of the open window, and a circle and a name
-for each object."""
+"""Draw what a map model finds at some moments.
+
+Each picture has the events of the open window, and a circle and a name for each object.
+"""
 
 from __future__ import annotations
 

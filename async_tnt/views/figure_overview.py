@@ -1,5 +1,4 @@
-"""Everything about a recording on one page: events of a window, its volumes, and the decisions in
-time."""
+"""Draw a recording on one page: a window's events, its volumes, and the decisions in time."""
 
 from __future__ import annotations
 
@@ -80,8 +79,9 @@ def draw_overview(subject: Subject, number: int = 1) -> Figure:
 def draw_classes(
     axes: Any, subject: Subject, model: Model, decisions: list[Decision], last: list[Decision]
 ) -> None:
-    """Draw a line for each class, the likeliest ones in colour and named, and write each window's
-    decision above it.
+    """Draw a line for each class, and write each window's decision above it.
+
+    The likeliest classes have a colour and a name.
 
     Parameters
     ----------

@@ -77,8 +77,10 @@ class RefusedWindow:
 def draw_resynthesis(
     windows: Sequence[ResynthesizedWindow], refused: Sequence[RefusedWindow] = ()
 ) -> Figure:
-    """A row for each window: events as recorded, the image and path found in them, and events of
-    that image under this and other paths.
+    """Draw a row for each window.
+
+    It has the recorded events, the image and the path found in them, and events of that image
+    under this path and under others.
 
     Parameters
     ----------

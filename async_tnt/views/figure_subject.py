@@ -1,5 +1,7 @@
-"""What figures draw: a recording's events, where the transform puts each, its volumes, and the
-model that decides."""
+"""What figures draw of a recording: events, volumes and the model that decides.
+
+The transform gives each event its place.
+"""
 
 from __future__ import annotations
 
@@ -111,8 +113,10 @@ class Window:
         return self._volume(raw_config).array, self._volume(config).array
 
     def coordinates(self) -> Coordinates:
-        """Where the transform puts each event: u = (x - l) / tau + c, with the landmark l that the
-        volume had for the event."""
+        """Where the transform puts each event: u = (x - l) / tau + c.
+
+        Here l is the landmark that the volume had for the event.
+        """
         config = self.subject.config
         pixels = np.stack([self.events["x"], self.events["y"]], axis=1)  # (N, 2)
         place = pixels * config.to_grid(1.0, 1.0)
@@ -167,8 +171,10 @@ class Coordinates(NamedTuple):
 
 
 def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
-    """Whether each value is on the grid, as `kernels.volume.splat.on_grid` has it: not nan or
-    inf."""
+    """Whether each value is on the grid; nan and inf are not.
+
+    `kernels.volume.splat.on_grid` has the same rule.
+    """
     return (values >= -BORDER_TOLERANCE) & (values <= upper + BORDER_TOLERANCE)
 
 

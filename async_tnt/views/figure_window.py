@@ -1,5 +1,7 @@
-"""One window: its events in space-time, raw (x, y, t) and transformed (u, v, t), and the bins of
-both volumes."""
+"""Draw one window: its events in space-time, and the bins of its volumes.
+
+Events are drawn raw, at (x, y, t), and transformed, at (u, v, t). So are the volumes.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,10 @@ TALLEST = 1.9
 
 
 def draw_both(figure: Figure, window: Window, height: float) -> None:
-    """Draw raw and transformed events side by side under their titles, and the legend, at the top
-    of a figure."""
+    """Draw raw and transformed events side by side at the top of a figure.
+
+    They have titles and a legend.
+    """
     config = window.subject.config
     events = window.events
     u, v, kept, _ = window.coordinates()
@@ -153,8 +157,10 @@ def layers_height(config: TNTConfig, n_shown: int) -> float:
 
 
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
-    """Draw rows of pictures over the figure's width, from `top` inches below its upper edge on, and
-    their colour bars."""
+    """Draw rows of pictures, and their colour bars, over the figure's width.
+
+    The first row begins `top` inches below the figure's upper edge.
+    """
     config = window.subject.config
     layers = layers_of_window(window)
     width, height = _picture(config, len(shown))

@@ -1,5 +1,7 @@
-"""What is logged to Rerun for a picture and for the decisions since the previous one, and the
-viewer's layout."""
+"""What is logged to Rerun, and the viewer's layout.
+
+It is logged for each picture, and for the decisions since the previous one.
+"""
 
 from __future__ import annotations
 
@@ -245,8 +247,10 @@ def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.nd
 
 
 def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
-    """A volume in which each block of factor x factor cells is one cell: the one of the largest
-    magnitude, with its sign."""
+    """A volume in which each block of factor x factor cells is one cell.
+
+    This is the cell of the block with the largest magnitude, and it keeps its sign.
+    """
     _, height, width = volume.shape
     rows = np.arange(0, height, factor)
     columns = np.arange(0, width, factor)
@@ -256,8 +260,10 @@ def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
 
 
 def class_text(now: Decision, classes: Sequence[str]) -> str:
-    """Markdown: the class of the open window at this moment, and the likeliest classes; of a map
-    model the objects."""
+    """A text in Markdown about the open window: its class, and the likeliest classes.
+
+    For a map model it lists the objects.
+    """
     if now.events == 0:
         return "# no event\n\nThe window has no event yet."
     if now.objects is not None:

@@ -116,13 +116,14 @@ class TNTVolume:
         self._empty(0, UNOPENED)
 
     def set_limit(self, limit_us: int) -> None:
-        """Make `absorb` stop before events at or after `limit_us`; it always stops at the window's
-        end."""
+        """Make `absorb` stop before events at or after `limit_us`.
+
+        It always stops at the window's end.
+        """
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
     def set_decided_from(self, start_us: int) -> None:
-        """Count late events at or after `start_us` as `dropped_decided` while this window is
-        open."""
+        """Count late events from `start_us` on as `dropped_decided` while this window is open."""
         self._ints[S.DECIDED_FROM_US] = start_us
 
     def _empty(self, start_us: int, limit_us: int) -> None:
@@ -157,8 +158,11 @@ class TNTVolume:
         return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or
-        -1/+1."""
+        """`update` for one event.
+
+        `t` is in microseconds, `x` and `y` are in pixels, and the polarity `p` is 0 or 1,
+        or -1 or +1.
+        """
         # the lines of `absorb_one`, a call of which would cost another 40 ns
         try:
             is_plain = type(t) is type(x) is type(y) is type(p * 1) is int and self._is_plain

@@ -1,5 +1,4 @@
-"""A network as data: the layers that a model's file lists, checked, with the shape of what each
-computes.
+"""A network as data: its layers, which are checked, and the shape of what each layer computes.
 
     {"classifier": [layer, ...], "regressor": [layer, ...]}
 

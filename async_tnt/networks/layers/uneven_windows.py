@@ -1,5 +1,6 @@
-"""Mean poolings whose windows hold different numbers of places, as windows of one size in which
-each place has weights of its own.
+"""Mean poolings whose windows hold different numbers of places.
+
+They become windows of one size, in which each place has weights of its own.
 
 Along one axis, tap i of place k is the input `k stride - before + i`. What a tap adds to the mean
 of its place is its share: 1 / n for the n inputs of the place's span that exist, 0 for other taps.
@@ -50,8 +51,7 @@ def adaptive_spans(n: int, n_inputs: int) -> AdaptiveSpans:
 
 
 def adaptive_shares(n: int, n_inputs: int) -> tuple[np.ndarray, int, int]:
-    """The shares of an adaptive pooling to `n` places, along one axis: (n, kernel); then stride and
-    before."""
+    """The shares of an adaptive pooling to `n` places along one axis, with its stride and `before`."""
     spans, stride, before, kernel = adaptive_spans(n, n_inputs)
     return shares_of(spans, n_inputs, stride, before, kernel), stride, before
 

@@ -67,8 +67,9 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
 
 
 def logits_shape(shape: tuple[int, ...]) -> tuple[int, ...] | None:
-    """How an answer of this shape is read: as logits (n,), or as a map (n_classes + 1, R, C); None
-    where it can be neither.
+    """How an answer of this shape is read.
+
+    It is read as logits (n,), or as a map (n_classes + 1, R, C). None if it can be neither.
 
     Examples
     --------

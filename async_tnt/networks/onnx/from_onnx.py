@@ -1,5 +1,7 @@
-"""ONNX networks as Models: what torch, Keras and others export of convolutional networks, and our
-own files."""
+"""ONNX networks as Models.
+
+They are our own files, and the convolutional networks that torch, Keras and others export.
+"""
 
 from __future__ import annotations
 

@@ -189,8 +189,10 @@ def _places_of(exported: Exported, name: str) -> Places:
 
 
 def source_of(path_or_bytes: Any) -> str | bytes:
-    """A network as onnxruntime opens it: the path of its file, or its bytes; a TypeError for
-    anything else."""
+    """A network as onnxruntime opens it: the path of its file, or its bytes.
+
+    A TypeError for anything else.
+    """
     if hasattr(path_or_bytes, "SerializeToString"):  # onnx.ModelProto, without importing onnx
         return bytes(path_or_bytes.SerializeToString())
     if isinstance(path_or_bytes, (bytes, bytearray, memoryview)):

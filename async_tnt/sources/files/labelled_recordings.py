@@ -58,8 +58,11 @@ class LabelledRecording:
 
     @property
     def name(self) -> str:
-        """The name for messages and reports: class folder and file, or the session's file and the
-        part's times."""
+        """The name for messages and reports.
+
+        It is made of the class folder and the file, or of the session's file and the part's
+        times.
+        """
         if self.between_us is None:
             return f"{self.path.parent.name}/{self.path.name}"
         return self.name_as(self.path.name)
@@ -189,8 +192,7 @@ def has_test(folder: Path) -> bool:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether `open_recording` knows the suffix, and the file is neither hidden nor a table of
-    labels."""
+    """Whether a file is a recording by its suffix, not hidden, and not a table of labels."""
     return (
         path.suffix.lower() in READERS
         and not path.name.startswith(".")

@@ -106,8 +106,10 @@ READERS: dict[str, Reader] = {
 
 @dataclass(frozen=True, slots=True)
 class RecordingCounts:
-    """What became of a recording's events, up to the damage if there is any: received = kept +
-    off_sensor."""
+    """What became of a recording's events: received = kept + off_sensor.
+
+    If the recording is damaged, these are the events before the damage.
+    """
 
     received: int = 0
     """Events in the file, or in the part of it that is read."""
@@ -181,8 +183,10 @@ class Recording:
 
     @property
     def duration_us(self) -> int:
-        """Time from the earliest to the latest event, in microseconds; 0 for fewer than two
-        events."""
+        """Time from the earliest to the latest event, in microseconds.
+
+        0 for fewer than two events.
+        """
         totals = self._counted()
         return totals.newest_us - totals.earliest_us
 

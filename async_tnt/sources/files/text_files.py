@@ -359,8 +359,10 @@ def open_csv(path: Path, options: ReadOptions) -> Source:
 
 
 def _header_in(comments: list[_Row], n_columns: int) -> list[str] | None:
-    """The columns that the last header among these comments names, such as `# x,y,p,t`; None
-    without one."""
+    """The columns that the last header in these comments names, such as `# x,y,p,t`.
+
+    None if no comment is a header.
+    """
     for row in reversed(comments):
         names = _names_in(row.text.lstrip("".join(COMMENTS)), n_columns)
         if _is_header(names):

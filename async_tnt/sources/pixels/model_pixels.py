@@ -118,8 +118,10 @@ class ModelPixels:
             raise ValueError(f"{name}: {error}" if name else str(error)) from None
 
     def summary(self) -> str:
-        """What was left out of all sources so far, for people; "" if nothing came, or if nothing
-        could be left out."""
+        """What was left out of all sources so far, as a sentence for people.
+
+        It is "" if no event came, or if no event could be left out.
+        """
         counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
         if not any(one.received for one in counts):
             return ""

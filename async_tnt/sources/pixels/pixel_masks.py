@@ -46,8 +46,9 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 
 
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
-    """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events
-    are dropped.
+    """Read a mask that `save_mask` or `async-tnt mask` wrote.
+
+    The mask is bool, shape (H, W), True where events are dropped.
 
     Parameters
     ----------

@@ -75,8 +75,10 @@ class Pixels:
 
     @property
     def camera(self) -> Sensor | None:
-        """(width, height) of the camera, from `sensor` or the mask's size; None if the source must
-        state it."""
+        """The size of the camera, (width, height), from `sensor` or from the mask.
+
+        None if neither is given. Then the source must state its size.
+        """
         return self.sensor if self.mask is None else self.mask.size
 
     @property

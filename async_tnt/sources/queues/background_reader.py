@@ -13,8 +13,9 @@ from async_tnt.sources.queues.queue import PacketQueue
 
 
 class BackgroundReader(PacketQueue):
-    """A `PacketQueue` that a daemon thread fills from a source; iterating it yields the packets in
-    order.
+    """A `PacketQueue` that a daemon thread fills from a source.
+
+    A loop over it gets the packets in order.
 
     Reading starts at once. An exception of the source is raised in the reader's loop, after the
     packets before it; the loop ends where the source ends. Use it as a context manager (`with` or
