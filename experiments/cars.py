@@ -141,8 +141,10 @@ def measure(
 def with_earlier(
     report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]
 ) -> dict[str, Any]:
-    """A report, and the recipes of an earlier one that it does not have: first those that `order`
-    names, in that order."""
+    """A report with those recipes of an earlier report that it does not have.
+
+    The recipes that `order` names come first, in that order.
+    """
     recipes = before["recipes"] | report["recipes"]
     names = [name for name in dict.fromkeys([*order, *recipes]) if name in recipes]
     return {**report, "recipes": {name: recipes[name] for name in names}}
@@ -161,8 +163,7 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
 
 @cache
 def by_crop_size(train: Path, test: Path) -> float:
-    """Accuracy on the test part of the width and the height of a recording alone, one answer for
-    all recipes.
+    """The test accuracy that a recording's width and height alone give, one for all recipes.
 
     Each training recording votes for its class among the sizes around its own. This is what a
     network could have from the crops, without any object.
@@ -199,8 +200,10 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Costs on some recordings' first windows: nanoseconds of an event in the volume, and a
-    decision after every event."""
+    """Costs on some recordings' first windows, in nanoseconds.
+
+    They are of an event in the volume, and of a decision after every event.
+    """
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
     some = []

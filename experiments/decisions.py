@@ -1,5 +1,6 @@
-"""How long a decision takes: ours, from what has changed, and the same by onnxruntime, OpenVINO,
-torch and eventcv.
+"""How long a decision takes.
+
+Ours, which computes what has changed, is compared with onnxruntime, OpenVINO, torch and eventcv.
 
     python -m experiments.decisions [--quick] [--json FILE] [--picture FILE]
 

@@ -130,8 +130,10 @@ def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model
 
 
 def mixed(before: Model, fitted: Fitted, kept: float, data: TrainingData) -> Fitted:
-    """The model with `kept` of the weights before and the rest of `fitted`, calibrated again on
-    what is held out."""
+    """The model whose weights are `kept` of the old ones and the rest of `fitted`.
+
+    It is calibrated again on what is held out.
+    """
     weights = {
         name: kept * before.weights[name] + (1 - kept) * after
         for name, after in fitted.model.weights.items()

@@ -1,5 +1,6 @@
-"""What a motion does not show, on real recordings: edges along it give no events, and a reversed
-one swaps polarity.
+"""What a motion does not show, on real recordings.
+
+Edges along the motion give no events, and a reversed motion swaps polarity.
 
     python -m experiments.edges --nmnist N-MNIST --mnist MNIST --json experiments/results/edges.json
 
@@ -63,8 +64,10 @@ def directions() -> np.ndarray:
 
 
 def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed and unsigned counts (34, 34) of events, moved along N-MNIST's path to where the image
-    is centred."""
+    """Signed and unsigned counts of events, (34, 34).
+
+    The events are moved along N-MNIST's path to where the image is centred.
+    """
     dx, dy = PATH.position(events["t"])
     x = np.rint(events["x"] - dx + 3.0).astype(int)
     y = np.rint(events["y"] - dy + 3.0).astype(int)

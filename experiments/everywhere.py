@@ -1,5 +1,6 @@
-"""Objects on a large sensor: how well a map model finds digits in scenes of several real
-recordings.
+"""Objects on a large sensor.
+
+The experiment tells how well a map model finds digits in scenes of several real recordings.
 
     python -m experiments.everywhere MODEL [MODEL ...] [--nmnist N-MNIST] [--part Test] [--scenes N]
                                      [--json FILE]
@@ -212,8 +213,10 @@ def objects_in_noise(model: Model, kind: Kind, n: int) -> float:
 
 
 def write_data(folder: Path, nmnist: Path, mnist: Path) -> None:
-    """Write what `digits-everywhere` is trained on: `folder/<digit>` with links to recordings, and
-    pictures."""
+    """Write what `digits-everywhere` is trained on.
+
+    This is a folder for each digit, with links to recordings and with pictures.
+    """
     for path in (nmnist / "Train").glob("*/*.bin"):
         link = folder / path.parent.name / path.name
         link.parent.mkdir(parents=True, exist_ok=True)

@@ -94,8 +94,10 @@ def measure(nmnist: Path, mnist: Path, out: Path, seeds: int, quick: bool) -> di
 
 
 def draw(report: dict[str, Any]) -> Figure:
-    """Share of windows right against recordings of each class, on axes that spread out what is near
-    100 %."""
+    """Draw the share of windows right against the number of recordings of each class.
+
+    The axes spread out what is near 100 %.
+    """
     figure = new_figure(3.6)
     axes = axes_at(figure, 0.8, 0.6, 9.2, 2.4)
     for way, colour in WAYS.items():

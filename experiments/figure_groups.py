@@ -102,8 +102,11 @@ CASES = (
 
 
 def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, float]:
-    """The features of the transformed image, the transformed features, and their relative
-    difference."""
+    """Two sets of features, and their relative difference.
+
+    The first are the features of the transformed image, the second are the transformed features
+    of the image.
+    """
     one = case.of(case.before(image))
     other = case.expected(case.after(image))
     return one, other, float((one - other).norm() / other.norm())

@@ -1,5 +1,6 @@
-"""In how many windows motion re-synthesis finds a path, and how often it is right; and how often
-where nothing moves.
+"""In how many windows motion re-synthesis finds a path, and in how many the path is right.
+
+It also counts the paths that are found where nothing moves.
 
     python -m experiments.found_paths [--nmnist N-MNIST] [--windows N] [--json FILE] [--quick]
 
@@ -68,8 +69,10 @@ def paths_of(
 
 
 def judged(paths: Sequence[MotionPath], angles: np.ndarray) -> dict[str, Any]:
-    """How many paths were found, and how many of these and of all lead within 45 degrees of
-    `angles`, in radians."""
+    """How many paths were found, and how many are right, of these and of all.
+
+    A path is right if it leads within 45 degrees of `angles`, in radians.
+    """
     leads = np.array([path.at(PARTS).mean(0) for path in paths])
     off = np.abs(np.angle(np.exp(1j * (np.arctan2(leads[:, 1], leads[:, 0]) - angles))))
     found = np.array([not path.refused for path in paths])

@@ -1,5 +1,6 @@
-"""From events to objects: the time it takes a map model on large sensors, beside computing the
-whole map.
+"""The time that a map model takes from events to objects, on large sensors.
+
+It is compared with the time it takes to compute the whole map.
 
     python -m experiments.map_times [--quick] [--ssla-rt PROGRAM WEIGHTS] [--json FILE]
 
@@ -70,8 +71,10 @@ EVERY_US = 1_000
 
 
 def four(channels: int) -> nn.Module:
-    """Four convolutions, a place for 8x8 pixels; nothing is likely, as few objects are there to be
-    found."""
+    """A network of four convolutions, with a place for 8x8 pixels.
+
+    Its last bias makes the answer "nothing" likely, as few objects are there to be found.
+    """
     widths = (channels, 16, 32, 32, 48)
     strides = (2, 2, 2, 1)
     layers: list[nn.Module] = []
@@ -95,8 +98,10 @@ def models() -> dict[str, Model]:
 def moving(
     sensor: tuple[int, int], n_objects: int, n: int, duration_us: int, speed: float
 ) -> np.ndarray:
-    """n events of recordings, over and over, each at its place, which moves by `speed` pixels a
-    second."""
+    """n events of recordings, which are repeated.
+
+    Each recording has its place, which moves by `speed` pixels a second.
+    """
     rng = np.random.default_rng(n_objects)
     room = np.array(sensor) - SIDE - 1
     parts = []

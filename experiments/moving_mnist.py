@@ -203,8 +203,10 @@ def _print(
 
 
 def export(made: MovingMnist, folder: Path) -> None:
-    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index
-    + 1."""
+    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`.
+
+    The number is the image's index + 1.
+    """
     with progress(len(made), "exporting") as bar:
         for shard in made:
             motion = folder / shard.metadata["motion"]["name"]

@@ -1,5 +1,6 @@
-"""How often a model decides with confidence where none of its classes is: noise, hot pixels,
-patches, edges, objects.
+"""How often a model is confident where none of its classes is there.
+
+It sees noise, hot pixels, patches, edges and objects.
 
     python -m experiments.nothing [--model NAME|FILE] [--poker POKER-DVS] [--characters FOLDER]
                                   [--cars N-CARS] [--json FILE] [--quick]

@@ -111,8 +111,9 @@ print(json.dumps(seconds))
 
 
 def bench_starts(model: Model, rounds: int, cold: bool) -> dict[str, Any]:
-    """Time starts: each round has one process of each row, the cold one with a cache folder of its
-    own.
+    """Time how long programs take to start.
+
+    Each round has one process of each row. The cold one has a cache folder of its own.
 
     A first round, which fills the system's file cache, is discarded. Without `cold` nothing is
     compiled: `ours_warm` takes the cache as this process has it.

@@ -279,8 +279,10 @@ def _tables(record: dict[str, Any]) -> str:
 
 
 def _listed(runs: list[Run], iterations: int | None) -> list[str]:
-    """The networks, a line for each row: what it is trained on, with how many seeds, for how many
-    steps."""
+    """A list of the networks, a line for each row.
+
+    It says what the row is trained on, with how many seeds, and for how many steps.
+    """
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
         row = ROWS[name]

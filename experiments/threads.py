@@ -45,8 +45,14 @@ Work = Callable[[], object]
 
 
 def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[str, Work]:
-    """What one stream takes: as a volume, with decisions at the ends of windows, and with one every
-    millisecond."""
+    """The work of one stream, in three forms.
+
+    It is a volume alone, a stream with decisions at the ends of windows, and one with a
+    decision every millisecond.
+
+    It is measured as a volume, with decisions at the ends of windows, and with one every
+    millisecond.
+    """
     packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
     takers: dict[str, Any] = {
         "volume": TNTVolume(model.config),
@@ -94,8 +100,10 @@ def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
 
 
 def wake_us(n: int = 2_000) -> float:
-    """Median microseconds until a thread that waits for a lock runs on: what it costs to wait for
-    Python's lock."""
+    """Median microseconds until a thread that waits for a lock runs on.
+
+    This is what it costs to wait for Python's lock.
+    """
     there = threading.Lock()
     back = threading.Lock()
     took = []

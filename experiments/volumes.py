@@ -86,8 +86,10 @@ def bench_volume(
 
 
 def whole_windows(rng: np.random.Generator, n_events: int, rounds: int) -> dict[str, Any]:
-    """Time a window on the largest sensor, opened, filled by packets of 1,300 and read once at its
-    end."""
+    """Time a window on the largest sensor.
+
+    It is opened, filled by packets of 1,300 events, and read once at its end.
+    """
     config = TNTConfig(sensor=GRIDS[-1], grid=GRIDS[-1], landmark="running")
     packets = _column_packets(made_columns(rng, GRIDS[-1], n_events, config.window_us), PACKETS[-1])
     volume = TNTVolume(config)

@@ -311,8 +311,7 @@ def _posed(
 
 
 def _perspective(seen: np.ndarray, corners: np.ndarray) -> tuple[float, ...]:
-    """The coefficients (a, ..., h) of the perspective that takes the four places `seen` to
-    `corners`:
+    """The coefficients (a, ..., h) of the perspective that takes `seen` to `corners`, four places:
 
     (x, y) -> ((a x + b y + c) / (g x + h y + 1), (d x + e y + f) / (g x + h y + 1))
     """

@@ -1,5 +1,7 @@
 """When a training ends before its last epoch.
 
+It ends early where nothing that is measured on held-out windows can improve.
+
 It ends where nothing that is measured on held-out windows can improve.
 
 The weights of the last epoch are kept, and the learning rate falls to 0 by then. So a training does

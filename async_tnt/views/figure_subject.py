@@ -1,7 +1,4 @@
-"""What figures draw of a recording: events, volumes and the model that decides.
-
-The transform gives each event its place.
-"""
+"""What figures draw of a recording: its events, raw and transformed, its volumes and the model."""
 
 from __future__ import annotations
 

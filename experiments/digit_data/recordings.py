@@ -1,5 +1,4 @@
-"""Recordings of digits to train on, N-MNIST's and simulated ones, and the windows that `digits`
-learned from."""
+"""Recordings of digits to train on, from N-MNIST and simulated, and the windows of `digits`."""
 
 from __future__ import annotations
 
@@ -74,8 +73,9 @@ def simulate_recordings(
     leave_out: Collection[int] = (),
     progress: Callable[..., Bar] = Bar,
 ) -> Recordings:
-    """Simulate `n` recordings of different MNIST training images, drawn from index `FIRST_INDEX`
-    on.
+    """Simulate `n` recordings of different MNIST training images.
+
+    The images are drawn from index `FIRST_INDEX` on.
 
     Each has its own random generator, seeded by (seed, index of the image).
 

@@ -1,5 +1,6 @@
-"""Windows of N-MNIST, one saccade each, with all of their events, or with a fifth, as few as hands
-give.
+"""Windows of N-MNIST, one saccade each.
+
+They have all of their events, or a fifth of them, which is as few as hands give.
 
 N-MNIST's pixels with events have five in a saccade; those of an object that a hand moves have about
 two.

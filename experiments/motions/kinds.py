@@ -89,8 +89,10 @@ class Motion:
 
     @property
     def flow_times_us(self) -> np.ndarray:
-        """Times to sample the optical flow at, int64, shape (K,): half time alone where the flow is
-        constant."""
+        """Times to sample the optical flow at, int64, shape (K,).
+
+        Where the flow is constant, this is half time alone.
+        """
         if self.kind.removesuffix(FROM_CENTRE) == "constant":
             return np.array([self.duration_us // 2], np.int64)
         return np.arange(0, self.duration_us + 1, FLOW_STEP_US, dtype=np.int64)
@@ -143,8 +145,10 @@ class Motion:
 
 
 def flow_of(trajectory: Trajectory, times_us: np.ndarray) -> np.ndarray:
-    """Optical flow (vx, vy), in pixels per second, shape (K, 2): the derivative of the
-    displacement, by differences over two microseconds."""
+    """Optical flow (vx, vy), in pixels per second, shape (K, 2).
+
+    It is the derivative of the displacement, by differences over two microseconds.
+    """
     after = np.stack(trajectory.position(times_us + 1.0), axis=1)
     before = np.stack(trajectory.position(times_us - 1.0), axis=1)
     return np.asarray((after - before) / 2e-6)

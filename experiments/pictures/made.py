@@ -1,5 +1,4 @@
-"""Pictures of six objects before a background, and recordings of the same objects in other
-pictures.
+"""Pictures of six objects before a background, and recordings of them in other pictures.
 
 Cup, glass (a cup without its handle), bottle, leaf, star and key: with textures of power 1/f^2,
 light from aside, before other textures; each picture shows another one of its kind. The recordings

@@ -1,5 +1,6 @@
-"""How models read MNIST's test images in motions, lights and at speeds that N-MNIST does not have:
-simulated windows.
+"""How models read MNIST's test images in simulated windows.
+
+The windows have motions, lights and speeds that N-MNIST does not have.
 
 motions   the 30 of N-MOVING-MNIST, dark digits and bright ones
 speeds    N-MNIST's own three saccades at a quarter to four times their speed, in windows in

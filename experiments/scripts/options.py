@@ -1,5 +1,7 @@
-"""What the commands of this folder share: options, how they end, and the files and pictures that
-they write."""
+"""What the commands of this folder share.
+
+These are options, how they end, and the files and pictures that they write.
+"""
 
 from __future__ import annotations
 
@@ -85,8 +87,10 @@ def run_script(
     name: str,
     draw: Callable[[Any], Any] | None = None,
 ) -> int:
-    """Measure (given --quick) or read, print the tables of report `name`, and write JSON and the
-    picture if asked. Returns the exit code: 1 if backends do not agree."""
+    """Measure or read report `name`, print its tables, and write JSON and the picture if asked.
+
+    `measure` is called with --quick. Returns the exit code: 1 if backends do not agree.
+    """
     args = parser.parse_args(argv)
     try:
         source = getattr(args, "source", None)
@@ -109,8 +113,10 @@ def earlier_report(args: argparse.Namespace, report: dict[str, Any]) -> dict[str
 
 
 def print_tables(report: dict[str, Any], name: str) -> None:
-    """Print what RESULTS.md would show of this report, what each row does, and what is left out
-    and why."""
+    """Print what RESULTS.md would show of this report.
+
+    It also prints what each row does, and what is left out and why.
+    """
     from experiments.tables.sections import SECTIONS
 
     for section in SECTIONS:

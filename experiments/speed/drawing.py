@@ -1,5 +1,7 @@
-"""The picture of `experiments/decisions.py`: microseconds per decision against events since the
-previous one."""
+"""The picture of `experiments/decisions.py`.
+
+It draws microseconds per decision against the number of events since the previous decision.
+"""
 
 from __future__ import annotations
 

@@ -73,8 +73,10 @@ def _decisions(processor: Processor, packets: list[np.ndarray]) -> list[Decision
 
 
 def in_full(network: Network) -> Network:
-    """The network as a plain callable: of a CompiledClassifier, a Processor would compute only what
-    changed."""
+    """The network as a plain callable.
+
+    A Processor would let a CompiledClassifier compute only what has changed.
+    """
     return (lambda volume: network(volume)) if isinstance(network, CompiledClassifier) else network
 
 

@@ -1,5 +1,7 @@
-"""The tables of accuracy: of the bundled model, of its early decisions, and of what makes motions
-hard to know."""
+"""The tables of accuracy.
+
+They are about the bundled model, its early decisions, and what makes motions hard to know.
+"""
 
 from __future__ import annotations
 
@@ -155,9 +157,11 @@ def polarity(found: dict[str, Any]) -> str:
 
 
 def share_closed(accuracy: Mapping[str, Any]) -> dict[str, float]:
-    """In each test of other motions: the share of the gap between training on one and on all
-    directions that re-synthesis closes. A test without such a comparison, or with hardly a gap, is
-    left out."""
+    """The share of a gap that re-synthesis closes, for each test of other motions.
+
+    The gap is between training on one direction and on all. A test without such a comparison,
+    or with hardly a gap, is left out.
+    """
     if "all directions" not in accuracy:
         return {}
     closed = {}

@@ -82,8 +82,10 @@ def conclusions() -> str:
 
 
 def answer(question: str, every: Sequence[Difference]) -> str:
-    """A question's differences that hold: a row for each pair and what it was trained on, a column
-    for each test."""
+    """A table of a question's differences that hold.
+
+    It has a row for each pair and what it was trained on, and a column for each test.
+    """
     asked = [one for one in every if one["question"] == question]
     if not asked:
         return f"{question}: not measured yet."

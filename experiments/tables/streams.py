@@ -1,5 +1,7 @@
-"""The tables of streams: event volumes (bench.json), map models, threads, memory, network,
-loads."""
+"""The tables of streams.
+
+They are about event volumes (bench.json), map models, threads, memory, network and loads.
+"""
 
 from __future__ import annotations
 

@@ -71,8 +71,11 @@ def thesis_rows() -> str:
 
 
 def comparison() -> str:
-    """The comparison, with a row of what a network would have that knows the motion it saw, and
-    guesses in others."""
+    """The table of the comparison.
+
+    It has a row of what a network would have that is right in the motion it saw, and guesses in
+    others.
+    """
     lines = markdown_table(_accuracies(), ("comparison", "spans"), COLUMNS).splitlines()
     guessed = {
         "1/all": _guessed("1/all"),

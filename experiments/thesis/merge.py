@@ -1,5 +1,6 @@
-"""The results of some rows of the table put into a file that has more: a day of training need not
-be one run.
+"""Put the results of some rows of the table into a file that has more rows.
+
+A day of training need not be one run.
 
 What was measured again replaces what is there: a row's numbers in a column, a difference, an
 effect. p is adjusted again over all that a question then has. A difference from numbers that are

@@ -1,5 +1,7 @@
-"""The table's numbers: accuracies brought together over seeds, differences of rows with their
-intervals, and tables.
+"""The table's numbers.
+
+They are accuracies brought together over seeds, differences of rows with their intervals, and
+tables.
 
 Differences are taken seed by seed and digit by digit, and both are drawn at random: other seeds and
 other digits would give other numbers. With d the (S, I) differences of S seeds and I digits, the
@@ -94,8 +96,11 @@ def shares(right: np.ndarray) -> np.ndarray:
 
 
 def interval(values: np.ndarray) -> dict[str, float]:
-    """The mean of differences (S, I) of S seeds and I digits, at least two each: "mean", its 95 %
-    interval from "low" to "high", and "p"."""
+    """The mean of differences (S, I), with its interval and p.
+
+    There are S seeds and I digits, at least two each. The dict has "mean", its 95 % interval
+    from "low" to "high", and "p".
+    """
     # scripts that only print tables need no SciPy
     from scipy import stats
 
@@ -112,8 +117,9 @@ def interval(values: np.ndarray) -> dict[str, float]:
 
 
 def differences(right: Right) -> list[dict[str, Any]]:
-    """Differences of the pairs in `QUESTIONS`, in each column that both rows have with two seeds at
-    least.
+    """Differences of the pairs in `QUESTIONS`.
+
+    They are in each column that both rows have with at least two seeds.
 
     Returns
     -------
@@ -161,8 +167,10 @@ def holm(p: Sequence[float]) -> list[float]:
 def markdown_table(
     table: dict[str, Any], groups: Sequence[str], columns: Sequence[str] = ()
 ) -> str:
-    """The rows of groups in Markdown, in these columns or in all; the thesis' numbers follow in
-    brackets."""
+    """A table in Markdown of the rows of groups, in these columns or in all.
+
+    The thesis' numbers follow in brackets.
+    """
     rows = [row for group in groups for row in table if row in ROWS and ROWS[row].group == group]
     columns = columns or in_order(column for row in rows for column in table[row])
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]

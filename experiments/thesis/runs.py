@@ -1,5 +1,7 @@
-"""The networks of the table: trained and tested, several at a time, each with its result in two
-files."""
+"""Train and test the networks of the table.
+
+Several are trained at a time. The result of each is in two files.
+"""
 
 from __future__ import annotations
 
@@ -58,8 +60,9 @@ def run_networks(
     folder: Path,
     workers: int,
 ) -> list[dict[str, Any]]:
-    """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker,
-    in this process.
+    """Call `run_network` for each of `runs`, in `workers` processes of one thread each.
+
+    With one worker, it is called in this process.
 
     Raises
     ------
@@ -202,8 +205,10 @@ def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
 def motions_of(
     row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
 ) -> Motions | None:
-    """Other motions of a row's training windows; rows and seeds with the same settings share
-    them."""
+    """Other motions of a row's training windows.
+
+    Rows and seeds with the same settings share them.
+    """
     config = ROWS[row].config
     motions = ROWS[row].motions
     if motions is None:
@@ -230,8 +235,10 @@ def _tested(
     span: int | None,
     moments_ms: tuple[int, ...],
 ) -> dict[str, Any]:
-    """Accuracy in all, of each motion and at moments; "right": int8, (motions, recordings or
-    images), -1 where one has no window."""
+    """The accuracy in all, of each motion and at moments, and what was right.
+
+    "right" is int8, (motions, recordings or images), and -1 where a motion has no window.
+    """
     parts = []
     early = {ms: [0, 0] for ms in moments_ms}
     for motion, windows in _windows(test, data, simulated):
@@ -263,8 +270,10 @@ def _tested(
 def _windows(
     test: str, data: RealData, simulated: Mapping[str, MovingMnist]
 ) -> Iterator[tuple[str, Windows]]:
-    """(motion, windows) of the test data "all", "others" (saccades 2 and 3), "train", or of a
-    simulated set."""
+    """Pairs (motion, windows) of test data.
+
+    The data are "all", "others" (saccades 2 and 3), "train", or a simulated set.
+    """
     if test in simulated:
         yield from simulated_windows(simulated[test])
         return

@@ -108,8 +108,10 @@ class LandmarkRegressor(nn.Module):
         nn.init.zeros_(self.heatmap.weight)
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """The landmark of a raw `volume`, float64 (x, y) in grid pixels: (N, C, H, W) -> (N, 2), or
-        (C, H, W) -> (2,)."""
+        """The landmark of a raw `volume`, float64, (x, y) in grid pixels.
+
+        A volume (N, C, H, W) has landmarks (N, 2), a volume (C, H, W) has a landmark (2,).
+        """
         check_volume_shape(volume, self.channels, self.grid)
         a = F.relu(self.conv1(volume))  # (..., n_filters, H, W), as are the next two
         a = F.relu(self.conv2(a))
@@ -212,8 +214,7 @@ class Pipeline(nn.Module):
         return self.window_us
 
     def volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): what the classifier sees of one window, in the type of the networks'
-        weights."""
+        """The classifier's input for one window, (C, H, W), in the type of the weights."""
         if self.transform == "none":
             return self.raw_volume(t, x, y, p, start_us)
         landmark: str | torch.Tensor = self.landmark

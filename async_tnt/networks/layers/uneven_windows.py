@@ -51,7 +51,7 @@ def adaptive_spans(n: int, n_inputs: int) -> AdaptiveSpans:
 
 
 def adaptive_shares(n: int, n_inputs: int) -> tuple[np.ndarray, int, int]:
-    """The shares of an adaptive pooling to `n` places along one axis, with its stride and `before`."""
+    """The shares of an adaptive pooling to `n` places along one axis, its stride and `before`."""
     spans, stride, before, kernel = adaptive_spans(n, n_inputs)
     return shares_of(spans, n_inputs, stride, before, kernel), stride, before
 

@@ -131,7 +131,9 @@ def _pool(made: LayerList, call: Call, op: str) -> str:
 
 
 def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int:
-    """The padding with which a pooling gives the same without torch's `ceil_mode`.
+    """The padding at the end with which a pooling needs no `ceil_mode` of torch.
+
+    With this padding the last window fits, if it begins inside the input.
 
     With it, a last window fits that begins inside the input.
     """

@@ -22,8 +22,6 @@ class Clock:
 
     It drops them until eight consecutive packets agree that the clock has moved.
 
-    If eight consecutive packets agree, the clock has moved, and their events are kept.
-
     A processor relies on the events' own times: one time far ahead closes all its windows, and
     after a fall back all times come too late for them. The rule, for a packet that arrives when
     `passed` microseconds have gone by here since the newest event so far, n:
