@@ -194,7 +194,11 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
         files = sorted(folder.iterdir())
         events = (open_recording(file).read() for file in files)
         found[folder.name] = np.array(
-            [(one["x"].max() + 1, one["y"].max() + 1) for one in events if len(one)]
+            [
+                (recording["x"].max() + 1, recording["y"].max() + 1)
+                for recording in events
+                if len(recording)
+            ]
         )
     return found
 
@@ -206,27 +210,27 @@ def _costs(path: Path, test: Path) -> dict[str, Any]:
     """
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
-    some = []
+    windows = []
     for file in files[:: -(-len(files) // TIMED)]:
         events = open_recording(file, sensor=model.config.sensor).read()
         events["t"] -= events["t"][0]
-        some.append(events[events["t"] < model.config.window_us])
+        windows.append(events[events["t"] < model.config.window_us])
     regressor = CompiledRegressor(model) if model.config.needs_regressor else None
     volume = TNTVolume(model.config, regressor=regressor)
 
     def absorbed() -> float:
         nanoseconds = 0.0
-        for events in some:
+        for events in windows:
             volume.open(0)
             started = work_clock()
             volume.update(events)
             nanoseconds += 1e9 * (work_clock() - started)
-        return nanoseconds / sum(map(len, some))
+        return nanoseconds / sum(map(len, windows))
 
     per_event = interleave({"ours": absorbed}, 20)["ours"]
     return {
         "event_ns": spread(per_event),
-        "every_event": bench_every_event(model, {}, some, rounds=2 * len(some))["ours"],
+        "every_event": bench_every_event(model, {}, windows, rounds=2 * len(windows))["ours"],
     }
 
 
@@ -270,7 +274,7 @@ def _draw_time(
 
 
 def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
-    """What each level of confidence costs and buys, in the mean over the networks."""
+    """Draw what each level of confidence costs and buys, in the mean over the networks."""
     of_levels = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
     # levels that windows reach
     of_levels = [rows for rows in of_levels if all(row["median_ms"] is not None for row in rows)]

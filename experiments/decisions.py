@@ -43,7 +43,7 @@ QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1}
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """All measurements, as one JSON object.
+    """Measure everything, and return one JSON object.
 
     Raises
     ------

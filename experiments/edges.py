@@ -86,7 +86,7 @@ def gradient(image: np.ndarray) -> np.ndarray:
 
 
 def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
-    """The report, of `n` recordings spread evenly over those there are."""
+    """Measure the report on `n` recordings, spread evenly over all recordings."""
     split, found = recordings_by_image(nmnist, "train")
     images, _ = load_mnist(mnist, split)
     shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]

@@ -186,8 +186,8 @@ def measure(
     processor = Processor(model.for_sensor(kind.sensor), start_us=0)
     total = np.zeros(3)
     early = np.zeros(3)
-    for some in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
-        events, truth, last_us = scene([files[i] for i in some], kind, rng)
+    for chosen in order[: n_scenes * kind.n_objects].reshape(n_scenes, -1):
+        events, truth, last_us = scene([files[i] for i in chosen], kind, rng)
         processor.reset()
         n_early = int(np.searchsorted(events["t"], last_us + EARLY_US))
         processor.push(events[:n_early])

@@ -103,7 +103,8 @@ def draw(report: dict[str, Any]) -> Figure:
     for way, colour in WAYS.items():
         rows = report["ways"][way]
         wrong = [
-            100 * (1 - np.mean([one["window_accuracy"] for one in row["networks"]])) for row in rows
+            100 * (1 - np.mean([network["window_accuracy"] for network in row["networks"]]))
+            for row in rows
         ]
         axes.plot(
             [max(0.3, row["per_class"]) for row in rows], wrong, color=colour, marker="o", label=way

@@ -113,7 +113,7 @@ def compared(case: Case, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tenso
 
 
 def draw() -> Figure:
-    """A row for each case."""
+    """Draw a row for each case."""
     image = counted()
     figure = new_figure(1.2 * len(CASES) + 0.95)
     heads = ("image", "transformed", "its features", "features, transformed", "difference")

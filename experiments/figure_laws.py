@@ -145,7 +145,7 @@ def wander_table() -> None:
     rows = []
     for landmark in ("running", "line"):
         found = [tnt_reference.landmark(landmark, t, *points(seed), **AT) for seed in range(400)]
-        strays = np.stack([one.numpy() - 100 for one in found])  # (objects, N, 2)
+        strays = np.stack([landmarks.numpy() - 100 for landmarks in found])  # (objects, N, 2)
         rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)

@@ -123,7 +123,7 @@ def direction(flow: np.ndarray, axis: int) -> str:
 
 
 def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
-    """Events along one axis against time, in grid pixels."""
+    """Draw the events along one axis against time, in grid pixels."""
     config = window.subject.config
     u, v, kept, _ = window.coordinates()
     gain = config.to_grid(1.0, 1.0)[axis]

@@ -115,7 +115,7 @@ def train_following(
 
 
 def write_pictures(name: str, folder: Path, mnist: Path | None, n: int, fonts: Path | None) -> None:
-    """The pictures of a set."""
+    """Write the pictures of a set."""
     if name == "nmnist":
         write_mnist(folder, data_folder(mnist, "mnist", "--mnist"), n)
     elif name == "poker":

@@ -101,7 +101,7 @@ def made_model(name: str) -> Model:
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """All measurements, as one JSON object.
+    """Measure everything, and return one JSON object.
 
     Raises
     ------

@@ -215,7 +215,7 @@ def load(model: Model, n_objects: int, seconds: float) -> float:
 
 
 def measure(quick: bool, peer: tuple[str, str] | None) -> dict[str, Any]:
-    """The whole report."""
+    """Measure the whole report."""
     n_moments = 20 if quick else MOMENTS
     seconds = 0.05 if quick else 1.0
     rows: dict[str, Any] = {}

@@ -161,9 +161,9 @@ def _objects(files: list[Path], side: int, window_us: int, most: int) -> Iterato
         t = events["t"] - events["t"][0]
         scale = max(1.0, (max(int(events["x"].max()), int(events["y"].max())) + 1) / side)
         in_window = t < window_us
-        one = events[in_window]
+        window = events[in_window]
         yield on_sensor(
-            t[in_window], one["x"] / scale, one["y"] / scale, one["p"] > 0, (side, side)
+            t[in_window], window["x"] / scale, window["y"] / scale, window["p"] > 0, (side, side)
         )
 
 

@@ -182,7 +182,7 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """All starts, as one JSON object."""
+    """Measure all starts, and return one JSON object."""
     model = load_model(MODEL)
     rounds = 1 if quick else ROUNDS
     warmup(model)

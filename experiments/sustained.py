@@ -113,7 +113,7 @@ def under_load(processor: Processor, rate: float, seconds: float) -> dict[str, A
 def measure(
     name: str, every_events: int, seconds: float, loads: tuple[float, ...]
 ) -> dict[str, Any]:
-    """The sustained rate, and streams at each load of it."""
+    """Measure the sustained rate, and streams at each load of it."""
     model = load_model(name)
     warmup(model)
     processor = Processor(model, every_events=every_events)

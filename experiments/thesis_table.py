@@ -259,7 +259,7 @@ def _measured(runs: list[Run], args: argparse.Namespace) -> tuple[dict[str, Any]
 
 
 def _write(record: dict[str, Any], args: argparse.Namespace) -> None:
-    """The files of --out and --into."""
+    """Write the files of --out and --into."""
     from experiments.thesis.merge import merged
 
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")

@@ -66,8 +66,8 @@ def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[st
         def run() -> None:
             for _ in range(n_passes):
                 taker.reset()
-                for some in packets:
-                    take(some)
+                for events_of_packet in packets:
+                    take(events_of_packet)
 
         return run
 
@@ -90,7 +90,7 @@ def seconds(pair: tuple[Work, Work], in_threads: bool) -> float:
 
 
 def speed_up(pair: tuple[Work, Work], rounds: int) -> dict[str, float]:
-    """The time of one after the other, divided by that of both at once."""
+    """The time of two works one after the other, divided by their time in two threads."""
     both = {
         "one after the other": partial(seconds, pair, in_threads=False),
         "in threads": partial(seconds, pair, in_threads=True),

@@ -41,7 +41,7 @@ ROUNDS = (31, 5)
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """All sensors, as one JSON object."""
+    """Measure all sensors, and return one JSON object."""
     rng = np.random.default_rng(0)
     rounds = ROUNDS[quick]
     found = []

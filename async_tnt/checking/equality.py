@@ -84,10 +84,10 @@ def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
         return {"no transform": base}
     tnt = base.replace(transform="tnt", remove_flow=False)
     landmarks = [name for name in LANDMARKS if name != "regressor" or base.needs_regressor]
-    every = {landmark: tnt.replace(landmark=landmark) for landmark in landmarks}
-    every["line, flow removed"] = tnt.replace(landmark="line", remove_flow=True)
-    every["no transform"] = tnt.replace(landmark="center", transform="none")
-    return every
+    configs = {landmark: tnt.replace(landmark=landmark) for landmark in landmarks}
+    configs["line, flow removed"] = tnt.replace(landmark="line", remove_flow=True)
+    configs["no transform"] = tnt.replace(landmark="center", transform="none")
+    return configs
 
 
 def check_recording(
@@ -129,7 +129,7 @@ def _check_packets(
     regressor: Regressor | None,
     closed: list[tuple[int, bytes]],
 ) -> Comparison:
-    """The first half of promise (a): volumes do not depend on packets.
+    """Check the first half of promise (a): volumes do not depend on packets.
 
     closed : the `_closed_windows` of the first packet size.
     """
@@ -151,7 +151,7 @@ def _check_volumes(
     start_us: int | None,
     closed: list[tuple[int, bytes]],
 ) -> list[Comparison]:
-    """The second half of promise (a), and promise (b): windows, volumes and landmarks.
+    """Check the second half of promise (a), and promise (b): windows, volumes and landmarks.
 
     closed : the `_closed_windows` of a stream.
     """

@@ -176,9 +176,9 @@ def _tasks_of(
     """A task for each recording of a folder, named by its place in it."""
     tasks = []
     for label, recordings in found.items():
-        for one in recordings:
-            name = one.name_as(one.path.relative_to(folder).as_posix())
-            tasks.append(task_of(name, one.path, job, label, one.between_us))
+        for recording in recordings:
+            name = recording.name_as(recording.path.relative_to(folder).as_posix())
+            tasks.append(task_of(name, recording.path, job, label, recording.between_us))
     return tasks
 
 

@@ -397,5 +397,5 @@ def _value_words(name: str, value: Any) -> str:
         value = separator.join(f"{part:g}" for part in value)
     values = value if isinstance(value, list) else [value]
     if name in ("network", "teacher"):
-        values = [Path(one).name for one in values]
+        values = [Path(value).name for value in values]
     return shlex.join(map(str, values))

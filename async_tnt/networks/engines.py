@@ -33,7 +33,7 @@ def choose_engine(
 
     Parameters
     ----------
-    name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
+    name_or_path : a model, see `load_model`, or an .onnx file that `async-tnt export` wrote.
     map_sensor : (width, height), the sensor that a map model is to be used for, see
         `Model.for_sensor`. Other models have a sensor of their own.
     config : for an .onnx file of another program, a JSON file with the fields of a `TNTConfig` as

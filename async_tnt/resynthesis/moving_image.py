@@ -175,8 +175,8 @@ class MovingImage:
     def band_of(self, spectra: np.ndarray) -> np.ndarray:
         """The band's part of `spectra`, (N, F, K)."""
         qx, qy = self.frequencies
-        some = spectra[:, np.abs(qy) <= BAND][:, :, qx <= BAND]
-        return some.reshape(len(spectra), -1, N_FRAMES)
+        band = spectra[:, np.abs(qy) <= BAND][:, :, qx <= BAND]
+        return band.reshape(len(spectra), -1, N_FRAMES)
 
     def white_motion(self, paths: np.ndarray, qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
         """W a of paths (..., K, 2) in cells: (..., ny, nx, K)."""

@@ -456,9 +456,9 @@ class Processor(TriggerAttributes):
         self._begun_for = self._oldest_window()
 
     def fire(self) -> Decision:
-        """Classify the open window as it is now; before the first event, an empty volume.
+        """Classify the open window as it is now, without any change to the stream.
 
-        Changes nothing.
+        Before the first event, an empty volume is classified.
         """
         self._running.begin()
         try:

@@ -231,12 +231,13 @@ class Augmentation:
         config : a configuration with that sensor and window.
         changes : values of other fields.
         """
-        larger = (min(config.sensor) - 1) / 33
-        longer = config.window_us / 105_000
+        # distances between the outermost pixels, of which N-MNIST has 34
+        scale_px = (min(config.sensor) - 1) / 33
+        scale_ms = config.window_us / 105_000
         scaled = cls(
-            start_ms=cls.start_ms * longer,
-            shift_px=cls.shift_px * larger,
-            partial_from_ms=cls.partial_from_ms * longer,
+            start_ms=cls.start_ms * scale_ms,
+            shift_px=cls.shift_px * scale_px,
+            partial_from_ms=cls.partial_from_ms * scale_ms,
         )
         return replace(scaled, **changes)
 

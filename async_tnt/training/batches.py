@@ -87,7 +87,7 @@ class BatchVolumes:
 
         Parameters
         ----------
-        windows, draws : as for a call.
+        windows, draws : see `__call__`.
         landmarks : float64, shape (N, 2), (x, y) in grid pixels.
         gradient : float32, shape (N, C, H, W): dL/dV.
 

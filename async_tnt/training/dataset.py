@@ -147,7 +147,9 @@ def read_part(
     found = find_recordings(folder, part)
     _check_classes(folder, found, classes, with_pictures)
     names = tuple(found) if classes is None else classes
-    labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
+    labelled = [
+        (label, recording) for label, name in enumerate(names) for recording in found.get(name, [])
+    ]
 
     camera = _camera_of(pixels, first)
     if camera is None:

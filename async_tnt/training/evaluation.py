@@ -150,15 +150,15 @@ def class_probabilities(
     pipeline.eval()
     with torch.no_grad():
         for first in range(0, len(windows), BATCH):
-            some = windows[first : first + BATCH]
-            draws = unchanged(len(some), pipeline.config)
+            batch = windows[first : first + BATCH]
+            draws = unchanged(len(batch), pipeline.config)
             if until_us is not None:
                 draws.until_us[:] = until_us
             if nothing != SHOWN:
-                draws.seed[:] = np.arange(first, first + len(some))
+                draws.seed[:] = np.arange(first, first + len(batch))
                 rng = np.random.default_rng((first, nothing))
-                draws = of_nothing(draws, np.full(len(some), nothing, np.int64), rng)
-            logits = pipeline(some, draws)
+                draws = of_nothing(draws, np.full(len(batch), nothing, np.int64), rng)
+            logits = pipeline(batch, draws)
             parts.append(torch.softmax(logits.double(), dim=1).cpu().numpy())
     pipeline.train(was_training)
     return np.concatenate(parts)

@@ -116,7 +116,7 @@ def _record(
     start: Model | None,
     motions: Motions | None,
 ) -> dict[str, Any]:
-    """How a model was trained, for its record."""
+    """The part of a model's record that says how it was trained."""
     network = "that of the model it started from"
     if start is None:
         network = Path(settings.network).name

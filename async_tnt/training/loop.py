@@ -314,11 +314,11 @@ def batches_of(
     order = np.concatenate(passes)
     shown = windows[order] if motions is None else motions.show(epoch, order, rng)
     for first in range(0, len(shown), settings.batch):
-        some = shown[first : first + settings.batch]
+        batch = shown[first : first + settings.batch]
         draws = None
         if settings.augmentation is not None:
-            draws = settings.augmentation.draw(some, config, rng)
-        yield some, draws
+            draws = settings.augmentation.draw(batch, config, rng)
+        yield batch, draws
 
 
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -234,11 +234,11 @@ def input_scale(config: TNTConfig, windows: Windows) -> float:
     """
     n = min(N_MEASURED, len(windows))
     spread = np.linspace(0, len(windows) - 1, n).astype(np.int64)
-    some = windows[np.unique(spread)]
+    measured = windows[np.unique(spread)]
     volumes = BatchVolumes(config)
     mean_squares = []
-    for k in range(len(some)):  # one after another: together the volumes may be large
-        volume = volumes(some[k : k + 1])
+    for k in range(len(measured)):  # one after another: together the volumes may be large
+        volume = volumes(measured[k : k + 1])
         mean_squares.append(np.square(volume, dtype=np.float64).mean())
     return float(1.0 / np.sqrt(max(np.mean(mean_squares), 1e-12)))
 

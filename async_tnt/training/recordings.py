@@ -69,11 +69,11 @@ class Recordings:
         return middles
 
     def __add__(self, other: Recordings) -> Recordings:
-        both = {}
+        columns = {}
         for name in (*COLUMNS, "labels"):
-            both[name] = np.concatenate([getattr(self, name), getattr(other, name)])
+            columns[name] = np.concatenate([getattr(self, name), getattr(other, name)])
         offsets = np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]])
-        return Recordings(**both, offsets=offsets, names=self.names + other.names)
+        return Recordings(**columns, offsets=offsets, names=self.names + other.names)
 
     @classmethod
     def from_events(

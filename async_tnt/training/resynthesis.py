@@ -157,9 +157,9 @@ def resynthesize(
 def _calibrated(training: Windows, config: TNTConfig, seed: int) -> tuple[int, Calibration]:
     """The side of an image's cells, in pixels, and the simulated pixels, from some windows."""
     order = np.random.default_rng(seed).permutation(len(training))
-    some = np.sort(order[:N_CALIBRATION])
+    chosen = np.sort(order[:N_CALIBRATION])
     around_us = config.window_us * training.neighbours(config.window_us)
-    columns = [training.events(i, config.window_us, around_us[i]) for i in some]
+    columns = [training.events(i, config.window_us, around_us[i]) for i in chosen]
     cell = cell_for(columns, config.sensor)
     reconstruction = Reconstruction(config.sensor, config.window_us, cell)
     return cell, calibrate(reconstruction, columns, seed)
@@ -207,12 +207,12 @@ def _chunks(
     around_us = config.window_us * windows.neighbours(config.window_us)
     chunks = []
     for first in range(0, len(windows), step):
-        some = slice(first, first + step)
+        part_of_windows = slice(first, first + step)
         chunk = _Chunk(
             part=part,
             first=first,
-            windows=windows[some],
-            around_us=around_us[some],
+            windows=windows[part_of_windows],
+            around_us=around_us[part_of_windows],
             window_us=config.window_us,
             variations=variations,
             file=folder / f"{part}_{first:06}.npz",

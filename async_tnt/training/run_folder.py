@@ -144,12 +144,12 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
     recordings = [training.recordings]
     if validation.recordings is not training.recordings:
         recordings.append(validation.recordings)
-    for one in recordings:
+    for columns in recordings:
         for name in ("offsets", *COLUMNS):
-            column = getattr(one, name)
+            column = getattr(columns, name)
             for first in range(0, len(column), CHUNK):
-                some = np.ascontiguousarray(column[first : first + CHUNK])
-                checksum = zlib.crc32(some.data, checksum)
+                part = np.ascontiguousarray(column[first : first + CHUNK])
+                checksum = zlib.crc32(part.data, checksum)
     return checksum
 
 

@@ -126,8 +126,8 @@ class SceneMaker:
         volumes = self._noise(n_scenes, until_us, rng)
         position = np.full((n, 2), np.inf)
         for i in range(n):
-            there = position[(scene == scene[i]) & np.isfinite(position[:, 0])]
-            place = self._place(there, rng)
+            taken = position[(scene == scene[i]) & np.isfinite(position[:, 0])]
+            place = self._place(taken, rng)
             if place is not None:
                 position[i] = self._add(volumes[scene[i]], own[i], middles[i], place)
         is_object &= np.isfinite(position[:, 0])
@@ -215,6 +215,6 @@ def _middles(windows: Windows, until_us: np.ndarray) -> np.ndarray:
     for i, (first, end) in enumerate(itertools.pairwise(windows.recordings.offsets)):
         last = first + np.searchsorted(windows.recordings.t[first:end], until_us[i])
         if first < last:
-            both = windows.recordings.x[first:last], windows.recordings.y[first:last]
-            middles[i] = np.percentile(both, OUTER, axis=1).mean(axis=0)
+            x_and_y = windows.recordings.x[first:last], windows.recordings.y[first:last]
+            middles[i] = np.percentile(x_and_y, OUTER, axis=1).mean(axis=0)
     return middles

@@ -359,11 +359,11 @@ def _record(chunk: _Chunk, *, settings: SceneSettings, seed: tuple[int, int]) ->
             rng = np.random.default_rng((*seed, i, take))
             recordings.append(record_picture(picture, settings, rng))
     columns: dict[str, Any] = {
-        name: np.concatenate([one[name].astype(dtype) for one in recordings])
+        name: np.concatenate([events[name].astype(dtype) for events in recordings])
         for name, dtype in COLUMNS.items()
     }
     with replacing(chunk.file) as part, part.open("wb") as file:
-        np.savez(file, sizes=np.array([len(one) for one in recordings]), **columns)
+        np.savez(file, sizes=np.array([len(events) for events in recordings]), **columns)
     return len(recordings)
 
 

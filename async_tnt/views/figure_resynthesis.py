@@ -120,7 +120,7 @@ def draw_resynthesis(
 def draw_recorded_pictures(
     pictures: Sequence[tuple[str, np.ndarray, Sequence[np.ndarray]]], sensor: tuple[int, int]
 ) -> Figure:
-    """A row for each picture: the picture, and its recordings.
+    """Draw a row for each picture: the picture, and its recordings.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _counts(events: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _draw_path(axes: Any, path: np.ndarray, sensor: tuple[int, int]) -> None:
-    """A path about the middle of the picture, with an arrow at its end."""
+    """Draw a path about the middle of the picture, with an arrow at its end."""
     x, y = (path - (path.min(0) + path.max(0)) / 2 + (np.array(sensor) - 1) / 2).T
     axes.plot(x, y, color="black", lw=1.4)
     far = np.flatnonzero(np.hypot(x - x[-1], y - y[-1]) > 0.02 * max(sensor))

@@ -286,7 +286,7 @@ class TNTVolume:
         x = int(self._ints[S.SUM_X]) / n
         y = int(self._ints[S.SUM_Y]) / n
         if config.landmark == "line":
-            # before the next line: a replay may set the sums
+            # `_slopes` may replay the window, which sets the sums. So SUM_T is read after it.
             slope_x, slope_y = self._slopes()
             mean_f = int(self._ints[S.SUM_T]) / n / float(self._buffer[S.WINDOW_US])
             x -= slope_x * mean_f

@@ -59,10 +59,10 @@ def read_nmnist_folder(
         labels += [int(digit)] * len(of_digit[:per_digit])
     events = []
     with progress(len(found), "reading") as bar:
-        for one in found:
+        for recording in found:
             bar.update()
-            events.append(read_nmnist(one.path))
-    return Recordings.from_events(events, labels, [one.name for one in found])
+            events.append(read_nmnist(recording.path))
+    return Recordings.from_events(events, labels, [recording.name for recording in found])
 
 
 def simulate_recordings(

@@ -76,7 +76,7 @@ def build(
         (30 motions), or "nmnist" (1).
     workers : number of processes; one per core by default. A script with more than one needs
         `if __name__ == "__main__":`.
-    scene, frame_us : as in `simulate_digit`.
+    scene, frame_us : see `simulate_digit`.
 
     Raises
     ------

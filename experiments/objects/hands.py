@@ -202,9 +202,9 @@ def record(
             # out; where the hand turns round, also back
             phase = u / turns_at if is_back else u
             way = (1 - np.cos(np.pi * phase)) / 2
-            gone = length * way
-            x = column[near] - origin[0] - gone * np.cos(angle)
-            y = row[near] - origin[1] - gone * np.sin(angle)
+            moved = length * way
+            x = column[near] - origin[0] - moved * np.cos(angle)
+            y = row[near] - origin[1] - moved * np.sin(angle)
             cos = np.cos(posture + turn * way)
             sin = np.sin(posture + turn * way)
             scale = size * (1 + nearer * way)

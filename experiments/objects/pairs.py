@@ -82,9 +82,9 @@ def record(
 
     def seen() -> Iterator[np.ndarray]:
         for u in np.arange(STEPS + 1) / STEPS:
-            gone = length * (u + speed_up * u * (1 - u) - 0.5)
-            x = fine_x - origin[0] - gone * np.cos(direction)
-            y = fine_y - origin[1] - gone * np.sin(direction)
+            moved = length * (u + speed_up * u * (1 - u) - 0.5)
+            x = fine_x - origin[0] - moved * np.cos(direction)
+            y = fine_y - origin[1] - moved * np.sin(direction)
             light = np.exp(slope[0] * x + slope[1] * y)
             for shape, place, size, turn, grey in objects:
                 a = (x - place[0]) / size

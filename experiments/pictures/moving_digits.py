@@ -70,7 +70,7 @@ def accuracies(
 
 
 def _windows(images: np.ndarray, labels: np.ndarray) -> Iterator[tuple[str, str, Windows, int]]:
-    """Test, case, windows, and their length."""
+    """The windows of each case of a test, as (test, case, windows, length of a window)."""
     for test, scene in (
         ("dark on bright", Scene()),
         ("bright on dark", Scene(dark_on_bright=False)),

@@ -56,10 +56,10 @@ WAYS = {
 
 
 def draw_decisions(report: dict[str, Any]) -> Figure:
-    """Two panels on one logarithmic axis: the network alone, and from a packet to the decision.
+    """Draw two panels with one logarithmic axis, for the network alone and for whole decisions.
 
-    Medians and quartiles in blocks, lines named at their ends; medians from call to call are
-    hollow.
+    A whole decision is the time from a packet to the decision. Lines have medians and quartiles in
+    blocks, and a name at their end. Medians from call to call are hollow.
     """
     figure = new_figure(4.8)
     left = axes_at(figure, 0.73, 0.82, 3.02, 3.07)

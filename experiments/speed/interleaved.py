@@ -85,7 +85,7 @@ def compare(
     Parameters
     ----------
     make : makes new backends; ratios are over the first. Called with True for `call_by_call`.
-    blocks : as `Moments.blocks`.
+    blocks : see `Moments.blocks`.
     n_blocks, size : number of blocks, and of decisions in each.
 
     Returns

@@ -78,7 +78,7 @@ def bench_network(
 
     Parameters
     ----------
-    networks : as `dense_networks` makes them.
+    networks : what `dense_networks` makes.
     windows : see `Moments`.
     blocks, size, what is returned and raised : see `compare`; `incremental` is ours.
 

@@ -158,7 +158,8 @@ def few_recordings(report: dict[str, Any]) -> str:
     for way, rows in report["ways"].items():
         for row in rows:
             shares = (
-                [one[key] for one in row["networks"]] for key in ("window_accuracy", "accuracy")
+                [network[key] for network in row["networks"]]
+                for key in ("window_accuracy", "accuracy")
             )
             found.setdefault(row["per_class"], {})[way] = " / ".join(
                 cell(summary(values)) for values in shares

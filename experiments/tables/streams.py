@@ -124,7 +124,7 @@ def map_load(found: dict[str, Any]) -> str:
 
 @of_report("threads")
 def threads(found: dict[str, Any]) -> str:
-    """The time of two streams one after the other, divided by that of both at once."""
+    """A table of the time of two streams one after the other, divided by that in two threads."""
     words = {
         "volume": "`TNTVolume`",
         "windows": "`Processor`",

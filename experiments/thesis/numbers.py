@@ -54,13 +54,13 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
             found = {
                 run["seed"]: run["columns"][column] for run in of_row if column in run["columns"]
             }
-            some = next(iter(found.values()))
+            first = next(iter(found.values()))
             is_drawn = column.split("/")[1] not in UNDRAWN
             per_motion = _means(found, "per_motion") if is_drawn else {}
             table.setdefault(row, {})[column] = {
                 **summary([part["accuracy"] for part in found.values()]),
                 "seeds": {str(seed): part["accuracy"] for seed, part in found.items()},
-                "windows": some["windows"],
+                "windows": first["windows"],
                 "per_motion": per_motion,
                 "against_time_ms": _means(found, "against_time_ms"),
             }
@@ -70,7 +70,7 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
 def _means(found: Mapping[int, dict[str, Any]], name: str) -> dict[str, float]:
     """The mean over the seeds of each entry of `name`."""
     parts = [part[name] for part in found.values()]
-    return {one: round(float(np.mean([part[one] for part in parts])), 5) for one in parts[0]}
+    return {entry: round(float(np.mean([part[entry] for part in parts])), 5) for entry in parts[0]}
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
@@ -147,9 +147,9 @@ def differences(right: Right) -> list[dict[str, Any]]:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Adjusted p of several hypotheses (S.
+    """The adjusted p of several hypotheses (Holm 1979).
 
-    Holm 1979): those below a level are rejected together at that level.
+    Hypotheses with an adjusted p below a level are rejected together at that level.
 
     Examples
     --------

@@ -243,17 +243,17 @@ def _tested(
     early = {ms: [0, 0] for ms in moments_ms}
     for motion, windows in _windows(test, data, simulated):
         names = [windows.recordings.names[r] for r in windows.recording]
-        some = windows if span is None else spanned(windows, span)
-        parts.append((motion, names, _right(pipeline, some)))
+        tested = windows if span is None else spanned(windows, span)
+        parts.append((motion, names, _right(pipeline, tested)))
         for ms, counts in early.items():
-            at_once = _right(pipeline, some, until_us=1_000 * ms)
+            at_once = _right(pipeline, tested, until_us=1_000 * ms)
             counts[0] += int(at_once.sum())
             counts[1] += len(at_once)
     # a motion may come in several parts
     motions = list(dict.fromkeys(motion for motion, *_ in parts))
-    every = sorted({name for _, names, _ in parts for name in names})
-    place = {name: i for i, name in enumerate(every)}
-    right = np.full((len(motions), len(every)), -1, np.int8)
+    all_names = sorted({name for _, names, _ in parts for name in names})
+    place = {name: i for i, name in enumerate(all_names)}
+    right = np.full((len(motions), len(all_names)), -1, np.int8)
     for motion, names, of_part in parts:
         right[motions.index(motion), [place[name] for name in names]] = of_part
     return {

@@ -33,7 +33,7 @@ def hats(
 
     Parameters
     ----------
-    t, x, y, p, start_us, window_us, sensor, dtype : as for `event_volume`. j < i is the order of
+    t, x, y, p, start_us, window_us, sensor, dtype : see `event_volume`. j < i is the order of
         the columns.
     grid : (width, height) in cells; pixel x lies in column floor(x width / sensor width).
     polarity : "unsigned": p_j and p_i do not matter; "split": the bins of the ON events, then those

@@ -130,7 +130,7 @@ class Pipeline(nn.Module):
     classifier : a module from (N, C, H, W) to (N, n_classes); `Classifier` or your own.
     sensor, grid : (width, height); the grid is the sensor's where it is not given.
     window_us : the window's length; None: each window ends with its newest event, as in the thesis.
-    bins, t_max, polarity, remove_flow : as in `tnt_volume`.
+    bins, t_max, polarity, remove_flow : see `tnt_volume`.
     landmark : "center", "running", "line", "window"; or "regressor".
     transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no
         effect).

@@ -37,7 +37,7 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     arrivals : int64, like `ends`. When each came, microseconds on any clock.
     n_datagrams : int.
     width, height : int. Events at x >= width or y >= height are off the sensor.
-    max_jump, clock : as for `repair_times`. `clock` is updated in place.
+    max_jump, clock : see `repair_times`. `clock` is updated in place.
     out : uint8, shape (at least RECORD_BYTES * ends[n_datagrams - 1],). Records of `EVENT_DTYPE`.
         Updated in place.
 

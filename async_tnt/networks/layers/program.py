@@ -78,7 +78,7 @@ class Program:
 
         Parameters
         ----------
-        volume : as `VolumeInput` returns it.
+        volume : a volume as `VolumeInput` returns it.
 
         Returns
         -------
@@ -246,7 +246,7 @@ class _ProgramWriter:
         self._write_changes(program, P.INPUT_TOUCHED, volume.rows, volume.columns)
 
     def _write_scratch(self) -> None:
-        """Room for a row of bits of any map, within zeros for what steps see beside it."""
+        """Reserve memory for a row of bits of any map, with zeros for what steps see beside it."""
         n_words = max(_words(part.columns) for part in self._layout.firsts)
         n_before = max(_words(step.padding[1]) for step in self._steps)
         n_seen = max(_words_seen(step) for step in self._steps)
@@ -255,7 +255,7 @@ class _ProgramWriter:
         self.program[P.SCRATCH_WORDS] = n_words
 
     def _write_changes(self, record: np.ndarray, at: int, rows: int, columns: int) -> None:
-        """A record of changes, see `kernels.network.changes`: there are none."""
+        """Write a record that there are no changes, see `kernels.network.changes`."""
         n_words = _words(columns)
         first = self.places.take(2 * rows * n_words) // 2
         record[at : at + 4] = first, MAX_ROW, -1, n_words

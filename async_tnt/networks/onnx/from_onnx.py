@@ -257,7 +257,7 @@ def input_type(model: onnx.ModelProto) -> np.dtype:
 
 
 def _check_meanings(model: onnx.ModelProto) -> int:
-    """The version of ONNX's operations.
+    """Check the meanings of the operations, and return the version of ONNX's operations.
 
     Raises
     ------

@@ -172,7 +172,7 @@ def _read_npz(path: Path, order: str | None) -> tuple[Sensor | None, np.ndarray]
 
     Parameters
     ----------
-    order : as for `_columns`.
+    order : see `_columns`.
     """
     with zipfile.ZipFile(path) as archive:
         members = _members(archive)

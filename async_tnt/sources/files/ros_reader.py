@@ -126,7 +126,9 @@ def read_bag(path: str, topic: str | None) -> Iterator[Any]:
             for (name, kind), n in sorted(counts.items())
         ]
         connections = [
-            one for one in bag.connections if one.topic == wanted and one.msgtype in MESSAGE_TYPES
+            connection
+            for connection in bag.connections
+            if connection.topic == wanted and connection.msgtype in MESSAGE_TYPES
         ]
         messages = _messages(bag, connections, is_ros_1)
         first = next(messages, None)
@@ -164,9 +166,9 @@ def _open(path: str) -> tuple[Any, bool]:
 def _message_counts(connections: list[Any]) -> dict[tuple[str, str], int]:
     """Name and type of each topic -> the number of its messages."""
     counts: dict[tuple[str, str], int] = {}
-    for one in connections:
-        key = (one.topic, one.msgtype)
-        counts[key] = counts.get(key, 0) + one.msgcount
+    for connection in connections:
+        key = (connection.topic, connection.msgtype)
+        counts[key] = counts.get(key, 0) + connection.msgcount
     return counts
 
 
@@ -176,7 +178,7 @@ def _chosen_topic(counts: dict[tuple[str, str], int], topic: str | None) -> str:
     Parameters
     ----------
     counts : name and type of each topic -> the number of its messages.
-    topic : as for `read_bag`.
+    topic : see `read_bag`.
 
     Raises
     ------

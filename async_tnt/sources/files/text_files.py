@@ -291,7 +291,9 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
                     f"{path}: the file ends in its first line, {text!r}: no events, and perhaps "
                     "no sensor"
                 )
-            start = end  # a line end, which the first row may begin with
+            # The row `width height` ends before its line end. The first row of events may begin
+            # with a line end, as blank lines are skipped.
+            start = end
             rows = rows[1:]
         elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
             raise ValueError(

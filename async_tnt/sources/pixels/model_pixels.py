@@ -123,14 +123,14 @@ class ModelPixels:
         It is "" if no event came, or if no event could be left out.
         """
         counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
-        if not any(one.received for one in counts):
+        if not any(of_filter.received for of_filter in counts):
             return ""
         parts = []
         if self.pixels.roi is not None:
-            n_outside = sum(one.dropped_outside for one in counts)
+            n_outside = sum(of_filter.dropped_outside for of_filter in counts)
             parts.append(f"{n_outside:,} outside of the region")
         if self.pixels.mask is not None:
-            n_masked = sum(one.dropped_masked for one in counts)
+            n_masked = sum(of_filter.dropped_masked for of_filter in counts)
             parts.append(f"{n_masked:,} of masked pixels")
         return ", ".join(parts)
 

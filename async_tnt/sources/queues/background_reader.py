@@ -28,7 +28,7 @@ class BackgroundReader(PacketQueue):
     latest : what happens when the queue is full. False: the source is not read until there is room,
         so that nothing is lost. True: the oldest packets are discarded and their events counted, so
         that the delay stays bounded however slow the consumer is.
-    max_packets, max_delay_us, copy : as for `PacketQueue`.
+    max_packets, max_delay_us, copy : see `PacketQueue`.
     on_close : called by `close` to wake up a source that may wait forever for its next packet, such
         as the `close` of a camera or a socket.
 
