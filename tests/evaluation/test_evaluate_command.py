@@ -213,7 +213,10 @@ def record_by_hand(model, events):
 def test_a_record_is_what_an_independent_count_of_its_recording_gives(
     model, window_us, tmp_path, program
 ):
-    """Also where a fiftieth of a window is no whole number of microseconds; pauses, late events."""
+    """The recordings have pauses, and late events.
+
+    In some windows a fiftieth is no whole number of microseconds.
+    """
     of_window = thesis_model(model.config.replace(window_us=window_us), model.weights, CLASSES)
     saved = of_window.save(tmp_path / "m.safetensors")
     kept = []

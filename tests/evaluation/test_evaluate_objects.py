@@ -144,8 +144,10 @@ def test_a_report_of_recordings_is_the_sum_of_their_reports(folder, saved, progr
 
 
 def test_prophesees_names(folder, saved, program):
-    """By the dictionary beside the boxes; of a class that the model does not know, they do not
-    count."""
+    """The dictionary beside the boxes names the classes.
+
+    Boxes of a class that the model does not know do not count.
+    """
     write_boxes(folder / "a_bbox.npy")
     (folder / "label_map_dictionary.json").write_text('{"0": "off", "1": "truck"}')
     code, out, err = program("evaluate", saved, folder, "--json")
@@ -344,7 +346,7 @@ def test_how_near_is_near_enough(tmp_path):
 
 
 def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
-    """As spreadsheets write it."""
+    """Spreadsheets write such a mark."""
     path = tmp_path / "a_objects.csv"
     write_points(path)
     expected = read_table(path, ("on", "off"))
@@ -378,7 +380,10 @@ def test_matches_by_hand():
 
 
 def test_near_enough_is_the_ellipse_of_the_reach_and_not_its_rectangle():
-    """At every angle, a thousandth inside and outside; with one number for all, a circle."""
+    """Places a thousandth inside and outside of the ellipse, at every angle.
+
+    With one number for all, the ellipse is a circle.
+    """
     middle = np.array([[20.0, 30.0]])
     found = np.zeros((1, FOUND_SIZE))
     for reach in (np.array([[8.0, 3.0]]), np.array([[0.5, 6.0]]), 5.0):

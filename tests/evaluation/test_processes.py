@@ -1,5 +1,7 @@
-"""Every way to run many tasks: each task is done once, lost workers are replaced, and workers end
-with the program."""
+"""Every way to run many tasks.
+
+Each task is done once, lost workers are replaced, and workers end with the program.
+"""
 
 import contextlib
 import os

@@ -71,7 +71,7 @@ def test_there_is_no_circle():
 
 
 def test_no_folders_import_each_other():
-    """Neither directly nor by way of others."""
+    """Folders import each other neither directly nor by way of other folders."""
     imports = {folder: set() for folder in FOLDERS}
     for module in FILES.keys() - COMMANDS:
         imports[folder_of(module)] |= {folder_of(other) for other in IMPORTS[module]}

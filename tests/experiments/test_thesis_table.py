@@ -335,8 +335,10 @@ def test_results_record_what_was_done(done):
 
 
 def test_the_numbers_are_those_of_the_networks_beside_them(done):
-    """Counted once more, recording by recording, through the stream's own volumes and compiled
-    network."""
+    """The windows are counted once more, recording by recording.
+
+    This uses the stream's own volumes and the compiled network.
+    """
     model = load_model(done / "networks" / Run("raw", "1", 3).name / "model.safetensors")
     processor = Processor(model, start_us=0)
     right = []

@@ -50,7 +50,7 @@ class Branches(nn.Module):
 
 
 def branches():
-    """With random weights and statistics."""
+    """A module of branches, with random weights and statistics."""
     torch.manual_seed(0)
     module = Branches()
     for part in module.modules():

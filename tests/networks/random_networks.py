@@ -1,5 +1,7 @@
-"""Networks made at random: any layers in any order, branches that are added or joined, weights with
-zeros."""
+"""Networks that are made at random.
+
+They have any layers in any order, branches that are added or joined, and weights with zeros.
+"""
 
 import numpy as np
 from hypothesis import strategies as st

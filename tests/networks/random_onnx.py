@@ -316,7 +316,7 @@ def _pools_otherwise(of: _Of) -> bool:
 
 
 def _reshapes_otherwise(of: _Of) -> bool:
-    """To other than one row a volume."""
+    """Whether a node reshapes to anything but one row for each volume."""
     rows, n = of.constants[0].tolist()
     one_row = [-1, int(np.prod(of.source[1:]))]
     if rows == 0 and of.get("allowzero", 0) == 1:

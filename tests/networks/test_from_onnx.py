@@ -1,5 +1,7 @@
-"""ONNX files of this and of other programs compute what they computed there, or are refused by
-name."""
+"""ONNX files of this and of other programs compute what they computed there.
+
+Those that cannot are refused by name.
+"""
 
 import json
 import re
@@ -149,7 +151,7 @@ def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
 
 
 def test_weights_in_a_file_beside_are_read_there(tmp_path, monkeypatch):
-    """Not those of the same name in the current folder."""
+    """Weights of the same name in the current folder are not read."""
     found = []
     for name, factor in (("a", 1.0), ("b", -1.0)):
         (tmp_path / name).mkdir()
@@ -303,7 +305,7 @@ def config_file(tmp_path):
 @EVEN_KERNEL
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_what_torch_exports_runs_compiled(tmp_path):
-    """It is compared with onnxruntime as it is read."""
+    """The network is compared with onnxruntime when its file is read."""
     path = tmp_path / "net.onnx"
     config = tmp_path / "net.json"
     torch.onnx.export(branches().eval(), torch.tensor(VOLUMES[:1]), str(path), dynamo=False)

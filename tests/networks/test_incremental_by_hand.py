@@ -1,5 +1,8 @@
-"""What the compiled classifier computes: bit for bit its twin in NumPy, by hand, and finite or
-refused."""
+"""What the compiled classifier computes.
+
+It equals its twin in NumPy bit for bit, and numbers that were computed by hand. A volume's logits
+are finite, or it is refused.
+"""
 
 from importlib import import_module
 from pkgutil import walk_packages
@@ -16,8 +19,10 @@ from async_tnt.kernels.decisions import classify
 
 
 def test_no_kernel_may_reorder_arithmetic():
-    """However a stream is cut, its bits stay: sums keep their order, and 1 / 0 is inf as in the
-    equations."""
+    """The bits stay the same, however a stream is cut.
+
+    For this, sums keep their order, and 1 / 0 is inf as in the equations.
+    """
     compiled = []
     for module in walk_packages(kernels.__path__, f"{kernels.__name__}."):
         values = vars(import_module(module.name)).values()
@@ -32,8 +37,7 @@ def test_no_kernel_may_reorder_arithmetic():
 
 @pytest.mark.parametrize("network", [network for network in NETWORKS if network.widths], ids=str)
 def test_logits_are_those_of_the_twin_bit_for_bit(network):
-    """After events, where many channels are empty, and for arrays in which none is, or each second
-    one."""
+    """The volumes are of events, with many empty channels, and arrays with few or none."""
     model = network.model()
     classifier = network.classifier()
     volume = network.volume()

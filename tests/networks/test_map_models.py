@@ -1,5 +1,4 @@
-"""Map models: what stands where, after any events and packets, equal to the reference on the whole
-map."""
+"""Map models find what the reference finds on the whole map, after any events and packets."""
 
 import copy
 import pickle
@@ -63,7 +62,7 @@ def as_rows(objects):
 
 
 def expected_rows(logits, places):
-    """By the reference."""
+    """The rows of objects that the reference finds."""
     found = objects_on_map(torch.from_numpy(logits))
     return [
         (o.label, o.probability, places.x0 + places.dx * o.column, places.y0 + places.dy * o.row)
@@ -95,7 +94,7 @@ numbers = st.one_of(
     )
 )
 def test_objects_of_any_map_are_those_of_the_reference(logits):
-    """With many equal numbers, at borders, in one row."""
+    """The maps have many equal numbers, objects at borders, and objects in one row."""
     classes = [str(k) for k in range(len(logits) - 1)]
     processor = Processor(CONFIG, classifier=lambda volume: logits, classes=classes)
     decision = processor.fire()
@@ -219,7 +218,7 @@ def test_decisions_are_those_of_the_whole_map_however_the_stream_is_cut(size):
     st.lists(st.sampled_from([1, 2, 40, "array", "copy", "other"]), min_size=3, max_size=25),
 )
 def test_scores_and_peaks_follow_the_map(seed, script):
-    """After single events, packets, whole passes, copies and another volume."""
+    """They are checked after single events, packets, whole passes, copies and another volume."""
     model = map_model(seed=seed)
     classifier = CompiledClassifier(model)
     dense = CompiledClassifier(model)
@@ -297,7 +296,7 @@ def test_an_object_keeps_its_number_while_it_moves():
 
 @pytest.mark.parametrize("late_us", [0, 1])
 def test_an_object_is_known_for_as_long_as_a_window_and_no_longer(late_us):
-    """Also by the reference."""
+    """The reference has the same rule."""
     numbers = ObjectNumbers((4.0, 4.0), memory_us=1000, most=2, room=4)
     assert numbers.follow(10, [(10.0, 10.0)]) == [0]
     assert numbers.follow(1010 + late_us, [(10.0, 10.0)]) == [late_us]

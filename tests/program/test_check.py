@@ -1,5 +1,7 @@
-"""`async-tnt check`: it proves that the stream equals the batch reference, and notices when it does
-not."""
+"""`async-tnt check` proves that the stream equals the batch reference.
+
+It also notices when the stream does not.
+"""
 
 import json
 from dataclasses import replace

@@ -64,7 +64,7 @@ def test_a_port_that_the_system_chooses_is_told(command, address, program, tmp_p
 def test_packets_older_than_keep_up_milliseconds_are_skipped(
     keep_up_ms, n_skipped, program, monkeypatch
 ):
-    """Only the newest is not.
+    """Only the newest packet is kept.
 
     Three packets wait for 30 ms, of a simulated clock, before the first is read.
     """

@@ -1,5 +1,7 @@
-"""One event off the sensor: every command that reads recordings leaves it out, says so, and goes
-on."""
+"""One event off the sensor is left out by every command that reads recordings.
+
+The command says so, and goes on.
+"""
 
 import json
 

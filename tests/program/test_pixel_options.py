@@ -1,5 +1,7 @@
-"""--roi, --crop, --mask and --sensor of run, evaluate and view: events are left out before anything
-else."""
+"""--roi, --crop, --mask and --sensor of run, evaluate and view.
+
+Events are left out before anything else happens to them.
+"""
 
 import json
 

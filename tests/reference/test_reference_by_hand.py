@@ -1,5 +1,7 @@
-"""Volumes and landmarks worked out with pencil and paper: twins cannot see an error made on both
-sides."""
+"""Volumes and landmarks that were computed with pencil and paper.
+
+A comparison of twins cannot see an error that both have.
+"""
 
 from itertools import product
 
@@ -125,7 +127,10 @@ def test_events_outside_the_window_take_no_part():
 
 
 def test_windows_of_events_end_with_their_last_event_or_before_their_time_is_over():
-    """At most 20 us from a window's first event on: one exactly 20 us later begins the next."""
+    """A window lasts at most 20 us.
+
+    An event exactly 20 us after a window's first event begins the next window.
+    """
     times = [0, 5, 19, 20, 21, 40, 39, 41, 42, 43]
     for n, expected in (
         (9, [[0, 1, 2], [3, 4], [5, 7, 8, 9]]),  # 39 is older than its window
@@ -175,8 +180,10 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
 
 
 def test_hats_reach_three_pixels_in_each_direction():
-    """An earlier event counts in the neighbourhood's own place, up to its rim and corners, and not
-    beyond."""
+    """An earlier event counts in the place of the neighbourhood where it lies.
+
+    This holds up to the rim and the corners of the neighbourhood, and not beyond.
+    """
     at = dict(start_us=0, window_us=100, sensor=(18, 18), grid=(2, 2), polarity="unsigned")
     for z_x in range(-4, 5):
         for z_y in range(-4, 5):
@@ -189,8 +196,10 @@ def test_hats_reach_three_pixels_in_each_direction():
 
 
 def test_an_image_of_times_leaves_out_shares_below_a_billionth():
-    """The newest event lies a rounding error beside a pixel: the pixel next to it keeps its own
-    time."""
+    """The newest event lies a rounding error beside a pixel.
+
+    The pixel next to it keeps its own time.
+    """
     shared = dict(start_us=0, window_us=8, sensor=(3, 3), grid=(3, 3), polarity="unsigned")
     for share, newest in ((1e-12, 2 / 8), (1e-6, 4 / 8)):
         image = time_image(

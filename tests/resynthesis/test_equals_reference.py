@@ -1,5 +1,7 @@
-"""Path evidence, its gradient and the images against dense linear algebra over pixels, by the
-reference."""
+"""Path evidence, its gradient and the images equal those of the reference.
+
+The reference computes them by dense linear algebra over pixels.
+"""
 
 import numpy as np
 import pytest

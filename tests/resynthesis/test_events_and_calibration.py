@@ -1,5 +1,7 @@
-"""Pixels are measured, contrast is calibrated, and events of other motions are what the picture
-would have given."""
+"""Pixels are measured, contrast is calibrated, and events of other motions are made.
+
+These events are what the picture would have given.
+"""
 
 import numpy as np
 import pytest

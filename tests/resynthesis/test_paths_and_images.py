@@ -131,7 +131,7 @@ def test_why_a_path_is_refused_by_hand(measured, reason):
 
 @pytest.mark.parametrize("kind", NOISE)
 def test_noise_has_no_path(reconstruction, kind):
-    """Neither few events have one, nor three for each pixel."""
+    """Few events have no path, and neither have three for each pixel."""
     rng = np.random.default_rng(2)
     windows = noise_windows(kind, 40, rng)
     assert n_paths(reconstruction(windows, PIXELS)) == 0

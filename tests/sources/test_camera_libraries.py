@@ -1,5 +1,6 @@
-"""Both camera libraries with made devices: only the cable is played, packets are of the libraries'
-own classes.
+"""Both camera libraries with made devices.
+
+Only the cable is played. Packets are of the libraries' own classes.
 
 The compiled part of neuromorphic-drivers makes its packets itself and lets nobody else make them;
 its documented classes of the same names and fields stand for them, with arrays of the library's
@@ -68,7 +69,7 @@ class Neuromorphic:
         return self._module.status.Status(time.time(), ring), self._packet_of(events)
 
     def _packet_of(self, events):
-        """As the library makes it: columns that have nothing are None."""
+        """A packet as the library makes it: columns that have nothing are None."""
         special = {
             "iniVation DAVIS 346": "Davis346Packet",
             "iniVation DVXplorer": "DvxplorerPacket",

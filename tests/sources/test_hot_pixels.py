@@ -1,5 +1,7 @@
-"""Hot pixels: all that were planted are found, and none where there are none; and `async-tnt
-mask`."""
+"""Hot pixels: all that were planted are found, and no others.
+
+The command is `async-tnt mask`.
+"""
 
 import json
 import os

@@ -1,5 +1,7 @@
-"""The filter equals its NumPy twin and counts what it drops; which pixels a model sees, as values
-that can be sent."""
+"""The filter equals its NumPy twin and counts what it drops.
+
+Which pixels a model sees is a value that can be sent.
+"""
 
 import hashlib
 import pickle

@@ -1,5 +1,7 @@
-"""A classifier that fails in the middle of a packet: what of it is absorbed, and that the stream
-continues."""
+"""A classifier that fails in the middle of a packet.
+
+The tests say which events are absorbed, and that the stream continues.
+"""
 
 import pytest
 from deciding import CONFIG, at, key, summary, total_and_size

@@ -1,5 +1,7 @@
-"""Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a
-crash."""
+"""Two calls on one object at the same time, by mistake.
+
+They give a RuntimeError, never a wrong result or a crash.
+"""
 
 import copy
 import pickle

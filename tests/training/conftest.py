@@ -38,7 +38,7 @@ def trained(gestures, tmp_path_factory):
 
 @pytest.fixture
 def few_steps(monkeypatch):
-    """For what needs a model that has learned nothing: two steps an epoch instead of fifty."""
+    """A fixture for tests whose model need not learn: two steps an epoch instead of fifty."""
     monkeypatch.setattr("async_tnt.training.settings.STEPS_AN_EPOCH", 2)
 
 

@@ -72,7 +72,7 @@ def test_accuracy_on_real_recordings(model, first_event, real_recordings):
 
 
 def test_digits_on_a_large_sensor(data):
-    """By the experiment's own scenes of real test recordings."""
+    """The scenes are the experiment's own, of real test recordings."""
     files = sorted((data / "nmnist" / "Test").glob("*/*.bin"))
     model = load_model("digits-everywhere")
     assert model.record["data"]["pictures"]["pictures"] == everywhere.N_PICTURES

@@ -1,5 +1,7 @@
-"""The landmark regressor learns through the kernels' volumes: their gradient is the reference's,
-and reaches it."""
+"""The landmark regressor learns through the kernels' volumes.
+
+Their gradient is the reference's, and reaches the regressor.
+"""
 
 import numpy as np
 import pytest

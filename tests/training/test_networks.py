@@ -1,5 +1,7 @@
-"""The networks that can be trained, or one's own: what training ends with computes, compiled, what
-torch computed."""
+"""The networks that can be trained, or one's own.
+
+After training, the compiled network computes what torch computed.
+"""
 
 import json
 import os

@@ -188,7 +188,7 @@ def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_p
 
 @pytest.mark.parametrize("landmark", ["running", "regressor"])
 def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
-    """Bit for bit.
+    """Both are equal bit for bit.
 
     72 windows, 32 at a time, are 3 steps; 8 steps are two epochs and 2 steps of the next.
     """
@@ -348,7 +348,10 @@ def test_rates_decay_and_averages_are_those_of_their_equations(windows, tmp_path
 
 
 def test_batch_norms_have_the_average_of_their_statistics(windows, tmp_path):
-    """With all windows in each batch they are m (1 - .9^k) after k steps, m that of the batch."""
+    """With all windows in each batch, the average after k steps is m (1 - .9^k).
+
+    Here m is the statistic of the batch.
+    """
     (tmp_path / "dead.py").write_text(DEAD)
     network = f"{tmp_path / 'dead.py'}:normed"
     settings = TrainSettings(epochs=5, batch=len(windows), augmentation=None, network=network)
@@ -369,7 +372,10 @@ def test_batch_norms_have_the_average_of_their_statistics(windows, tmp_path):
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.2])
 def test_loss_and_accuracy_of_an_epoch_are_means_over_its_windows(smoothing, windows, tmp_path):
-    """Also where its last batch is smaller. The same logits for all: only the class counts."""
+    """This also holds where the last batch of the epoch is smaller.
+
+    The logits are the same for all windows, so only the classes count.
+    """
     (tmp_path / "dead.py").write_text(DEAD)
     labels = np.array([0] * 18 + [1] * 6)
     uneven = replace(windows, recordings=replace(windows.recordings, labels=labels))
@@ -405,7 +411,7 @@ def test_a_run_with_other_settings_or_data_is_not_continued(windows, trained):
 
 @pytest.mark.parametrize("column", ["t", "x", "y", "p", "labels", "recording", "start_us"])
 def test_whatever_differs_in_the_data_is_another_run(column, windows, trained):
-    """In one number."""
+    """The data differ in one number."""
     columns = {name: getattr(windows, name).copy() for name in ("recording", "start_us")}
     of_recordings = {
         name: getattr(windows.recordings, name).copy() for name in ("t", "x", "y", "p", "labels")
@@ -489,7 +495,7 @@ class Teacher:
 
 
 def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows):
-    """As it was trained, though its student's events may lie between pixels."""
+    """The teacher was trained so. Its student's events may lie between pixels."""
     images = TNTConfig(
         sensor=CONFIG.sensor, window_us=CONFIG.window_us, representation="count_time"
     )

@@ -52,7 +52,7 @@ def windows():
 
 @pytest.fixture(scope="module")
 def made(windows, tmp_path_factory):
-    """In files of five windows."""
+    """Motions that were made in files of five windows."""
     folder = tmp_path_factory.mktemp("motions")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("async_tnt.training.resynthesis.MOST_WINDOWS", 5)

@@ -1,5 +1,7 @@
-"""Class folders of pictures: recorded by simulated cameras, split, mixed with recordings, kept and
-refused."""
+"""Class folders of pictures.
+
+Simulated cameras record them. They are split, mixed with recordings, kept and refused.
+"""
 
 import json
 import os

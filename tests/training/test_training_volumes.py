@@ -1,5 +1,7 @@
-"""Volumes of a batch of windows are those of `TNTVolume`, and augmentation changes them as
-stated."""
+"""Volumes of a batch of windows are those of `TNTVolume`.
+
+Augmentation changes them as stated.
+"""
 
 import numpy as np
 import pytest
@@ -227,7 +229,7 @@ def test_what_is_drawn_for_a_window_is_the_same_whatever_else_the_data_set_holds
 
 @pytest.mark.parametrize("kind", [ONE_POLARITY, HOT_PIXELS, PATCH, EDGE])
 def test_what_stands_in_the_place_of_a_recording(kind):
-    """As many events as before, or fewer where an edge leaves the sensor, as its name says."""
+    """It has as many events as before, or fewer where an edge leaves the sensor."""
     config = TNTConfig(transform="none", polarity="split", bins=2, sensor=(50, 40), grid=(50, 40))
     windows = random_windows(config, 1, 30_000)[np.zeros(40, int)]
     n_events = BatchVolumes(config)(windows).sum() / 40

@@ -137,7 +137,10 @@ def test_records_of_any_layout(data, layout, sensor):
 
 @given(st.data(), SENSORS, st.sampled_from([(None,) * 4, OURS]))
 def test_columns_of_any_numbers(data, sensor, types):
-    """In lists, one by one, and in arrays of the decoder's own types, which it does not copy."""
+    """Numbers come in lists, one by one, and in arrays of the decoder's own types.
+
+    The decoder does not copy such arrays.
+    """
     rows = data.draw(rows_for(types, sensor, min_size=1))
     columns = [list(column) for column in zip(*rows, strict=True)]
     decoder = EventDecoder(sensor)

@@ -392,7 +392,7 @@ def aedat3_with_an_impossible_packet(k):
     ],
 )
 def test_the_byte_of_the_damage_is_named_wherever_it_is(tmp_path, name, make, k):
-    """However many blocks were read before it."""
+    """This holds however many blocks were read before it."""
     data, byte, n_before = make(k)
     (tmp_path / name).write_bytes(data)
     if n_before == 0:  # another format

@@ -1,5 +1,7 @@
-"""Laws of every format: what its writer writes is read back, event for event, however it is cut
-into packets."""
+"""Laws of every format.
+
+What its writer writes is read back, event for event, however it is cut into packets.
+"""
 
 import os
 import struct
@@ -94,7 +96,10 @@ ORDERS = ["".join(order) for order in permutations("txyp")]
 
 @pytest.mark.parametrize("name", ["a.csv", "a.tsv", "a.txt", "blanks.txt", "a.npy", "a.npz"])
 def test_the_order_of_columns_without_names_can_be_stated(tmp_path, name):
-    """In every format that may have such columns; times between blanks are seconds."""
+    """This holds in every format that may have such columns.
+
+    Times between blanks are seconds.
+    """
     events = made_events(50)
     separator = {"a.csv": ",", "a.tsv": "\t", "a.txt": ";", "blanks.txt": " "}.get(name)
     for order in ORDERS:
@@ -141,7 +146,7 @@ DAVIS = [(346, 260), (240, 180), (208, 192), (640, 480)]
 
 @pytest.mark.parametrize("size", DAVIS)
 def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts(tmp_path, size):
-    """As v2e writes them.
+    """v2e writes such files.
 
     The addresses are not those of a DVS128, and a DVS128's are taken as they are.
     """

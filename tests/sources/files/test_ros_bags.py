@@ -76,8 +76,10 @@ def test_messages_by_hand(tmp_path, name):
 
 
 def test_a_topic_may_have_thousands_of_messages_and_change_its_encoding(tmp_path):
-    """Most without events; the words of EVT3 go on behind them, whatever they are sent together
-    with."""
+    """Most messages have no events.
+
+    The words of EVT3 go on from message to message, whatever messages come between them.
+    """
     with Bag(tmp_path / "a.mcap") as bag:
         bag.packet(WORDS[:3], SENSOR)
         for _ in range(2_500):
@@ -204,7 +206,10 @@ def test_a_bag_without_events_is_refused_and_its_topics_are_listed(tmp_path, nam
     ],
 )
 def test_messages_up_to_one_that_cannot_be_read(tmp_path, name, how, message):
-    """If it is the first, no event can be read; a sensor of its own is then no fault."""
+    """If it is the first message, no event can be read.
+
+    A message with a sensor of its own is then no fault.
+    """
     how = {"sensor": SENSOR, "words": WORDS} | how
     with Bag(tmp_path / name) as bag:
         bag.packet(WORDS, SENSOR)

@@ -1,5 +1,7 @@
-"""Files that are read in a worker process: what happens if the library is missing, crashes, hangs
-or lies."""
+"""Files that are read in a worker process.
+
+The tests say what happens if the library is missing, crashes, hangs or lies.
+"""
 
 import os
 import time

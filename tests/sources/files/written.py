@@ -179,7 +179,7 @@ def nmnist(events, sensor=(34, 34)):
 
 
 def by_faery(path, events, sensor=SENSOR):
-    """In the format of the suffix."""
+    """Write events by faery, in the format of the suffix."""
     faery = pytest.importorskip("faery", reason="AEDAT4 needs faery")
     theirs = np.empty(len(events), faery.EVENTS_DTYPE)
     for name, ours in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
@@ -207,7 +207,7 @@ def metavision(path, events, sensor=SENSOR, **how):
 
 
 def rvt(path, events, sensor=SENSOR, **how):
-    """As DSEC's without an offset, and with the sides of the sensor beside the columns."""
+    """Write DSEC's layout without an offset, and with the sensor's sides beside the columns."""
     dsec(path, events, sensor, **how)
     import h5py
 
