@@ -276,7 +276,7 @@ def _draw_time(
 def _draw_levels(axes: Any, tests: Sequence[dict[str, Any]]) -> None:
     """Draw what each level of confidence costs and buys, in the mean over the networks."""
     of_levels = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
-    # levels that windows reach
+    # Only levels that windows reach are drawn.
     of_levels = [rows for rows in of_levels if all(row["median_ms"] is not None for row in rows)]
     ms = [np.mean([row["median_ms"] for row in rows]) for rows in of_levels]
     for name, colour, words in (

@@ -111,7 +111,7 @@ def moving(
         events["t"] = np.arange(len(events)) * duration_us // len(events)
         diagonal = np.sqrt([0.5, 0.5])
         path = rng.uniform(0, 2 * room, 2) + np.outer(events["t"], speed * 1e-6 * diagonal)
-        # back and forth
+        # The recording moves back and forth.
         path = np.abs(path % (2 * room) - room).astype(int)
         events["x"] += path[:, 0].astype(np.uint16)
         events["y"] += path[:, 1].astype(np.uint16)

@@ -117,7 +117,7 @@ def measure(
     model = load_model(name)
     warmup(model)
     processor = Processor(model, every_events=every_events)
-    # warm
+    # The first call warms the processor up.
     share_of_core(processor, RATES[0], 1.0)
     shares = [share_of_core(processor, rate, min(seconds, 3.0)) for rate in RATES]
     an_event, at_rest = map(float, np.polyfit(RATES, shares, 1))

@@ -203,7 +203,7 @@ def _check_network(
     config = model.config
     pipeline = reference_pipeline(model)
     whole_network = CompiledClassifier(model)
-    # one for all windows
+    # One network for all windows: it must keep nothing of the window before.
     incremental = CompiledClassifier(model)
     regressor = CompiledRegressor(model) if config.needs_regressor else None
     # with a landmark that is found at each read, a decision after each event is as slow as the

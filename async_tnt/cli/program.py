@@ -137,7 +137,7 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
 def _run_command(args: argparse.Namespace, signals: Signals) -> int:
     """Call the function of the command. Warnings are printed, signals raise KeyboardInterrupt."""
     with warnings.catch_warnings(), handled_by(signals.interrupt) as signals.before:
-        # such as of a damaged recording: in one line, without its place in the code
+        # A warning, such as of a damaged recording, is one line without its place in the code.
         warnings.showwarning = lambda message, *where: complain(
             message, args.written, before="warning: "
         )

@@ -135,7 +135,7 @@ def measure_pixels(
     n_on = counts.n_on
     n_off = counts.n_off
 
-    # events of a pixel in a window, of a Poisson process
+    # The mean number of noise events of a pixel in a window; they are a Poisson process.
     noise = -np.log1p(-min(0.99, counts.n_lonely / max(1, counts.n_quiet)))
     noise_on_share = counts.n_lonely_on / counts.n_lonely if counts.n_lonely else 0.5
     n_noise = noise * width * height * len(windows)

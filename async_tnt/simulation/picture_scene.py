@@ -240,7 +240,7 @@ def _scene(
     apart = sensor + side_px + np.maximum(0.5 * side_px, 0 if settings.follow else 2 * reach)
     apart *= np.exp(MOST_GROWTH) / np.cos(MOST_TURN)
     covered, cover = _posed(picture, FINENESS * side_px, rng)
-    # multiples of 8, for a fast Fourier transform
+    # Sides that are multiples of 8 have a fast Fourier transform.
     shape = tuple(8 * math.ceil(FINENESS * side / 8) for side in apart[::-1])
 
     if rng.random() < TEXTURED:

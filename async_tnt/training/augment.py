@@ -167,7 +167,7 @@ def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Dra
     place[edge, 4] = sensor.max() * rng.uniform(*EDGE_WAY, edge.sum())
     place[edge, 5] = sensor.max() * rng.uniform(*EDGE_THICKNESS, edge.sum())
     place[edge, 6] = sensor.max() * rng.uniform(*EDGE_LENGTH, edge.sum())
-    # often of one polarity
+    # Half of the edges have events of one polarity.
     is_of_one = rng.random(edge.sum()) < 0.5
     on_share[edge] = np.where(is_of_one, np.rint(on_share[edge]), on_share[edge])
     place[:, 7] = on_share

@@ -97,7 +97,7 @@ def draw_classes(
     x = np.insert(times, ends, np.nan)
     y = np.insert(probabilities, ends, np.nan, axis=0)
     likeliest = np.argsort(-probabilities.mean(axis=0), kind="stable")
-    # the likeliest on top
+    # The likeliest class is drawn last, on top.
     for rank, k in reversed(list(enumerate(likeliest))):
         look = {"color": GREY, "lw": 0.8}
         if rank < len(HIGHLIGHTS):

@@ -87,7 +87,7 @@ class TNTVolume:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        # views of the copied memory, not copies of the views
+        # The views are made again, as views of the copied memory.
         self._ints = self._buffer.view(np.int64)
         self._view = _read_only(self._array)
         # From now on this volume differs from the one that it was copied from.

@@ -199,7 +199,7 @@ def record(
     def seen() -> Iterator[np.ndarray]:
         for share in np.arange(STEPS + 1) / STEPS:
             u = np.clip((share - begins) / lasts, 0, 1)
-            # out; where the hand turns round, also back
+            # The object moves out. If the hand turns round, the object also moves back.
             phase = u / turns_at if is_back else u
             way = (1 - np.cos(np.pi * phase)) / 2
             moved = length * way

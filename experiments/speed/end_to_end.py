@@ -58,7 +58,7 @@ class Stream:
         old = len(moment.events) - moment.n_new
         if old > self._n:
             self._processor.push(moment.events[self._n : old])
-        # memory of its own, as a driver hands it over
+        # A driver hands over new memory each time.
         self._packet = moment.events[old:].copy()
         self._n = len(moment.events)
 

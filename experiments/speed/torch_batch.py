@@ -75,7 +75,7 @@ class TorchBatch:
             centroid = z.cumsum(0, dtype=torch.float64).div_(n).float()
             place = (z - centroid) / tau + self._centre[side]
             clamped = place.clamp(0, config.grid[side] - 1)
-            # False for the nan of 0 / 0
+            # The comparison is False for nan, which is 0 / 0.
             keep &= (place - clamped).abs_() <= BORDER_TOLERANCE
             moved.append(clamped)
         # indices, computed once, are four times faster than four masks

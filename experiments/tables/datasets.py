@@ -61,7 +61,7 @@ def cars_confidence(report: dict[str, Any]) -> str:
     tests = next(iter(report["recipes"].values()))["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
-        # a level that no window reaches
+        # A level that no window reaches is left out.
         if any(level["median_ms"] is None for level in levels):
             continue
         names = ("decided", "accuracy", "window_accuracy", "median_ms", "p90_ms")

@@ -105,7 +105,7 @@ def interval(values: np.ndarray) -> dict[str, float]:
     from scipy import stats
 
     mean = float(values.mean())
-    # the variances of digits, then of seeds
+    # The variance of the mean has two parts: that of digits, then that of seeds.
     parts = [values.mean(axis).var(ddof=1) / values.shape[1 - axis] for axis in (0, 1)]
     error = float(sum(parts)) ** 0.5
     if error == 0.0:

@@ -39,7 +39,8 @@ def dataset(tmp_path_factory):
             if k == 1:
                 events["t"][700:] += 1_000_000
             write(folder / "Test" / name / f"{k}{('.npz', '.npy')[k % 2]}", events)
-    write(folder / "Train" / "flat" / "0.npy", bar("flat", 9))  # which is not evaluated
+    # Train is not evaluated.
+    write(folder / "Train" / "flat" / "0.npy", bar("flat", 9))
     return folder
 
 
@@ -175,7 +176,7 @@ def record_by_hand(model, events):
                 by_size[n] = processor.fire()
             before = n
 
-        # in the last window time ends with its events
+        # In the last window, time ends with the last event.
         passed = int(since[-1]) if k == number.max() else window_us - 1
         moments = [m for m in range(step_us, passed + 1, step_us) if m < window_us]
         sizes = np.searchsorted(since, moments).tolist()

@@ -149,7 +149,7 @@ def test_results_put_into_a_file_of_more_rows():
     moved = {**old["rows"]["raw-motions"], "motions": {"all": {}}}
     new |= {"rows": {"raw-motions": moved}, "validation": {}, "curves": {"x": []}}
     new |= {"differences": [{**before, "mean": 0.125, "p": 0.9}]}
-    # of old numbers
+    # A difference of old numbers is left out.
     assert (
         len(merged(old, {**new, "differences": []})["differences"]) == len(old["differences"]) - 1
     )
@@ -323,7 +323,7 @@ def test_results_record_what_was_done(done):
             f"{on}/{name}" for name in list(SETS)[1:] for on in ("all", "1")
         ]
         sizes = [columns[c]["windows"] for c in columns]
-        # of 40 recordings; of 2 images that none of them shows
+        # The tests have 40 recordings, and 2 images that no recording shows.
         assert sizes == [30, 30, 20, 120, *[60] * 18]
         assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, 30, 30, *[0] * 16]
         assert list(columns["1/sim"]["against_time_ms"]) == ["10", "20", "30", "50", "75"]

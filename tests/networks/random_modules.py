@@ -115,7 +115,7 @@ class _Builder:
         with torch.no_grad():
             try:
                 shape = tuple(module(torch.ones(1, *SHAPE)).shape[1:])
-            except Exception:  # of torch: these shapes do not go together
+            except Exception:  # torch refuses these shapes
                 return
         self.steps.append(step)
         if result:

@@ -254,7 +254,7 @@ def _shape(proto: onnx.ModelProto) -> tuple[int, ...] | None:
     """(C, H, W) or (N,) of the output, by ONNX's own rules; None where they do not tell."""
     try:
         output = onnx.shape_inference.infer_shapes(proto).graph.output[0].type.tensor_type.shape.dim
-    except Exception:  # of the many that a wrong file may raise
+    except Exception:  # a wrong file raises errors of many types
         return None
     sides = tuple(side.dim_value for side in output)[1:]
     return sides if sides and min(sides) > 0 else None
@@ -357,7 +357,7 @@ def known_gaps(proto: onnx.ModelProto) -> list[str]:
     try:
         onnx.checker.check_model(proto)
         shapes = _shapes(proto)
-    except Exception:  # of the many that a wrong file may raise
+    except Exception:  # a wrong file raises errors of many types
         return ["no valid file"]
     values = _values(proto)
     found = []

@@ -248,8 +248,10 @@ def test_what_onnxruntime_computes_the_same_is_read(tmp_path, nodes, batch):
         "q": np.tri(60, dtype=np.float32) / 60,
     }
     path = write_onnx(tmp_path / "m.onnx", nodes, weights, shape=(batch, 2, 6, 5))
-    assert len(load_model(path, config=SMALL).classes) == 3  # and compared with it
-    path.write_bytes(network(dtype=onnx.TensorProto.FLOAT16))  # as exactly as half precision is
+    # `load_model` also compares the network with onnxruntime.
+    assert len(load_model(path, config=SMALL).classes) == 3
+    # A network of half precision is compared as exactly as its numbers are.
+    path.write_bytes(network(dtype=onnx.TensorProto.FLOAT16))
     assert len(load_model(path, config=SMALL).classes) == 3
 
 
@@ -258,7 +260,8 @@ def test_layers_named_as_weights_and_as_the_output_can_be_exported():
         {"op": "flatten", "name": "w", "inputs": ["volume"]},
         {"op": "dense", "name": "logits", "inputs": ["w"], "weights": {"weight": "w"}},
         {"op": "silu", "name": "s", "inputs": ["logits"]},
-        {"op": "relu", "name": "s.sigmoid", "inputs": ["s"]},  # as the export names a part of `s`
+        # The export gives this name to a part of `s`.
+        {"op": "relu", "name": "s.sigmoid", "inputs": ["s"]},
         {"op": "relu", "name": "last", "inputs": ["s.sigmoid"]},
     ]
     model = Model(SMALL, {"w": np.eye(3, 60)}, ["a", "b", "c"], network={"classifier": layers})

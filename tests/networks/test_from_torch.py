@@ -38,7 +38,8 @@ def test_a_torch_module_computes_what_it_did(tmp_path):
     model = model_of(module)
     assert module.training and (model.classes, model.record) == (tuple("abcd"), {"by": "hand"})
     state = module.state_dict()
-    own = {key: w for key, w in model.weights.items() if "()" not in key}  # not a function's
+    # Weights of functions have names with "()". The module has no such weights.
+    own = {key: w for key, w in model.weights.items() if "()" not in key}
     assert all(np.array_equal(w, state[key].numpy()) for key, w in own.items())
     expected = logits_of(module)
     assert np.ptp(expected) > 0.1

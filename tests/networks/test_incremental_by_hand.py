@@ -169,7 +169,8 @@ def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, s
                 assert str(error).startswith(FINITE[1:])
                 first = processor.counts.received
                 errors.append(first - 1)
-                assert len(errors) <= len(loud)  # and not the same one again and again
+                # The same event must not fail again and again.
+                assert len(errors) <= len(loud)
         decisions += processor.finish()
         assert errors == loud and processor.counts.received == 1500
         found.append((processor.counts, decisions[-1].logits.tobytes(), decisions[-1].events))

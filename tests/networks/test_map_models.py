@@ -121,7 +121,7 @@ def test_objects_by_hand():
     # 3 and 1 above nothing: 1/4 of a place to the right
     logits[0, 1, 1] = 4.0
     logits[0, 1, 2] = 2.0
-    # as likely as each other, side by side: one object, half a row below
+    # Two places, one above the other, are as likely as each other: one object, half a row below.
     logits[1, 0, 6] = 2.0
     logits[1, 1, 6] = 2.0
     config = CONFIG.replace(sensor=(32, 12), grid=(32, 12))
@@ -282,7 +282,7 @@ def test_an_object_keeps_its_number_while_it_moves():
 
     assert show(0, (0, 2), (1, 15)) == {2: ("a", 0), 15: ("b", 1)}
     assert show(100, (0, 5), (1, 12)) == {5: ("a", 0), 12: ("b", 1)}
-    # of another class, and where only the first one can be
+    # An object of another class appears where only the first one can be.
     assert show(200, (1, 6)) == {6: ("b", 0)}
     assert show(300, (0, 7), (1, 11)) == {7: ("a", 0), 11: ("b", 1)}
     assert show(400, (0, 12)) == {12: ("a", 1)}
@@ -351,7 +351,7 @@ def test_a_still_object_keeps_its_number_in_noise(likelier):
     numbers = set()
     for k in range(300):
         rows, columns = rng.integers(0, 290, (2, 10))
-        columns[abs(columns - 150) < 8] = 4  # not near the object
+        columns[abs(columns - 150) < 8] = 4  # noise is not near the object
         scene.show([150, *rows], [150, *columns], [2.0 if likelier else 0.5] + [1.0] * 10)
         (decision,) = processor.push(([1000 * k], [5], [5], [1]))
         numbers |= {
@@ -359,7 +359,8 @@ def test_a_still_object_keeps_its_number_in_noise(likelier):
             for found in decision.objects
             if abs(found.x - 150) < 2 and abs(found.y - 150) < 2
         }
-    assert max(found.id for found in decision.objects) > 1000  # of noise
+    # Objects of noise have taken more than 1000 numbers.
+    assert max(found.id for found in decision.objects) > 1000
     assert len(numbers) == 1
 
 
@@ -382,7 +383,7 @@ def test_numbers_are_those_of_the_reference(seed):
         some = still[:, rng.random(still.shape[1]) < 0.8] + rng.integers(-1, 2, (2, 1))
         rows, columns = np.concatenate([some, rng.integers(0, 300, (2, n))], 1).clip(0, 299)
         scene.show(rows, columns, rng.uniform(0.5, 2.0, len(rows)))
-        # of a window that closes, and of this event
+        # There is a decision on a window that closes, and one after this event.
         for decision in processor.push(([t_us], [5], [5], [1])):
             objects = decision.objects
             first = numbers.next_number
@@ -520,7 +521,8 @@ def test_what_a_map_model_refuses():
         Processor(CONFIG, classifier=lambda volume: np.zeros((3, 2, 2)), classes=list("abc")).fire()
     one_place = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(4, 4, 1))
     with pytest.raises(ValueError, match=r"must compute 3 logits, .* got \(4, 1, 1\)"):
-        Model.from_torch(one_place, CONFIG, ["a", "b", "c"])  # not a map, but a name too few
+        # This is no map: a name is missing.
+        Model.from_torch(one_place, CONFIG, ["a", "b", "c"])
     for classes in ("abcd", {"a", "b", "c", "d"}):
         with pytest.raises(TypeError, match="`classes` must be a tuple or list of names"):
             Model.from_torch(one_place, CONFIG, classes)

@@ -36,7 +36,7 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
     volume = np.random.default_rng(0).normal(size=model.config.shape).astype(np.float32)
     for loaded in (load_model(path), load_model(str(path))):
         assert_same(loaded, model)
-        # as what is made of them depends on their order
+        # What is made of the weights depends on their order.
         assert list(loaded.weights) == sorted(model.weights)
         assert loaded.network == model.network
         expected = CompiledClassifier(model)(volume).tobytes()

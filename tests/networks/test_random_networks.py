@@ -91,7 +91,7 @@ def largest_answer(onnxruntime, path, options) -> float | None:
     try:
         session = onnxruntime.InferenceSession(path, options)
         (answer,) = session.run(None, {"x": np.ones((1, *OF_FILES.shape), np.float32)})
-    except Exception:  # of many types
+    except Exception:  # a wrong file raises errors of many types
         return None
     return float(np.abs(answer).max())
 

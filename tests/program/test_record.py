@@ -88,7 +88,8 @@ def test_it_ends_after_the_seconds_and_never_replaces_anything(
     monkeypatch.setattr(record.time, "strftime", lambda form: "20261126_120000")
     when_recorded(1, is_over.set)
     (tmp_path / "wave").mkdir()
-    for name in ("20261126_120000.dat.part", "20261126_120000_2.json"):  # of other programs
+    # These files are of other programs.
+    for name in ("20261126_120000.dat.part", "20261126_120000_2.json"):
         (tmp_path / "wave" / name).touch()
     for _ in range(2):
         is_over.clear()

@@ -171,7 +171,7 @@ def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
     # (9, 4) is too far from these; (10, 4) is in the next cell
     torch.testing.assert_close(hats(t, x, y, p, **at), expected.reshape(98, 2, 2))
     expected[0, 3, 1, 0, 0] = 2 / 5  # the OFF event finds both ON events
-    expected[0, 2, 3, 0, 0] = 1 / 5  # and is found
+    expected[0, 2, 3, 0, 0] = 1 / 5  # an ON event finds the OFF event
     torch.testing.assert_close(
         hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2)
     )

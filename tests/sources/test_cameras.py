@@ -24,7 +24,7 @@ from async_tnt.sources import (
 from async_tnt.sources.live.camera_drivers import DRIVERS, CameraCounts, FoundCamera
 
 HOUR_US = 3_600_000_000
-# as neuromorphic-drivers has it
+# The record of an event in neuromorphic-drivers.
 RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
 
 

@@ -40,8 +40,8 @@ BRIGHT = [(5, 5), (6, 5), (30, 30)]
 @pytest.mark.parametrize(
     ("packets", "pixels"),
     [
-        # in the dark corner of a recording 60 events are many; on the digit's edge they would be
-        # normal
+        # In the dark corner of a recording 60 events are many. On the digit's edge they would be
+        # normal.
         ([RECORDINGS[0], *planted([(0, 0), (33, 0), (33, 33)], 60)], [(0, 0), (33, 0), (33, 33)]),
         *(([random_events(20_000), *planted([at], 400)], [at]) for at in [(0, 0), (32, 1)]),
         ([random_events(5_000), *planted(FOUR, 500)], FOUR),

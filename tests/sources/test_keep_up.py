@@ -151,7 +151,7 @@ def test_what_events_alone_cost_too_much_is_skipped_and_counted(clock, reader_of
     assert reader.slowest == 128  # 100 are a window
     with reader:
         pass
-    assert processor.every_us == 1_000  # as it was
+    assert processor.every_us == 1_000  # it is as it was at first
 
 
 @pytest.mark.parametrize("kind", ["KeepUp", "PacketQueue"])

@@ -33,12 +33,12 @@ class Held:
         self.values = values
         self.shape = np.shape(values)
 
-    def numpy(self):  # of events
+    def numpy(self):  # packets of events are read by this
         self.begun.set()
         assert self.go_on.wait(PATIENCE_S)
         return self.values
 
-    def __array__(self, dtype=None, copy=None):  # of a volume
+    def __array__(self, dtype=None, copy=None):  # volumes are read by this
         return self.numpy()
 
 

@@ -161,7 +161,7 @@ def test_a_trigger_that_no_window_is_long_enough_for_is_told_once(config, name, 
         setattr(processor, name, longest + 1)
     assert len(caught) == 1 and caught[0].filename == __file__
     other = {"every_us": "every_events", "every_events": "every_us"}[name]
-    # which concerns the other kind of windows
+    # The other setting concerns the other kind of windows, so there is no warning.
     Processor(config, classifier=total_and_size, **{other: 10**9})
     copy.copy(processor).push(at([5]))
 

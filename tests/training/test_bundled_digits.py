@@ -31,7 +31,7 @@ def test_the_record_of_digits_has_its_data_accuracy_and_command():
     assert {"data", "command", "seed", "epochs", "versions", "validation", "test", "tried"} <= set(
         record
     )
-    # not the official split: stated where the numbers are
+    # The note beside the numbers says that the split is not the official one.
     assert "official" in record["data"]["note"]
     assert record["test"]["per_window"] >= 0.97 and record["test"]["per_recording"] >= 0.985
 

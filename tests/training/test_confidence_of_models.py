@@ -104,8 +104,8 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     assert found.calibration_error > 0.15 and softer.calibration_error < 0.01
     assert found.sure_of_nothing["scattered"] > softer.sure_of_nothing["scattered"]
     assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
-    assert fit_temperature(softened(truth, 9), labels) == pytest.approx(1 / 5)  # and no less
-    # nor more
+    # A temperature is at least 1/5, and at most 5.
+    assert fit_temperature(softened(truth, 9), labels) == pytest.approx(1 / 5)
     assert fit_temperature(np.array([[1.0, 0.0]] * 9), np.ones(9, int)) == pytest.approx(5)
 
 

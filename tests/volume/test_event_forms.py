@@ -214,7 +214,7 @@ def as_records(t, x, y, p):
     return events
 
 
-NAMED_FORMS = {  # of four columns
+NAMED_FORMS = {  # functions that make a form of four columns
     "a tuple": lambda *columns: columns,
     "a list": lambda *columns: list(columns),
     "lists of scalars": lambda *columns: tuple(list(column) for column in columns),
@@ -313,7 +313,7 @@ def test_a_column_named_twice_is_an_error(twice, tmp_path):
     text = "\n".join([",".join(names), *(",".join(map(str, row)) for row in rows)])
     (tmp_path / "a.csv").write_text(text + "\n")
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the name
+        warnings.simplefilter("ignore")  # zipfile warns of a name that is there twice
         for name, column in zip(names, columns, strict=True):
             content = BytesIO()
             np.save(content, np.array(column))

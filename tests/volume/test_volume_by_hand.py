@@ -182,7 +182,8 @@ def test_a_regressors_landmark_is_the_centre():
     )
     volume = TNTVolume(config, regressor=lambda raw: (10.5, 8.5))
     volume.open(0)
-    volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))  # in grid pixels (10.5, 9), (13.5, 10)
+    # The events are at (10.5, 9) and (13.5, 10) in grid pixels.
+    volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))
     expected = np.zeros((5, 34, 34), np.float32)
     expected[2, 17, 16:18] = 0.5  # u = 0 / 1 + 16.5, v = 0.5 / 1 + 16.5
     expected[3, 17:19, 18:20] = -0.25  # u = 3 / 1.5 + 16.5 = 18.5, v = 1.5 / 1.5 + 16.5 = 17.5

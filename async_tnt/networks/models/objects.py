@@ -58,7 +58,7 @@ def places_of(layers: Sequence[Layer], config: TNTConfig) -> Places:
         axes[layer["name"]] = (through(layer, 0, rows), through(layer, 1, columns))
 
     rows, columns = axes[layers[-1]["name"]]
-    # sensor pixels in a grid pixel
+    # The size of a grid pixel, in sensor pixels.
     across = (config.sensor[0] - 1) / (width - 1)
     down = (config.sensor[1] - 1) / (height - 1)
     return Places(

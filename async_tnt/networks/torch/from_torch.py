@@ -59,7 +59,7 @@ def layers_from_torch(
         return layers, {f"{prefix}{name}": float_array(w) for name, w in module.tensors.items()}
 
     module = own_copy(module)
-    # A trace looks into the module that it is called with, but takes the modules in it as a whole.
+    # A trace looks into the module itself, but takes each known module in it as one call.
     if type(module) in MODULES:
         module = nn.Sequential(module)
     try:

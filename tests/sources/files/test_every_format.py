@@ -118,7 +118,8 @@ def test_the_order_of_columns_without_names_can_be_stated(tmp_path, name):
         np.testing.assert_array_equal(
             open_recording(path, columns=order).read(), events, err_msg=order
         )
-        if order.index("x") > order.index("y"):  # of these two, nothing tells which is which
+        # Nothing tells x from y.
+        if order.index("x") > order.index("y"):
             continue
         if order != "txyp" and name != "blanks.txt":
             with pytest.raises(
@@ -189,8 +190,8 @@ def test_addresses_of_cameras_by_hand(tmp_path):
             of_dvs128,
             (77, 107),
         ),
-        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 10, None),  # from outside, not of a pixel
-        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 31, None),  # of a frame
+        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 10, None),  # an event from outside
+        ("# AEChip: DAViS240C\r\n", of_davis | 1 << 31, None),  # a sample of a frame
         ("", of_dvs128 | 1 << 15, None),
         ("", of_dvs128, (50, 20)),
     ):
@@ -241,7 +242,7 @@ def test_times_go_on_through_wraps_pauses_and_disorder(tmp_path, name, make, per
     late = late[1:]
     assert late["t"][0] < period_us < late["t"][-1]
     pauses = []
-    for start in (0.1, 0.3, 0.7):  # of less than half a period
+    for start in (0.1, 0.3, 0.7):  # each pause is shorter than half a period
         pauses.append(made_events(100, sensor=SMALL, step_us=50, start_us=int(start * period_us)))
         pauses[-1]["t"][50:] += int(0.45 * period_us)
     path = tmp_path / name

@@ -108,13 +108,14 @@ def test_files_are_read_as_often_as_asked_at_once_and_after_damage(tmp_path):
     assert [[len(packet) for packet in packets] for packets in zip(*recordings, strict=True)] == [
         [50] * 3
     ]
-    next(recordings[0].source.blocks())  # not to its end
+    # This file is not read to its end.
+    next(recordings[0].source.blocks())
     np.testing.assert_array_equal(recordings[0].read(), made_events(50, seed=0))
     paths[2].write_bytes(paths[0].read_bytes()[:100])
     with pytest.raises(ValueError, match=r"2.aedat4: not a readable AEDAT4 file"):
         open_recording(paths[2])
     recordings[0].read()
     kept = worker_source._idle[os.getpid()]
-    kept._process.kill()  # as a system without memory does
+    kept._process.kill()  # a system without memory kills processes, too
     kept._process.wait()
     np.testing.assert_array_equal(recordings[1].read(), made_events(50, seed=1))
