@@ -188,7 +188,7 @@ def by_crop_size(train: Path, test: Path) -> float:
 
 
 def _sizes(part: Path) -> dict[str, np.ndarray]:
-    """Class -> width and height of each recording, up to its outermost events."""
+    """The width and height of each recording, by class, up to the outermost events."""
     found = {}
     for folder in sorted(path for path in part.iterdir() if path.is_dir()):
         files = sorted(folder.iterdir())
@@ -206,7 +206,7 @@ def _sizes(part: Path) -> dict[str, np.ndarray]:
 def _costs(path: Path, test: Path) -> dict[str, Any]:
     """Costs on some recordings' first windows, in nanoseconds.
 
-    They are of an event in the volume, and of a decision after every event.
+    They are the time of an event in the volume, and that of a decision after every event.
     """
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())

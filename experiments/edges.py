@@ -58,7 +58,7 @@ ENDS_US = (0, 92_000, 222_000, 308_000)
 
 
 def directions() -> np.ndarray:
-    """(3, 2): unit vectors of the saccades, (x, y)."""
+    """The unit vectors (x, y) of the three saccades, (3, 2)."""
     moved = np.diff(np.stack(PATH.position(ENDS_US), axis=1), axis=0)
     return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
@@ -80,7 +80,10 @@ def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gradient(image: np.ndarray) -> np.ndarray:
-    """(34, 34, 2): (d/dx, d/dy) of an image's log luminance at the sensor's centre."""
+    """The gradient (d/dx, d/dy) of an image's log luminance, (34, 34, 2).
+
+    It is taken at the sensor's centre.
+    """
     light = render(image, np.array([3.0]), np.array([3.0]))[0]
     return np.stack(np.gradient(light)[::-1], axis=-1)
 

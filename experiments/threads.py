@@ -49,9 +49,6 @@ def works(model: Any, events: np.ndarray, packet: int, n_passes: int) -> dict[st
 
     It is a volume alone, a stream with decisions at the ends of windows, and one with a
     decision every millisecond.
-
-    It is measured as a volume, with decisions at the ends of windows, and with one every
-    millisecond.
     """
     packets = [events[first : first + packet].copy() for first in range(0, len(events), packet)]
     takers: dict[str, Any] = {

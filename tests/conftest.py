@@ -37,8 +37,10 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
-    """Compile the kernels before the first test: a program that a test starts would say on stderr
-    that it compiles."""
+    """Compile the kernels before the first test.
+
+    Otherwise a program that a test starts would say on stderr that it compiles them.
+    """
     from async_tnt import warmup  # imported here, as OMP_NUM_THREADS must be set first
 
     warmup()

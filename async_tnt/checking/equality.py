@@ -76,7 +76,9 @@ class Comparison:
 
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
-    """Name -> configuration: with every landmark, with the flow removed, without the transform.
+    """The configurations that are compared, by name.
+
+    There is one for each landmark, one with the flow removed, and one without the transform.
 
     The landmark `regressor` is there only if `base` has it. Images of times have no transform.
     """

@@ -78,7 +78,7 @@ class Simd:
         return self.builder.gep(array, [index])
 
     def load(self, array: ir.Value, index: ir.Value, kind: ir.VectorType = VECTOR) -> ir.Value:
-        """As many numbers as `kind` holds, from `index` on."""
+        """Load as many numbers as `kind` holds, from `index` on."""
         value = self.builder.load(self.builder.bitcast(self.at(array, index), kind.as_pointer()))
         value.align = _alignment(kind)
         return value

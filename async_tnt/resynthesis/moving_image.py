@@ -112,7 +112,7 @@ class MovingImage:
 
     @cached_property
     def frequencies(self) -> tuple[np.ndarray, np.ndarray]:
-        """(qx, qy) of all frequencies, in radians per cell.
+        """All frequencies (qx, qy), in radians per cell.
 
         Negative qx are left out, as their values follow from the others.
         """
@@ -121,7 +121,7 @@ class MovingImage:
 
     @cached_property
     def band(self) -> tuple[np.ndarray, np.ndarray]:
-        """(qx, qy) of the frequencies that a path is found by."""
+        """The frequencies (qx, qy) that a path is found by."""
         qx, qy = self.frequencies
         return qx[qx <= BAND], qy[np.abs(qy) <= BAND]
 

@@ -105,7 +105,7 @@ def fineness(sensor: tuple[int, int]) -> int:
 
 
 def unchanged(n: int, config: TNTConfig) -> Draws:
-    """No augmentation: `n` unchanged windows."""
+    """Draws that leave `n` windows unchanged."""
     matrix = np.zeros((n, 2, 3))
     matrix[:, 0, 0] = 1.0
     matrix[:, 1, 1] = 1.0
@@ -122,7 +122,7 @@ def unchanged(n: int, config: TNTConfig) -> Draws:
 
 
 def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
-    """The same changes with whole pixels, if the volume is an image of times; otherwise `draws`.
+    """The draws with whole pixels if the volume is an image of times; otherwise `draws`.
 
     Such an image takes an event between pixels for an event of each of them.
     """
@@ -136,7 +136,7 @@ def on_pixels(draws: Draws, config: TNTConfig) -> Draws:
 
 
 def of_nothing(draws: Draws, kinds: np.ndarray, rng: np.random.Generator) -> Draws:
-    """The same windows, some of which show nothing.
+    """The draws of the same windows, some of which show nothing.
 
     kinds : int64, (N,): SHOWN, or what a window shows instead, see `Draws.nothing`.
     """

@@ -151,7 +151,7 @@ class _Shown:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Class -> its recordings and pictures."""
+        """The number of recordings and pictures of each class."""
         labels = self.labels
         return {name: int((labels == k).sum()) for k, name in enumerate(self.dataset.classes)}
 

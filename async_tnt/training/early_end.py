@@ -2,8 +2,6 @@
 
 It ends early where nothing that is measured on held-out windows can improve.
 
-It ends where nothing that is measured on held-out windows can improve.
-
 The weights of the last epoch are kept, and the learning rate falls to 0 by then. So a training does
 not stop where it stands: it is given `COOLING` more epochs, over which the rate falls.
 

@@ -53,18 +53,18 @@ class Evaluation:
 
     @property
     def against_time(self) -> dict[float, float]:
-        """Moment -> share of windows that are classified right then."""
+        """The share of windows that are right at each moment."""
         right = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
         return dict(zip(self.times_ms, right.tolist(), strict=True))
 
     @property
     def confusion(self) -> np.ndarray:
-        """(n_classes, n_classes): windows by true class (row) and decided class (column)."""
+        """Windows by true class (row) and decided class (column), (n_classes, n_classes)."""
         return _confusion(self.windows.labels, self.complete)
 
     @property
     def recording_confusion(self) -> np.ndarray:
-        """(n_classes, n_classes): recordings by true class (row) and decided class (column).
+        """Recordings by true class (row) and decided class (column), (n_classes, n_classes).
 
         The mean of its windows' probabilities decides a recording.
         """
@@ -91,7 +91,7 @@ class Evaluation:
 
     @property
     def sure_of_nothing(self) -> dict[str, float]:
-        """A kind of nothing -> share of windows in which a class has probability `SURE` or more."""
+        """The share of windows, for each kind of nothing, in which a class has at least `SURE`."""
         shares = {}
         for kind, probabilities in self.nothing.items():
             shares[kind] = float((probabilities.max(1) >= SURE).mean())
@@ -103,7 +103,7 @@ class Evaluation:
         return fit_temperature(*self._all_moments)
 
     def at_temperature(self, temperature: float) -> Evaluation:
-        """The same with all logits divided by `temperature`."""
+        """The evaluation with all logits divided by `temperature`."""
         nothing = {kind: softened(p, temperature) for kind, p in self.nothing.items()}
         return replace(
             self, probabilities=softened(self.probabilities, temperature), nothing=nothing
@@ -173,7 +173,7 @@ def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.nd
 
 
 def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """(n_classes, n_classes): how many by true class (row) and likeliest class (column)."""
+    """Counts by true class (row) and likeliest class (column), (n_classes, n_classes)."""
     confusion = np.zeros((probabilities.shape[1], probabilities.shape[1]), np.int64)
     np.add.at(confusion, (labels, probabilities.argmax(1)), 1)
     return confusion

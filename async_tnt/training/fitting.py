@@ -47,11 +47,11 @@ class Fitted:
     history: list[dict[str, float]]
 
     def with_record(self, **more: Any) -> Fitted:
-        """The same with more in the model's record."""
+        """The same model with more entries in its record."""
         return replace(self, model=replace(self.model, record={**self.model.record, **more}))
 
     def tested(self, data: TrainingData) -> Fitted:
-        """The same with the accuracy on `data.tests` in the record. This may take long."""
+        """The same model with the accuracy on `data.tests` in its record. This may take long."""
         pipeline = pipeline_of(self.model)
         found = {}
         for name, (windows, more) in data.tests.items():

@@ -322,7 +322,9 @@ def batches_of(
 
 
 def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """As many indices as there are labels, every class equally often (within one), in random order.
+    """A random order of indices in which every class is equally often (within one).
+
+    There are as many indices as labels.
 
     A class with fewer windows than its share is repeated, each time in another order; of a class
     with more, each epoch shows a different part. We sample rather than weight the loss: a rare

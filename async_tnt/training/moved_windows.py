@@ -61,7 +61,7 @@ class MotionSettings:
             raise ParameterValueError("recorded", "must be in [0, 1]", self.recorded)
 
     def for_epochs(self, n: int) -> MotionSettings:
-        """The same without the variations that `n` epochs do not show."""
+        """The same settings without the variations that `n` epochs do not show."""
         return replace(self, variations=min(self.variations, n))
 
 

@@ -127,7 +127,7 @@ def identity_of(
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """As JSON gives them back: tuples are lists."""
+    """The values as JSON gives them back: tuples are lists."""
     plain: dict[str, Any] = json.loads(json.dumps(dict(values)))
     return plain
 

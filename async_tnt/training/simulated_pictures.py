@@ -95,7 +95,9 @@ class LabelledPicture:
 
 
 def find_pictures(folder: Path) -> dict[str, list[Path]]:
-    """Class name -> its pictures to train on, sorted by name, for the classes that have any.
+    """The pictures to train on, by class name and sorted by name.
+
+    Classes without pictures are left out.
 
     Raises
     ------

@@ -1,8 +1,6 @@
 """Draw one window: its events in space-time, and the bins of its volumes.
 
 Both are drawn twice: raw, with events at (x, y, t), and transformed, with events at (u, v, t).
-
-Events are drawn raw, at (x, y, t), and transformed, at (u, v, t). So are the volumes.
 """
 
 from __future__ import annotations

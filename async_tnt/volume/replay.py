@@ -58,7 +58,7 @@ class ReplayBuffer:
 
     @one_at_a_time
     def reset(self) -> None:
-        """No events stored."""
+        """Forget all stored events."""
         # The landmark of the newest event; None: it is not known yet.
         self._landmark: tuple[float, float] | None = None
         self._is_replayed = True

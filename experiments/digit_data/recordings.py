@@ -114,7 +114,7 @@ def recording_numbers(names: Iterable[str]) -> list[int]:
 
 
 def saccade(windows: Windows) -> np.ndarray:
-    """In which saccade of its N-MNIST recording each window starts: 0, 1 or 2."""
+    """The saccade of its N-MNIST recording in which each window starts: 0, 1 or 2."""
     return windows.start_us // SACCADE_US
 
 

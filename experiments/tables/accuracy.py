@@ -199,7 +199,7 @@ unseen_whole = of_report("unseen_whole")(_unseen)
 
 @of_report("found_paths")
 def found_paths(found: dict[str, Any]) -> str:
-    """In how many windows a path is found, and how often it is right."""
+    """A table of the windows in which a path is found, and of how often it is right."""
     rows = []
     for name, row in found["rows"].items():
         shares = (
@@ -234,7 +234,7 @@ def nothing(found: dict[str, Any]) -> str:
 
 
 def early() -> str:
-    """By time, and by confidence."""
+    """A table of early decisions, by time and by confidence."""
     found = results("early")
     rows = [
         [f"after {row['time_us'] / 1000:g} ms", percent(row["accuracy"])]

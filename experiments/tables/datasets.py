@@ -136,7 +136,7 @@ def bare(report: dict[str, Any]) -> str:
 
 @of_report("from_pictures")
 def from_pictures(report: dict[str, Any]) -> str:
-    """The same for `train` given pictures alone."""
+    """A table of the same numbers for `train` given pictures alone."""
     rows = []
     for found in report["sets"].values():
         options = found["command"].partition("PICTURES ")[2]

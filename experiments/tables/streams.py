@@ -20,7 +20,7 @@ udp_machine = of_report("network")(about_machine)
 
 
 def udp_latency() -> str:
-    """From just before `send` to something in hand."""
+    """A table of the time from just before `send` until the program has something in hand."""
     found = results("network")["latency_us"]
     rows = []
     for name, words in WAYS.items():

@@ -61,7 +61,7 @@ STEPS = (1_000, 3_000, 8_000, 20_000, 40_000, 60_000)
 
 
 def _accuracies() -> dict[str, Any]:
-    """Row -> column -> accuracy."""
+    """The accuracies, by row and column."""
     return dict(results("table")["table"])
 
 

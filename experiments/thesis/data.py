@@ -180,7 +180,9 @@ def make_set(
 
 
 def simulated_windows(made: MovingMnist) -> Iterator[tuple[str, Windows]]:
-    """(name of the motion, windows) of each shard of a set; recordings are named by their image.
+    """The name of the motion and the windows of each shard of a set.
+
+    Recordings are named by their image.
 
     Raises
     ------

@@ -33,7 +33,9 @@ UNDRAWN = tuple(SETS)[1:]
 
 
 def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """Row -> column -> mean, standard deviation and each seed's accuracy; the same for each motion.
+    """The mean, standard deviation and seeds' accuracies of each row and column.
+
+    Each column also has the means of each motion.
 
     Parameters
     ----------

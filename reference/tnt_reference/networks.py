@@ -238,7 +238,7 @@ class Pipeline(nn.Module):
         )
 
     def raw_volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): the untransformed event volume of one window, or its image of times."""
+        """The untransformed event volume of one window, or its image of times, (C, H, W)."""
         settings: dict[str, Any] = {
             "start_us": start_us,
             "window_us": self.duration_us(t, start_us),

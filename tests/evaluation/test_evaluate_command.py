@@ -53,8 +53,10 @@ def decided_by_hand(model, start_us, events):
 
 @pytest.fixture(scope="module")
 def windows(model, dataset):
-    """(recording, label, start, events, decisions at each fiftieth that brought events) of each
-    window."""
+    """Recording, label, start, events and decisions of each window.
+
+    There is a decision at each fiftieth of a window that brought events.
+    """
     found = []
     for path in sorted(dataset.glob("Test/*/*")):
         events = open_recording(path).read()
@@ -152,8 +154,7 @@ LEVELS = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
 
 
 def record_by_hand(model, events):
-    """What a result file says of a recording that is in order, but for events that come after their
-    window."""
+    """The record of a recording that is in order, except for events that come too late."""
     window_us = model.config.window_us
     step_us = window_us // 50
     number = (events["t"] - events["t"][0]) // window_us

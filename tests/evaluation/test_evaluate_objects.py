@@ -1,5 +1,7 @@
-"""`async-tnt evaluate` of a map model: counts by hand, tables in both forms, and what is
-refused."""
+"""`async-tnt evaluate` of a map model.
+
+The tests have counts by hand, tables in both forms, and what is refused.
+"""
 
 import json
 import weakref
@@ -357,8 +359,10 @@ def test_a_table_may_begin_with_a_byte_order_mark(tmp_path):
 
 
 def test_matches_by_hand():
-    """An object that is there is matched once, by the nearest find of its class; a second find near
-    it is wrong."""
+    """An object that is there is matched once, by the nearest found object of its class.
+
+    A second found object near it is wrong.
+    """
     found = np.zeros((4, FOUND_SIZE))
     found[:, :4] = [(10, 10, 0.9, 0), (11, 10, 0.8, 0), (30, 10, 0.7, 1), (50, 10, 0.6, 1)]
     labels = np.array([0, 0, 1])

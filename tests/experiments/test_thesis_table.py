@@ -181,8 +181,10 @@ def test_results_put_into_a_file_of_more_rows():
 
 
 def test_an_interval_by_hand():
-    """Two seeds, two digits: means of seeds .2, .4, of digits .1, .5, so variances .02 / 2 and .08
-    / 2."""
+    """Two seeds with means .2 and .4, and two digits with means .1 and .5.
+
+    So the variances are .02 / 2 and .08 / 2.
+    """
     found = interval(np.array([[0.0, 0.4], [0.2, 0.6]]))
     freedom = 0.05**2 / (0.01**2 + 0.04**2)
     half = stats.t.ppf(0.975, freedom) * 0.05**0.5
@@ -233,8 +235,10 @@ def test_differences_are_taken_digit_by_digit_and_adjusted_within_their_question
 
 
 def test_effects_of_factors_by_hand():
-    """TNT gains .2 on bright digits, .1 from the centre, and nothing else; then .4 where both are
-    so."""
+    """TNT gains .2 on bright digits, .1 from the centre, and nothing else.
+
+    Where digits are bright and start from the centre, it gains .3, and then .4.
+    """
     for together in (0.0, 0.1):
         right = {}
         rng = np.random.default_rng(0)

@@ -1,6 +1,8 @@
-"""ONNX files made at random, as other programs write them and as they should not: opsets 9 to 22,
-old and new forms of attributes, training mode, operations of other domains, weights of any type.
-Each can be made again from its seed."""
+"""ONNX files that are made at random, as other programs write them and as they should not.
+
+They have opsets 9 to 22, old and new forms of attributes, training mode, operations of other
+domains, and weights of any type. Each file can be made again from its seed.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""All engines give the compiled network's logits, landmarks and decisions, in Python and by
-`async-tnt run`."""
+"""All engines give the compiled network's logits, landmarks and decisions.
+
+They do so in Python and by `async-tnt run`.
+"""
 
 import json
 import re

@@ -58,9 +58,11 @@ CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform
 
 
 def by_hand() -> Model:
-    """8 x 8 pixels, one bin: the first convolution is the middle tap and its negative, the second
-    adds the one and four times the other, the dense layer weighs the four places by 1, 10, 100,
-    1000."""
+    """A network of 8 x 8 pixels and one bin, with simple weights.
+
+    The first convolution is the middle tap and its negative. The second one adds the first map
+    and four times the other map. The dense layer weighs the four places by 1, 10, 100, 1000.
+    """
     weights = {
         name: np.zeros_like(w)
         for name, w in random_model(CONFIG, classes=2, widths=(2, 1, 1)).weights.items()
@@ -75,8 +77,10 @@ def by_hand() -> Model:
 
 
 def test_one_small_network_event_by_event():
-    """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16; the hidden unit has
-    a bias of 1/2."""
+    """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16.
+
+    The hidden unit has a bias of 1/2.
+    """
     classifier = CompiledClassifier(by_hand())
     volume = TNTVolume(CONFIG)
     hidden = 0.5

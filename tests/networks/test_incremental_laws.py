@@ -150,8 +150,10 @@ def test_a_classifier_that_goes_from_a_volume_to_its_copy_and_back(network, dupl
 
 
 def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monkeypatch):
-    """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first
-    process."""
+    """The other process numbers its windows 1, 2, 3 .. too.
+
+    The classifier must not take one of them for a window of the first process.
+    """
     classifier = SMALL.classifier()
     volume = SMALL.volume()
     volume.update(random_events(10, seed=1, duration_us=900, sensor=SMALL.config.sensor))

@@ -31,8 +31,10 @@ CONFIG = TNTConfig(
 
 
 def map_model(config=CONFIG, n_classes=3, seed=0) -> Model:
-    """A few convolutions and two heads that are joined; here and there a class is likelier than
-    nothing."""
+    """A network of a few convolutions and two heads that are joined.
+
+    At some places a class is likelier than nothing.
+    """
 
     class Net(nn.Module):
         def __init__(self):
@@ -264,8 +266,10 @@ def test_fire_and_copies_leave_the_stream_as_it_is():
 
 
 def test_an_object_keeps_its_number_while_it_moves():
-    """Two objects that approach each other, one of which changes its class, and vanishes for less
-    than a window."""
+    """Two objects approach each other.
+
+    One of them changes its class, and vanishes for less than a window.
+    """
     config = CONFIG.replace(sensor=(80, 80), grid=(80, 80))
     shown = np.zeros((3, 20, 20), np.float32)  # places of 4 pixels
     processor = Processor(
@@ -324,8 +328,10 @@ WIDE = CONFIG.replace(sensor=(300, 300), grid=(300, 300), bins=1, polarity="unsi
 
 
 class Scene:
-    """A classifier whose map, a place for each pixel, shows single places of one class, each with a
-    score."""
+    """A classifier whose map shows single places of one class, each with a score.
+
+    The map has a place for each pixel.
+    """
 
     def __init__(self):
         self.map = np.zeros((2, 300, 300), np.float32)
@@ -341,8 +347,10 @@ class Scene:
 
 @pytest.mark.parametrize("likelier", [True, False], ids=["likelier", "less likely"])
 def test_a_still_object_keeps_its_number_in_noise(likelier):
-    """Ten false objects a decision, always elsewhere: soon far more have been seen than can be
-    remembered."""
+    """Each decision has ten false objects, always at other places.
+
+    Soon there were far more objects than can be remembered.
+    """
     rng = np.random.default_rng(5)
     scene = Scene()
     processor = Processor(
@@ -401,8 +409,10 @@ def test_numbers_are_those_of_the_reference(seed):
 
 
 def test_places_lie_in_the_middle_of_what_they_depend_on():
-    """A pixel that a place depends on symmetrically: only there an impulse gives a symmetric
-    map."""
+    """A pixel that a place depends on symmetrically.
+
+    Only at such a pixel an impulse gives a symmetric map.
+    """
     net = nn.Sequential(
         nn.Conv2d(1, 1, 5, 2, 2),
         nn.MaxPool2d(2),

@@ -127,11 +127,9 @@ def assert_refused(message, path, weights, config=WITH_REGRESSOR):
 # beyond float32
 @pytest.mark.parametrize("name, value", [*zip(SHAPES, itertools.cycle([np.nan, np.inf, -1e39]))])
 def test_each_array_has_its_shape_and_is_finite(name, value, tmp_path):
-    """Arrays with one side more, one axis more, one axis less, or none.
+    """An array with one side more, one axis more or less, or without numbers is refused.
 
-    The layer itself refuses them, or the next layer, which reads its output.
-
-    The layer itself refuses them, or the next layer, which reads its output.
+    The layer itself refuses it, or the next layer, which reads the layer's output.
     """
     shape = SHAPES[name]
     path = tmp_path / "m"

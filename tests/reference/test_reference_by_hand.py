@@ -59,8 +59,10 @@ def test_one_event(t, x, y, transform, expected):
     ("x", "y"), [(0, 1), (3, 1), (1, 0), (2, 3)], ids=["left", "right", "top", "bottom"]
 )
 def test_a_billionth_of_a_pixel_past_the_border_is_inside_and_more_is_not(x, y):
-    """A pixel at the side of four is 1.5 from the centre; k microseconds before tau = 1 of T, it is
-    4.17e-10 k past the border."""
+    """A pixel at the side of four is 1.5 from the centre.
+
+    k microseconds before tau = 1 of T, it is 4.17e-10 k past the border.
+    """
     window_us = 3_600_000_000
     at = dict(
         start_us=0,

@@ -141,8 +141,10 @@ def volume_of(placed, bins, grid, polarity):
 
 @given(windows(), st.sampled_from(LANDMARKS))
 def test_landmarks(window, name):
-    """Centroids to the last bit, as (S / n) (W - 1) / (Ws - 1) is written: the kernels do the same
-    operations."""
+    """Centroids are equal to the last bit, as (S / n) (W - 1) / (Ws - 1) is written.
+
+    The kernels do the same operations.
+    """
     (t, x, y, _), where = window
     start, length, sensor, grid = where.values()
     rows = landmark(name, t, x, y, **where)

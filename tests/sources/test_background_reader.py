@@ -36,8 +36,10 @@ def no_thread_is_left():
 
 
 class Source:
-    """Packets, with a note of how many were asked for; `gate` holds back the packets from number
-    `gate_at` on."""
+    """Packets, with a note of how many were asked for.
+
+    `gate` holds back the packets from number `gate_at` on.
+    """
 
     def __init__(self, packets=PACKETS, gate_at=None, error=None):
         self.packets = packets

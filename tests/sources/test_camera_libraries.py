@@ -32,8 +32,10 @@ EPOCH_US = 1_700_000_000_000_000  # dv-processing's times count from 1970
 
 
 class Neuromorphic:
-    """neuromorphic-drivers and its only camera, which sends these packets (None: nothing comes) and
-    is unplugged."""
+    """neuromorphic-drivers and its only camera.
+
+    The camera sends these packets (None: nothing comes) and is unplugged.
+    """
 
     kinds = NEUROMORPHIC_KINDS
     find = staticmethod(neuromorphic_cameras)
@@ -89,8 +91,10 @@ class Neuromorphic:
 
 
 class Dv:
-    """dv-processing and its only camera, which sends these packets (None: nothing comes) and stops
-    running."""
+    """dv-processing and its only camera.
+
+    The camera sends these packets (None: nothing comes) and stops running.
+    """
 
     kinds = DV_KINDS
     find = staticmethod(dv_cameras)

@@ -106,8 +106,10 @@ EVENTS = open_recording(SAMPLE).read()
 
 
 def with_hot_pixels(path, *pixels):
-    """The sample of a 3 with hot pixels (x, y, events), as a file that does not state its
-    sensor."""
+    """A file of the bundled 3 with hot pixels (x, y, events).
+
+    The file does not state its sensor.
+    """
     hot = [
         events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n)
         for x, y, n in pixels

@@ -44,8 +44,10 @@ def few_steps(monkeypatch):
 
 @pytest.fixture
 def train(program, tmp_path, few_steps):
-    """Train on a set for one short epoch, by the program; returns exit code, stderr and the model's
-    file."""
+    """Train on a set for one short epoch, by the program.
+
+    Returns exit code, stderr and the model's file.
+    """
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
     def run(dataset, *words):

@@ -1,5 +1,7 @@
-"""The bundled models of digits: right on every bundled sample, and as accurate as their records
-say."""
+"""The bundled models of digits are right on every bundled sample.
+
+They are as accurate as their records say.
+"""
 
 import pytest
 

@@ -88,8 +88,10 @@ def test_gradient_of_the_kernels_equals_the_references(changes):
 
 
 def test_the_loss_reaches_every_layer_and_the_exported_pipeline_equals_the_references():
-    """Scales absorbed, through a model and back: the logits are those of the torch pipeline on the
-    events."""
+    """Scales are folded into the weights of a model, which becomes a pipeline again.
+
+    The logits are those of the torch pipeline on the events.
+    """
     windows = windows_of(CONFIG)
     pipeline = new_pipeline(CONFIG, 3, 0, windows)
     # the first landmark is the centre

@@ -115,8 +115,10 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
 
 
 def test_the_files_of_dvs128_gesture(tmp_path):
-    """AEDAT 3.1, numbers with names in a table of their own, and lists of the sessions to train and
-    to test on."""
+    """The data set has AEDAT 3.1, and class numbers with names in a table of their own.
+
+    Lists say which sessions are to train and to test on.
+    """
     for seed, name in enumerate(("user01_lab", "user02_lab")):
         numbers = {"flat": 2, "upright": 10}
         write_session(

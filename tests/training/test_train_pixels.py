@@ -37,8 +37,11 @@ def recorded(seed):
 
 
 def write_sets(folder):
-    """The same recordings without hot pixels, with them, and with them on a larger camera, parts of
-    which move, too."""
+    """The same recordings three times.
+
+    They are without hot pixels, with them, and with them on a larger camera, parts of which
+    move, too.
+    """
     for k in range(20):
         events, hot = recorded(k)
         large = hot.copy()

@@ -453,8 +453,10 @@ def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
 
 
 def test_the_fewer_windows_the_more_epochs():
-    """4,000 steps, 20 epochs at least; an epoch of few windows shows them often enough for
-    fifty."""
+    """A training has 4,000 steps, or 20 epochs if these are more steps.
+
+    An epoch of few windows shows them several times, so that it has fifty steps.
+    """
     assert [settings_for(CONFIG, n).epochs for n in (100_000, 1_000, 9)] == [20, 122, 80]
     assert [settings_for(CONFIG, n).passes for n in (100_000, 1_000, 9)] == [1, 1, 44]
     assert settings_for(CONFIG, 9, epochs=3).epochs == 3
@@ -512,8 +514,10 @@ def test_a_teacher_of_images_of_times_is_shown_events_in_one_pixel_each(windows)
 
 
 def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained, tmp_path):
-    """Where nothing is shown, the target stays; a run with a teacher is another run than
-    without."""
+    """Where nothing is shown, the target stays.
+
+    A run with a teacher is another run than one without.
+    """
     draws = Augmentation(nothing=0.5).draw(windows[:4], CONFIG, np.random.default_rng(1))
     draws.nothing[:] = 0, 1, 0, 2
     some = windows[
@@ -541,8 +545,10 @@ def test_half_of_the_target_is_what_the_teachers_say_on_average(windows, trained
 
 
 def test_the_model_has_the_average_of_the_weights_of_all_steps(windows, tmp_path):
-    """w <- a w + (1 - a) w', also of a batch norm's statistics, and the same after an
-    interruption."""
+    """The average is w <- a w + (1 - a) w', also of a batch norm's statistics.
+
+    It is the same after an interruption.
+    """
     settings = replace(ONE_EPOCH, averaging=0.9, epochs=2, network="conv4")
     whole = train(CONFIG, windows, windows[:0], settings, tmp_path / "whole").model
     last = train(

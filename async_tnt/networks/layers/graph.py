@@ -213,7 +213,7 @@ def _check_fields(layer: Layer, operation: Operation) -> None:
 def _weight_shapes(
     layer: Layer, operation: Operation, tensors: Mapping[str, Shape]
 ) -> dict[str, Shape]:
-    """Role -> the shape of its weights."""
+    """The shapes of a layer's weights, by role."""
     if not operation.roles:
         return {}
     weights = layer["weights"]

@@ -44,7 +44,7 @@ def packed_weights(step: Step) -> PackedWeights:
 
 
 def _weights_of_places(step: Step) -> np.ndarray:
-    """(places, numbers): the packed weights of each place that is computed."""
+    """The packed weights of each place that is computed, (places, numbers)."""
     computed = step.weights[: step.rows, : step.columns]
     of_places = computed.reshape(-1, *step.weights.shape[2:])
     if step.kind == MIX:
@@ -53,7 +53,10 @@ def _weights_of_places(step: Step) -> np.ndarray:
 
 
 def _rows(w: np.ndarray, step: Step) -> np.ndarray:
-    """(places, numbers): weights (places, taps, C) of a step that computes channels one by one."""
+    """The packed weights of a step that computes channels one by one, (places, numbers).
+
+    They are packed from weights (places, taps, C).
+    """
     n_places, n_taps, channels = w.shape
     size = round_up(channels, LANES)
     packed = np.zeros((n_places, (n_taps + 2) * size + LANES), np.float32)
@@ -89,7 +92,7 @@ def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
 
 
 def _limits(step: Step) -> np.ndarray:
-    """(LANES,): the limits of the step's results, then zeros."""
+    """The limits of the step's results, then zeros, (LANES,)."""
     return np.pad(np.array([step.low, step.high], np.float32), (0, LANES - 2))
 
 

@@ -134,8 +134,6 @@ def _padding_at_the_end(side: int, kernel: int, stride: int, before: int) -> int
     """The padding at the end with which a pooling needs no `ceil_mode` of torch.
 
     With this padding the last window fits, if it begins inside the input.
-
-    With it, a last window fits that begins inside the input.
     """
     last = min(math.ceil((side + 2 * before - kernel) / stride), (side + before - 1) // stride)
     return last * stride + kernel - before - side

@@ -234,7 +234,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def _sessions(folder: Path) -> dict[Path, Path]:
-    """Recording -> its table, for each session in a folder."""
+    """The sessions of a folder: the table of each recording that has one."""
     tables = {
         path.name.removesuffix(TABLE): path for path in folder.glob(f"*{TABLE}") if path.is_file()
     }
@@ -319,7 +319,7 @@ def _sessions_for(
 def _parts(
     folder: Path, sessions: Mapping[Path, Path], part: str | None
 ) -> dict[str, list[LabelledRecording]]:
-    """Class name -> the parts of sessions that show the class."""
+    """The parts of sessions that show each class, by the name of the class."""
     sessions = _sessions_for(folder, sessions, part)
     names = {}
     if (folder / NAMES_FILE).is_file():
@@ -345,7 +345,7 @@ def _parts(
 
 
 def _times_in(where: str, row: Mapping[str, str]) -> tuple[int, int]:
-    """(start, end), in microseconds, in a row of a session's table.
+    """Start and end, in microseconds, in a row of a session's table.
 
     Raises
     ------

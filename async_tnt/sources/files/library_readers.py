@@ -327,7 +327,7 @@ def _check_complete(data: Any) -> None:
 
 
 def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
-    """(width, height) from the numbers events/width and events/height; None without both."""
+    """The sensor's sides from the numbers events/width and events/height; None without both."""
     sides = [_find(h5py, file, f"events/{name}") for name in ("width", "height")]
     if None in sides:
         return None
@@ -343,7 +343,7 @@ def _sides(h5py: Any, file: Any) -> tuple[int, int] | None:
 
 
 def _geometry(file: Any) -> tuple[int, int] | None:
-    """(width, height) from the attribute `geometry`; None without it."""
+    """The sensor's sides (width, height) from the attribute `geometry`; None without it."""
     geometry = file.attrs.get("geometry")
     if isinstance(geometry, bytes):
         geometry = geometry.decode("ascii", "replace")

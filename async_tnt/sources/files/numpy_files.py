@@ -239,7 +239,7 @@ def _event_members(members: dict[str, zipfile.ZipInfo]) -> list[zipfile.ZipInfo]
 
 
 def _sensor(array: np.ndarray) -> Sensor:
-    """(width, height) from the array `sensor` of an archive."""
+    """The sensor's sides (width, height) from the array `sensor` of an archive."""
     rule = f"its array 'sensor' must be two integers (width, height) in [1, {max(ANY_SENSOR)}]"
     if array.shape != (2,) or array.dtype.kind not in "iu":
         raise ValueError(f"{rule}, got shape {array.shape} of {array.dtype}")

@@ -151,7 +151,7 @@ class Header:
             self.fields[keyword.lower()] = rest.strip()
 
     def _sensor(self) -> Sensor | None:
-        """(width, height), None if the header does not state both."""
+        """The sensor's sides (width, height); None if the header does not state both."""
         sides = self._sides()
         if sides is None:
             return None

@@ -413,7 +413,7 @@ def _check_path(path: Path) -> None:
 
 
 def _checked_between(between_us: tuple[int, int] | None) -> tuple[int, int] | None:
-    """(start, end) as Python integers; None stays None.
+    """The times start and end as Python integers; None stays None.
 
     Raises
     ------

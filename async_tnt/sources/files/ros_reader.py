@@ -164,7 +164,7 @@ def _open(path: str) -> tuple[Any, bool]:
 
 
 def _message_counts(connections: list[Any]) -> dict[tuple[str, str], int]:
-    """Name and type of each topic -> the number of its messages."""
+    """The number of messages of each topic, by its name and type."""
     counts: dict[tuple[str, str], int] = {}
     for connection in connections:
         key = (connection.topic, connection.msgtype)
@@ -310,7 +310,10 @@ class _Cursor:
 
 
 def _sensor_of(cursor: _Cursor) -> tuple[int, int] | None:
-    """(width, height), None where they are not known. Reads a message up to and with its sides."""
+    """The sensor's sides (width, height); None where they are not known.
+
+    A message is read up to and with its sides.
+    """
     if cursor.is_ros_1:
         cursor.number("I")  # seq
     cursor.number("I")  # seconds and nanoseconds of the message

@@ -83,7 +83,7 @@ class Pixels:
 
     @property
     def region(self) -> Sensor | None:
-        """(width, height) of the region that becomes the sensor; None without `crop`."""
+        """The size (width, height) of the region that becomes the sensor; None without `crop`."""
         if self.roi is None or not self.crop:
             return None
         return self.roi[2], self.roi[3]

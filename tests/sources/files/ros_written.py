@@ -1,5 +1,6 @@
-"""Bags of ROS 1 and ROS 2, written and serialized by rosbags from the public definitions of their
-messages.
+"""Bags of ROS 1 and ROS 2.
+
+The package rosbags writes them from the public definitions of their messages.
 
 Nothing here is taken from the reader, which unpacks messages by itself.
 """

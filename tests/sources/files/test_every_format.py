@@ -74,8 +74,10 @@ def test_events_are_read_back_in_any_packets_which_are_the_callers_own(
 
 @pytest.mark.parametrize("name", sorted(FORMATS))
 def test_every_bit_of_a_pixel_is_read(tmp_path, name):
-    """Events in all corners of the largest sensor that the format can say, and with one bit
-    alone."""
+    """Events in all corners of the largest sensor that the format can say.
+
+    Other events have one bit alone.
+    """
     width, height = FORMATS[name].largest
     events = made_events(300, sensor=(width, height))
     events["x"][:4] = [0, width - 1, 0, width - 1]
@@ -175,8 +177,10 @@ def test_the_stated_sensor_says_how_a_davis_that_the_header_does_not_name_counts
 
 
 def test_addresses_of_cameras_by_hand(tmp_path):
-    """The address (50, 20) is 50 from the right and 20 from the bottom; where no camera is named it
-    is as it is."""
+    """The address (50, 20) is 50 from the right and 20 from the bottom.
+
+    Where no camera is named, the address is taken as it is.
+    """
     of_davis = 20 << 22 | 50 << 12 | 1 << 11
     of_dvs128 = 20 << 8 | 50 << 1
     for chip, address, pixel in (
@@ -259,8 +263,10 @@ N_BLOCK = 100_000
     "name", ["plain.csv", "evt3.raw", "records.npy", "caer.aedat", "dsec.h5", "packets.bag"]
 )
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
-    """The same events ten times over: a million different ones take longer to write than to
-    read."""
+    """The same events are repeated ten times.
+
+    A million different ones take longer to write than to read.
+    """
     path = tmp_path / name
     sensor = sensor_for(name)
     block = made_events(N_BLOCK, sensor=sensor, step_us=4)

@@ -119,8 +119,11 @@ def test_evt2_by_hand(decoded):
 
 
 def test_evt21_by_hand(decoded):
-    """A word has 32 pixels: bits 0, 2 and 31 from x = 64, and up to the last column; none before
-    the first time."""
+    """A word has 32 pixels.
+
+    Here it has bits 0, 2 and 31 from x = 64 on, and pixels up to the last column. There is no
+    event before the first time.
+    """
     high = 0x80000001 << 32
     pixels = (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1 << 31 | 0b101
     assert decoded("2.1", [pixels, high, pixels]) == [(69, x, 9, 1) for x in (64, 66, 95)]

@@ -22,8 +22,10 @@ every_bag = pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
 
 
 def plainly_decoded(words):
-    """The events of EVT3, word by word as its description has it, in a stream that begins with its
-    time and row."""
+    """The events of EVT3, word by word as its description says.
+
+    The stream begins with its time and row.
+    """
     events = []
     overflows = 0
     high = 0
@@ -276,8 +278,10 @@ def test_a_sensor_of_no_pixels_is_one_that_is_not_stated(tmp_path, name):
 
 @every_bag
 def test_compressed_bags(tmp_path, name):
-    """Chunks of ROS 1; of ROS 2 each message, as `ros2 bag record` does, and the file has no
-    metadata beside it."""
+    """Bags are compressed as `ros2 bag record` does, without metadata beside the file.
+
+    ROS 1 compresses chunks, and ROS 2 compresses each message.
+    """
     with Bag(tmp_path / name, compressed=True) as bag:
         for part in np.split(EVENTS, 4):
             bag.array(part, SENSOR)
