@@ -67,10 +67,13 @@ def digits_tried() -> str:
     for run in _record()["tried"]:
         found = run["validation"]
         landmark = run["landmark"] or "none (untransformed volume)"
+        if run["remove_flow"]:
+            landmark += ", flow removed"
+        t_max = "" if run["t_max"] is None else f"{run['t_max']:g}"
         rows.append(
             [
-                landmark + (", flow removed" if run["remove_flow"] else ""),
-                "" if run["t_max"] is None else f"{run['t_max']:g}",
+                landmark,
+                t_max,
                 run["polarity"],
                 f"{run['simulated_recordings']:,}",
                 "yes" if run["augmentation"] else "no",
