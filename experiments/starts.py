@@ -1,9 +1,9 @@
-"""Cold and warm starts in new processes: the time from `import` to the first decision.
+"""Time cold and warm starts in new processes, from `import` to the first decision.
 
     python -m experiments.starts [--quick] [--json FILE]
 
-Ours, with an empty and with a full cache of compiled code, beside onnxruntime and torch, where they
-are installed.
+Ours starts with an empty and with a full cache of compiled code. It is compared with onnxruntime and
+torch where they are installed.
 """
 
 from __future__ import annotations

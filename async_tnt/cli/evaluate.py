@@ -221,7 +221,7 @@ def labelled_recordings(folder: Path, model: Model) -> dict[str, list[LabelledRe
     Raises
     ------
     ValueError : a class folder that the model does not know, or no recordings.
-    OSError : no such folder.
+    OSError : the folder does not exist.
     """
     found = find_recordings(folder, "Test")
     unknown = [name for name in found if name not in model.classes]

@@ -68,8 +68,8 @@ def find_tables(folder: Path) -> list[tuple[Path, Path]]:
 
     Raises
     ------
-    ValueError : no recording with a table.
-    OSError : no such folder.
+    ValueError : the folder has no recording with a table.
+    OSError : the folder does not exist.
     """
     folder = folder / "Test" if (folder / "Test").is_dir() else folder
     found = []

@@ -112,7 +112,7 @@ def run_on_dask(
     Raises
     ------
     ImportError : Dask is not installed.
-    OSError : no scheduler answers at this address, or it is gone; or there are no workers.
+    OSError : no scheduler answers at this address, the scheduler is gone, or it has no workers.
     """
     if not tasks:
         return

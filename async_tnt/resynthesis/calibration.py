@@ -73,7 +73,7 @@ def calibrate(reconstruction: Reconstruction, windows: Sequence[Columns], seed: 
 
     Raises
     ------
-    ValueError : no window's path was found.
+    ValueError : no path was found in any window.
     """
     model = reconstruction.model
     parts = [part_of(window, model.window_us) for window in windows]

@@ -40,7 +40,7 @@ def open_source(
 
     Raises
     ------
-    ValueError : not the name of a source, or a damaged file; the message says what is wrong.
+    ValueError : the name is not that of a source, or the file is damaged; the message says which.
     OSError : the file is missing, the address is taken, or no camera is connected.
     ImportError : a camera without the extra `cameras`.
 

@@ -605,7 +605,8 @@ class Processor(TriggerAttributes):
 
         Raises
         ------
-        ValueError : not the state of a stream, or that of another configuration or other classes.
+        ValueError : the bytes are not the state of a stream, or this stream had another
+            configuration or other classes.
         """
         networks = networks_of(model, classifier, regressor, None)
         values = load_state(state, named_networks(networks.classifier, networks.regressor))

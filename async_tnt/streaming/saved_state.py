@@ -38,7 +38,7 @@ def load_state(state: bytes, networks: dict[str, Any]) -> Any:
 
     Raises
     ------
-    ValueError : not such a state.
+    ValueError : the bytes are not such a state.
     """
     unpickler = _Unpickler(io.BytesIO(state))
     unpickler.networks = networks

@@ -34,7 +34,7 @@ class BatchVolumes:
 
     Raises
     ------
-    ValueError : it has `window_events`.
+    ValueError : the configuration has `window_events`.
     """
 
     def __init__(self, config: TNTConfig) -> None:

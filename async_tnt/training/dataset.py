@@ -137,7 +137,7 @@ def read_part(
     ValueError : fewer than two classes, or others than `classes`; a class without recordings, or
         with none left; the same recording in two classes; recordings of different sensors, or of an
         unknown one; a region or a mask that does not fit the sensor; a recording that is too long.
-    OSError : no such folder.
+    OSError : the folder does not exist.
     """
     pixels = reading.pixels
     if first is not None:

@@ -27,7 +27,7 @@ def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
 
     Raises
     ------
-    ValueError : not a regular expression, or one that finds nothing in a name.
+    ValueError : the pattern is not a regular expression, or finds nothing in a name.
     """
     try:
         compiled = re.compile(pattern)

@@ -78,8 +78,8 @@ def train(
 
     Raises
     ------
-    ValueError : no training windows, `start` has another configuration or other classes, or the run
-        folder holds a run with other settings or data.
+    ValueError : there are no training windows, `start` has another configuration or other classes,
+        or the run folder holds a run with other settings or data.
     BlockingIOError : another process is training there.
     """
     _check(data, settings, start, motions, teachers)

@@ -47,7 +47,7 @@ class MotionSettings:
 
     Raises
     ------
-    ValueError : no variation, or a share outside of [0, 1].
+    ValueError : there is no variation, or the share is outside of [0, 1].
     """
 
     variations: int = 32

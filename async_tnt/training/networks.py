@@ -222,7 +222,7 @@ def find_network(name: str) -> tuple[Build, int]:
 
     Raises
     ------
-    ValueError : no such network, file or function; or the file fails.
+    ValueError : the network, the file or the function does not exist, or the file fails.
     """
     if ":" not in name:
         if name not in NETWORKS:

@@ -92,7 +92,8 @@ class Recordings:
 
         Raises
         ------
-        TypeError, ValueError : not such events; see `RecordingsWriter.add`; or the lengths differ.
+        TypeError, ValueError : the events have another form, see `RecordingsWriter.add`, or the
+            lengths differ.
         """
         if names is None:
             names = [str(i) for i in range(len(labels))]

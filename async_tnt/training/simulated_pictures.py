@@ -440,9 +440,8 @@ def measure_camera(
 
     Raises
     ------
-    ValueError : not a recording, a recording of another sensor, or one that is no longer than a
-        window.
-    OSError : it cannot be read.
+    ValueError : the file is not a recording, is of another sensor, or is no longer than a window.
+    OSError : the file cannot be read.
     """
     recording = open_recording(path, sensor=sensor, **reading)
     if recording.stated_sensor not in (None, sensor):

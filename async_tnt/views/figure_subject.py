@@ -60,7 +60,7 @@ class Subject:
 
         Raises
         ------
-        ValueError : it has no events.
+        ValueError : the window has no events.
         """
         window_us = self.config.window_us
         start_us = self.first_us + (number - 1) * window_us

@@ -66,7 +66,7 @@ def _turns(rows: dict[str, Any], mode: str, names: dict[str, str]) -> str:
 
 
 def _cell(found: dict[str, Any], name: str) -> str:
-    """Median, 99th percentile, and ratio to the first network's; empty where there is none."""
+    """A cell with median, 99th percentile, and ratio to the first network; empty without times."""
     us = found["us"].get(name)
     if us is None:
         return ""

@@ -31,7 +31,7 @@ class Classifier(nn.Module):
 
     Parameters
     ----------
-    channels : of the volume: B, or 2B for split polarity.
+    channels : number of the volume's channels: B, or 2B for split polarity.
     grid : (width, height) of the volume, at least 4 x 4. Pooling drops an odd side's last row or
         column (34 -> 17 -> 8).
     n_classes : how many logits.
@@ -86,7 +86,7 @@ class LandmarkRegressor(nn.Module):
 
     Parameters
     ----------
-    channels : of the volume: B, or 2B for split polarity.
+    channels : number of the volume's channels: B, or 2B for split polarity.
     grid : (width, height) of the volume.
     n_filters : how many outputs each 3x3 convolution has. It is our choice; the thesis gives none.
 

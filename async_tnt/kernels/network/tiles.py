@@ -179,7 +179,7 @@ class _Tile:
         return builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
 
     def starts(self, n_places):
-        """For each place, the array it reads, from there on, and the index where it writes."""
+        """For each place, the address where its input begins, and the index of its output."""
         simd = self.simd
         slots = {slot: self.slot(slot) for slot in (P.IN_DY, P.IN_DX, P.OUT_DY, P.OUT_DX)}
         starts = []

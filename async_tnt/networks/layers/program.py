@@ -175,10 +175,12 @@ class _MapsLayout:
 def _lay_out(steps: Sequence[Step], volume: Map) -> _MapsLayout:
     """The layout of the volume and of all maps that steps compute.
 
+    Maps that are added to each other have the same frame, that of the widest padding. So they may
+    need more memory than the layers said.
+
     Raises
     ------
-    ValueError : they need more memory than the layers said. Maps that are added to each other have
-        one frame, that of the widest padding.
+    ValueError : the maps need more memory than is allowed.
     """
     numbers = _Arena()
     planes = numbers.take(volume.channels * volume.rows * volume.columns)

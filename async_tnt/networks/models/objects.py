@@ -93,9 +93,9 @@ class ObjectReader:
     Parameters
     ----------
     shape : (K + 1, R, C) of the maps: a channel for each class, then nothing.
-    layout : of an incremental network only: where its map begins, and the strides of the map's
+    layout : only for an incremental network: where its map begins, and the strides of the map's
         rows, columns and channels, in numbers.
-    sources : of an incremental network only: where in its program the records of the map's changes
+    sources : only for an incremental network: where in its program the records of the map's changes
         begin.
 
     Attributes

@@ -253,7 +253,7 @@ def open_session(source: str | bytes, name: str, threads: int) -> OpenedNetwork:
     Raises
     ------
     ImportError : onnxruntime is not installed.
-    ValueError : it is no ONNX network, or this package wrote it and it is damaged.
+    ValueError : the file is no ONNX network, or this package wrote it and it is damaged.
     """
     onnxruntime = import_onnxruntime()
     options = onnxruntime.SessionOptions()

@@ -390,7 +390,7 @@ def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int,
 
     Raises
     ------
-    ValueError : not a CSV file, or a column is missing or there twice.
+    ValueError : the table is not a CSV file, or a column is missing or there twice.
     """
     refuse_git_lfs(path)
     try:

@@ -114,7 +114,7 @@ def map_npy(path: str | os.PathLike[str]) -> np.memmap:
 
     Raises
     ------
-    ValueError : it is damaged, or a pointer of Git LFS.
+    ValueError : the file is damaged, or a pointer of Git LFS.
     """
     path = user_path(path)
     refuse_git_lfs(path)

@@ -72,7 +72,7 @@ class SensorCheck:
 
     @property
     def is_another_sensor(self) -> bool:
-        """Whether so many events are off the sensor that it cannot be the recording's."""
+        """Whether so many events are off the sensor that the recording must be of another one."""
         many = self.n_off > FEW and self.n_off > SHARE * self.n_events
         return many or 2 * self.n_off > self.n_events
 

@@ -272,7 +272,8 @@ def open_uzh_text(path: Path, options: ReadOptions) -> Source:
 
     Raises
     ------
-    ValueError : no such layout; or times are whole numbers, which may be seconds or microseconds.
+    ValueError : the file has another layout, or its times are whole numbers, which may be seconds
+        or microseconds.
     """
     all_rows = _first_rows(path)
     order = options.columns or UZH_ORDER
@@ -451,7 +452,7 @@ def _checked_sides(path: Path, words: list[str], text: str) -> Sensor:
 
     Raises
     ------
-    ValueError : they are not the sides of a sensor; the message quotes the line's `text`.
+    ValueError : the words are not the sides of a sensor; the message quotes the line's `text`.
     """
     decimals = [word for word in words if word.strip().isdecimal()]
     sides = [int(word) for word in decimals if len(word) < 20]

@@ -300,7 +300,7 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None) -> UdpSource:
 
     Raises
     ------
-    ValueError : not such a URL; the message says what is wrong.
+    ValueError : the URL is not such a URL; the message says what is wrong.
     OSError : the address is not this machine's, or taken.
     """
     try:

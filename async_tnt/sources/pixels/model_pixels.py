@@ -85,8 +85,8 @@ class ModelPixels:
 
         Raises
         ------
-        ValueError : not the expected sensor, or an unknown one; the region or the mask does not fit
-            it.
+        ValueError : the sensor is not the expected one, or is unknown, or the region or the mask
+            does not fit it.
         """
         camera = self.expected or found
         if camera is None:

@@ -26,7 +26,7 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 
     Raises
     ------
-    ValueError, TypeError : of another type or shape.
+    ValueError, TypeError : the mask has another type or shape.
     """
     if sensor is None:
         rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
@@ -75,8 +75,8 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
 
     Raises
     ------
-    ValueError : not a bool array of two dimensions, or another suffix.
-    OSError : not writable.
+    ValueError : the mask is not a bool array of two dimensions, or the path has another suffix.
+    OSError : the file cannot be written.
     """
     path = user_path(path)
     check_writable(path, (".npy",))
@@ -111,7 +111,7 @@ class PackedMask:
 
         Raises
         ------
-        ValueError, TypeError : not a bool array of shape (H, W).
+        ValueError, TypeError : the mask is not a bool array of shape (H, W).
         """
         height, width = checked_mask(mask).shape
         packed = zlib.compress(np.packbits(mask).tobytes())
@@ -122,7 +122,7 @@ class PackedMask:
 
         Raises
         ------
-        ValueError : it is not of this `sensor` (width, height).
+        ValueError : the mask is of another sensor than `sensor`, (width, height).
         """
         width, height = self.size
         bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
