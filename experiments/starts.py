@@ -2,8 +2,8 @@
 
     python -m experiments.starts [--quick] [--json FILE]
 
-Ours starts with an empty and with a full cache of compiled code. It is compared with onnxruntime and
-torch where they are installed.
+Ours starts with an empty and with a full cache of compiled code. It is compared with onnxruntime
+and torch where they are installed.
 """
 
 from __future__ import annotations
